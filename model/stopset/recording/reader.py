@@ -1,0 +1,272 @@
+"""Read recordings (Parquet, or CSV with its metadata in a JSON beside it) one trial at a time, checked at the door.
+
+Memory stays at one batch and one trial, whatever the file's size.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+
+from stopset.errors import RecordingError
+from stopset.recording.types import EFFORTS, PHASES, Array, Meta, Recording, Recordings
+from stopset.robot import Robot
+
+BATCH_ROWS = 65_536
+# Beyond these a number cannot be SI: 4 turns as an angle, 40 rad/s as a joint speed (fast small arms reach 10)
+PLAUSIBLE_ANGLE = 8 * np.pi
+PLAUSIBLE_SPEED = 40.0
+
+
+def _paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    out = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(p) for p in paths]
+    for p in out:
+        if p.is_dir():
+            raise RecordingError(f"{p} is a directory; expected a recording (Parquet or CSV): name its files")
+        if not p.exists():
+            raise RecordingError(f"{p}: no such file; expected a recording (Parquet or CSV)")
+        if p.stat().st_size == 0:
+            raise RecordingError(f"{p} is empty (0 bytes); expected a recording: record or copy it again")
+    return out
+
+
+def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
+    try:
+        if path.suffix.lower() == ".csv":
+            reader = pacsv.open_csv(path)
+            side = path.with_suffix(".json")
+            meta = {b"recording": side.read_bytes()} if side.exists() else None
+            return reader.schema.with_metadata(meta), iter(reader)
+        file = pq.ParquetFile(path)
+        return file.schema_arrow, file.iter_batches(batch_size=BATCH_ROWS)
+    except (pa.ArrowInvalid, pa.ArrowException, OSError) as e:
+        first = str(e).splitlines()[0]
+        kind = "CSV table" if path.suffix.lower() == ".csv" else "Parquet file"
+        raise RecordingError(f"{path} is not a readable {kind} ({first}); expected a recording: export it again") from e
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as f:
+        return hashlib.file_digest(f, "sha256").hexdigest()
+
+
+def _meta(path: Path, schema: pa.Schema) -> Meta:
+    columns = schema.names
+    joints = tuple(c[2:] for c in columns if c.startswith("q_"))
+    missing = [c for c in ("suite", "trial", "t") if c not in columns]
+    missing += [f"{s}_{j}" for j in joints for s in ("dq",) if f"{s}_{j}" not in columns]
+    if not joints or missing:
+        what = ", ".join(missing[:6]) if missing else "q_<joint>"
+        raise RecordingError(
+            f"{path}: column {what} missing (it has {', '.join(columns[:8])}{' ...' if len(columns) > 8 else ''}); "
+            "expected suite, trial, t and q_, dq_, tau_ of every joint"
+        )
+    raw = (schema.metadata or {}).get(b"recording")
+    sources = ((path.name, _sha256(path)),)
+    if raw is None:
+        if "phase" not in columns or not all(f"tau_{j}" in columns for j in joints):
+            raise RecordingError(
+                f"{path} has no metadata 'recording' and no phase or tau_ columns; expected the effort kind and unit: "
+                "add the metadata (effort, velocity, clock, rate_hz)"
+            )
+        note = f"{path.name} has no metadata: taken as motor torque, measured velocity, recorded clock"
+        return Meta(joints=joints, warnings=(note,), sources=sources)
+    try:
+        d = json.loads(raw)
+        effort = str(d["effort"])
+        constant = d.get("torque_constant")
+        meta = Meta(
+            joints=tuple(d.get("joints", joints)),
+            robot=str(d.get("robot", "")),
+            effort=effort,
+            velocity=str(d.get("velocity", "measured")),
+            clock=str(d.get("clock", "recorded")),
+            rate_hz=float(d.get("rate_hz", "nan")),
+            torque_constant=None if constant is None else tuple(float(c) for c in constant),
+            sources=sources,
+        )
+    except (ValueError, TypeError, KeyError) as e:
+        raise RecordingError(
+            f"{path}: its metadata 'recording' is unusable ({type(e).__name__}: {e}); expected JSON with effort, "
+            "velocity, clock, rate_hz"
+        ) from e
+    if effort not in EFFORTS:
+        raise RecordingError(f"{path}: effort is {effort!r}; expected one of {', '.join(EFFORTS)}")
+    if set(meta.joints) != set(joints):
+        raise RecordingError(
+            f"{path}: its metadata names joints {', '.join(meta.joints)}, its columns {', '.join(joints)}; make them agree"
+        )
+    lacking = [f"tau_{j}" for j in meta.joints if f"tau_{j}" not in columns]
+    if lacking and effort != "motor_current":
+        raise RecordingError(f"{path}: column {', '.join(lacking[:6])} missing; expected the effort of every joint")
+    if effort == "motor_current":
+        lacking = [f"i_{j}" for j in meta.joints if f"i_{j}" not in columns]
+        if lacking or meta.torque_constant is None or len(meta.torque_constant) != len(meta.joints):
+            raise RecordingError(
+                f"{path}: effort is motor_current but {', '.join(lacking[:3]) or 'torque_constant'} is missing or has the "
+                "wrong length; expected i_<joint> columns and one torque constant [N m/A] per joint"
+            )
+    return meta
+
+
+def read_meta(path: str | Path) -> Meta:
+    """Metadata of one file, from its header alone."""
+    (p,) = _paths(path)
+    return _meta(p, _open(p)[0])
+
+
+def _check_robot(path: Path, meta: Meta, robot: Robot) -> None:
+    absent = [j for j in robot.joints if j not in meta.joints]
+    if absent:
+        raise RecordingError(
+            f"{path} records joints {', '.join(meta.joints)}, the robot {robot.name} has {', '.join(robot.joints)}; "
+            "robot and data do not belong together: give the matching pair"
+        )
+
+
+def _check_trial(path: Path, r: Recording, joints: Sequence[str], robot: Robot | None) -> None:
+    if len(r.t) < 2:
+        raise RecordingError(f"{path}: {r.label} has {len(r.t)} sample; expected at least 2")
+    for name, x in (("t", r.t[:, None]), ("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp)):
+        if x is not None and not np.isfinite(x).all():
+            row, col = np.argwhere(~np.isfinite(x))[0]
+            where = "t" if name == "t" else f"{name}_{joints[col]}"
+            raise RecordingError(
+                f"{path}: {where} is {x[row, col]} at row {row} of {r.label}; expected finite numbers: remove or repair"
+            )
+    dt = np.diff(r.t)
+    if (dt <= 0).any():
+        k = int(np.argmax(dt <= 0))
+        raise RecordingError(
+            f"{path}: time goes from {r.t[k]:.6g} s to {r.t[k + 1]:.6g} s at row {k + 1} of {r.label}; "
+            "expected increasing t within a trial: sort it or split it into trials"
+        )
+    big = np.abs(r.q).max(axis=0)
+    fast = np.abs(r.dq).max(axis=0)
+    limit = np.full(len(joints), PLAUSIBLE_ANGLE)
+    if robot is not None:
+        reach = np.abs(robot.q_limit).max(axis=1)
+        limit = np.where(np.isfinite(reach), np.minimum(limit, 3 * reach), limit)
+    for j, name in enumerate(joints):
+        if big[j] > limit[j] or fast[j] > PLAUSIBLE_SPEED:
+            raise RecordingError(
+                f"{path}: q_{name} reaches {big[j]:.4g} and dq_{name} {fast[j]:.4g} in {r.label}; "
+                f"expected rad and rad/s (at most {limit[j]:.3g} rad): this looks like degrees, convert it"
+            )
+
+
+def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | None = None) -> Iterator[Recording]:
+    """Yield the trials of the files one by one, in campaign order, signals in the robot's (or the file's) joint order.
+
+    Raises `RecordingError` with one sentence for anything that is not a sound recording.
+    """
+    place = 0
+    for path in _paths(paths):
+        schema, batches = _open(path)
+        meta = _meta(path, schema)
+        if robot is not None:
+            _check_robot(path, meta, robot)
+        joints = robot.joints if robot is not None else meta.joints
+        seen: set[tuple[str, int, int]] = set()
+        for phase, suite, trial, columns in _runs(path, batches):
+            key = (phase, suite, trial)
+            if key in seen:
+                raise RecordingError(
+                    f"{path}: {phase} suite {suite} trial {trial} comes in two pieces; expected the rows of a trial together"
+                )
+            seen.add(key)
+            r = _trial(key, place, columns, joints, meta)
+            _check_trial(path, r, joints, robot)
+            yield r
+            place += 1
+        if not seen:
+            raise RecordingError(f"{path} has no rows; expected at least one trial: record it again")
+
+
+def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
+    """Consecutive rows with the same (phase, suite, trial), across batches."""
+    key: tuple[str, int, int] | None = None
+    parts: list[dict[str, Any]] = []
+    try:
+        for batch in batches:
+            columns = {c: batch.column(c).to_numpy(zero_copy_only=False) for c in batch.schema.names}
+            rows = batch.num_rows
+            if rows == 0:
+                continue
+            phase = columns.get("phase")
+            names = np.full(rows, "open_loop", object) if phase is None else phase
+            change = (np.diff(columns["suite"]) != 0) | (np.diff(columns["trial"]) != 0) | (names[1:] != names[:-1])
+            edges = [0, *(np.flatnonzero(change) + 1).tolist(), rows]
+            for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+                here = (str(names[lo]), int(columns["suite"][lo]), int(columns["trial"][lo]))
+                if here[0] not in PHASES:
+                    raise RecordingError(f"{path}: phase {here[0]!r}; expected one of {', '.join(PHASES)}")
+                if key is not None and here != key:
+                    yield (*key, _joined(parts))
+                    parts = []
+                key = here
+                parts.append({c: v[lo:hi] for c, v in columns.items()})
+    except (pa.ArrowInvalid, OSError) as e:
+        raise RecordingError(f"{path} breaks off ({str(e).splitlines()[0]}); expected a whole file: copy it again") from e
+    except (ValueError, TypeError) as e:
+        raise RecordingError(f"{path}: suite or trial is not a whole number ({e}); expected integers") from e
+    if key is not None:
+        yield (*key, _joined(parts))
+
+
+def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    return parts[0] if len(parts) == 1 else {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
+
+
+def _trial(key: tuple[str, int, int], place: int, columns: dict[str, Any], joints: Sequence[str], meta: Meta) -> Recording:
+    def table(prefix: str) -> Array | None:
+        names = [f"{prefix}_{j}" for j in joints]
+        if not all(c in columns for c in names):
+            return None
+        try:
+            return np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in names])
+        except (ValueError, TypeError) as e:
+            raise RecordingError(f"column {prefix}_<joint> holds something that is not a number ({e})") from e
+
+    current = table("i")
+    tau = table("tau")
+    if meta.effort == "motor_current" and current is not None and meta.torque_constant is not None:
+        constants = dict(zip(meta.joints, meta.torque_constant, strict=True))
+        tau = current * np.array([constants[j] for j in joints])
+    q, dq = table("q"), table("dq")
+    assert q is not None and dq is not None and tau is not None  # _meta checked the columns
+    trigger = columns.get("stop_trigger")
+    temp = table("temp")
+    return Recording(
+        *key, place, np.asarray(columns["t"], dtype=np.float64), q, dq, tau,
+        temp=None if temp is None or np.isnan(temp).all() else temp,
+        current=current,
+        stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
+    )  # fmt: skip
+
+
+def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | None = None) -> Recordings:
+    """All trials of the files in memory; see `stream_recordings` for one at a time and for what is checked."""
+    files = _paths(paths)
+    metas = [_meta(p, _open(p)[0]) for p in files]
+    first = metas[0]
+    for p, m in zip(files[1:], metas[1:], strict=True):
+        if m.effort != first.effort:
+            raise RecordingError(f"{p} holds {m.effort}, {files[0]} holds {first.effort}; one identification takes one kind")
+    joints = robot.joints if robot is not None else first.joints
+    meta = replace(
+        first,
+        joints=joints,
+        sources=tuple(s for m in metas for s in m.sources),
+        warnings=tuple(w for m in metas for w in m.warnings),
+    )
+    return Recordings(meta, tuple(stream_recordings(files, robot)))
