@@ -1,0 +1,142 @@
+"""The identified model of one arm: everything the monitor and the FMU know, frozen.
+
+Nothing in it is ever executed; `stopset.artifact.store` reads and writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact.abstraction import Abstraction
+from stopset.effects.base import Fitted
+from stopset.robot import Robot
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveBound:
+    """What fixes one side of a set: the recording, time and state whose deviation touches it."""
+
+    bound: str  # e.g. "U[arm_1_joint].hi"
+    recording: str  # e.g. "open_loop suite 0 trial 19"
+    start_s: float  # start of the window within the recording [s]
+    age_s: float  # prediction age [s]
+    state: str  # "q" or "dq" of which joint, e.g. "q_arm_1_joint"
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintySets:
+    """Sets of one regime (powered, stop0, stop1), and how they were found (trap P18: the runtime must do the same).
+
+    A measured state at age ``a`` after a measured state ``x_m`` lies in
+    ``x*(a) + e^{Aa} X0 + hull of the U convolution + V``: ``X0, V``: (2n,) boxes over (q, dq); ``U``: (n,) box [N m].
+    """
+
+    X0: Box
+    U: Box
+    V: Box
+    dt: float  # [s] step of the prediction grid
+    horizon: float  # [s] longest age covered
+    conform: str = "all"  # or "position"
+    windows: str = "sliding"  # or "start"
+    margin: float = 1.0
+    active: tuple[ActiveBound, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Brakes:
+    """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s]."""
+
+    torque: Box
+    delay: Box
+    rise: Box
+    source: str = "assumed"  # "assumed" | "data sheet" | "identified from ..."
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """Where the model was seen to hold (trap P25): hulls over the identification data; outside the answer is "not covered"."""
+
+    q: Box
+    dq: Box
+    u: Box
+    temp: Box | None = None
+    payload: tuple[float, float] = (0.0, 0.0)  # [kg] in addition to the robot's own
+
+    def covers(self, q: Array, dq: Array, u: Array | None = None, temp: Array | None = None) -> NDArray[np.bool_]:
+        """Row by row, whether samples (N, n) lie inside; shape (N,)."""
+        ok = np.all((q >= self.q.lo) & (q <= self.q.hi) & (dq >= self.dq.lo) & (dq <= self.dq.hi), axis=1)
+        if u is not None:
+            ok &= np.all((u >= self.u.lo) & (u <= self.u.hi), axis=1)
+        if temp is not None and self.temp is not None:
+            ok &= np.all((temp >= self.temp.lo) & (temp <= self.temp.hi), axis=1)
+        return np.asarray(ok, dtype=bool)
+
+
+@dataclass(frozen=True, slots=True)
+class Guarantee:
+    """What held-out motions say (trap P8: the independent unit is the motion): Clopper-Pearson bound, and in words."""
+
+    motions: int
+    violated: int
+    upper_bound: float
+    confidence: float
+    text: str
+    calibration_motions: int = 0
+    scenario_bound: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """One step in the model's history: what was added, and the figures before and after."""
+
+    number: int
+    added: str  # "" for the first identification, else an effect's label
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A reachset-conformant model of one arm.
+
+    ``robot`` carries the identified standard parameters and geometry; ``rotor``: (n,) identified reflected inertia [kg m^2];
+    ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
+    (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
+    """
+
+    robot: Robot
+    rotor: Array
+    effort: str
+    effects: tuple[Fitted, ...]
+    abstraction: Abstraction
+    sets: Mapping[str, UncertaintySets]
+    domain: Domain
+    guarantee: Guarantee
+    brakes: Brakes | None = None
+    errors: Mapping[str, Any] = field(default_factory=dict)  # joint -> figures of the identification data
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    revisions: tuple[Revision, ...] = ()
+    notes: tuple[str, ...] = ()
+    sha256: str = ""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.robot.joints
+
+    @property
+    def n(self) -> int:
+        return self.robot.n
+
+    @property
+    def powered(self) -> UncertaintySets:
+        return self.sets["powered"]

@@ -1,0 +1,167 @@
+"""Save and load the model file: one readable JSON object with a schema version and the SHA-256 of its content.
+
+A damaged, foreign or too new file is refused with a sentence that says why; nothing in it is ever executed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import numpy as np
+
+from stopset.artifact.model import SCHEMA_VERSION, Model
+from stopset.errors import ModelFileError, RobotError
+from stopset.files import write_text
+from stopset.robot import Robot
+from stopset.robot.arm import robot_from_text
+from stopset.sets import Box
+
+FORMAT = "stopset model"
+
+
+def _plain(x: Any) -> Any:
+    """Dataclasses, arrays, boxes and tuples to JSON values; infinities as strings, since JSON has none."""
+    if isinstance(x, Robot):
+        return {"urdf": x.urdf, "datasheet": dict(x.datasheet), "pi": _plain(x.pi), "gravity": _plain(x.chain.gravity)}
+    if isinstance(x, Box):
+        return [[_plain(a), _plain(b)] for a, b in zip(x.lo.tolist(), x.hi.tolist(), strict=True)]
+    if dataclasses.is_dataclass(x) and not isinstance(x, type):
+        return {f.name: _plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
+    if isinstance(x, np.ndarray):
+        return _plain(x.tolist())
+    if isinstance(x, Mapping):
+        return {str(k): _plain(v) for k, v in x.items()}
+    if isinstance(x, (list, tuple)):
+        return [_plain(v) for v in x]
+    if isinstance(x, np.generic):
+        return _plain(x.item())
+    if isinstance(x, float) and not math.isfinite(x):
+        return str(x)
+    return x
+
+
+def _text(body: Mapping[str, Any]) -> str:
+    """JSON, one line per leaf list, so that a diff shows what changed."""
+
+    def write(x: Any, pad: str) -> str:
+        if isinstance(x, Mapping) and x:
+            inner = ",\n".join(f"{pad}  {json.dumps(k)}: {write(v, pad + '  ')}" for k, v in x.items())
+            return "{\n" + inner + "\n" + pad + "}"
+        if isinstance(x, list) and any(isinstance(v, (list, Mapping)) for v in x):
+            return "[\n" + ",\n".join(pad + "  " + write(v, pad + "  ") for v in x) + "\n" + pad + "]"
+        return json.dumps(x, ensure_ascii=False)
+
+    return write(body, "") + "\n"
+
+
+def _digest(body: Mapping[str, Any]) -> str:
+    content = {k: v for k, v in body.items() if k != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()).hexdigest()
+
+
+def model_text(model: Model) -> str:
+    """The model file's text; its ``sha256`` covers everything else in it."""
+    body: dict[str, Any] = {"format": FORMAT, "schema": SCHEMA_VERSION, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
+    body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
+    body["sha256"] = _digest(body)
+    return _text(body)
+
+
+def save_model(model: Model, path: str | Path) -> Model:
+    """Write ``model`` to ``path``, whole or not at all; returns it with its hash."""
+    text = model_text(model)
+    write_text(path, text)
+    return dataclasses.replace(model, sha256=json.loads(text)["sha256"])
+
+
+def _build(kind: Any, x: Any, where: str) -> Any:
+    """The value of type ``kind`` from JSON ``x``; raises with the place in the file."""
+    origin = get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        options = [a for a in get_args(kind) if a is not type(None)]
+        return None if x is None else _build(options[0], x, where)
+    if kind is Robot:
+        robot = robot_from_text(x["urdf"], x["datasheet"], "the model's URDF")
+        robot = dataclasses.replace(robot, chain=robot.chain._replace(gravity=np.array(x["gravity"], float)))
+        return robot.with_parameters(np.array(x["pi"], float))
+    if kind is Box:
+        rows = np.array([[float(a), float(b)] for a, b in x]).reshape(-1, 2)
+        return Box(rows[:, 0].copy(), rows[:, 1].copy())
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        known = {f.name for f in dataclasses.fields(kind)}
+        if not isinstance(x, Mapping) or set(x) - known:
+            raise ValueError(f"{where} holds {sorted(set(x) - known) if isinstance(x, Mapping) else type(x).__name__}")
+        return kind(**{k: _build(hints[k], v, f"{where}.{k}") for k, v in x.items()})  # type: ignore[operator]
+    if origin is tuple:
+        inner = get_args(kind)
+        if len(inner) == 2 and inner[1] is Ellipsis:
+            return tuple(_build(inner[0], v, f"{where}[{i}]") for i, v in enumerate(x))
+        return tuple(_build(k, v, where) for k, v in zip(inner, x, strict=True))
+    if origin in (Mapping, dict) or (isinstance(origin, type) and issubclass(origin, Mapping)):
+        value = get_args(kind)[1]
+        return {k: _build(value, v, f"{where}.{k}") for k, v in x.items()}
+    if origin is np.ndarray:
+        whole = "int" in str(kind)
+        return np.array(x, dtype=np.int64 if whole else np.float64)
+    if kind is float:
+        return float(x)
+    if kind in (int, str, bool) and not isinstance(x, kind):
+        raise ValueError(f"{where} is {x!r}, expected {kind.__name__}")
+    return x
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model file, checked: format, schema version, hash, shapes. Raises `ModelFileError` with one sentence."""
+    p = Path(path)
+    try:
+        raw = p.read_text(encoding="utf-8")
+    except FileNotFoundError as e:
+        raise ModelFileError(f"{p}: no such file; expected a model file: run `stopset identify` first") from e
+    except (OSError, UnicodeDecodeError) as e:
+        raise ModelFileError(f"{p} cannot be read as a model file ({type(e).__name__}); expected JSON from `stopset identify`") from e
+    try:
+        body = json.loads(raw)
+    except json.JSONDecodeError as e:
+        raise ModelFileError(f"{p} is damaged: not JSON at line {e.lineno}; restore it or identify again") from e
+    if not isinstance(body, dict) or body.get("format") != FORMAT:
+        raise ModelFileError(f"{p} is not a stopset model file; expected JSON with \"format\": \"{FORMAT}\"")
+    if body.get("schema") != SCHEMA_VERSION:
+        raise ModelFileError(
+            f"{p} has schema {body.get('schema')!r}, this stopset reads {SCHEMA_VERSION}; identify again or use a matching version"
+        )
+    if body.get("sha256") != _digest(body):
+        raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
+    content = {k: v for k, v in body.items() if k not in ("format", "schema", "units")}
+    try:
+        model = _build(Model, content, "model")
+    except (ValueError, TypeError, KeyError, IndexError, RobotError) as e:
+        raise ModelFileError(f"{p} cannot be used ({type(e).__name__}: {e}); identify again") from e
+    assert isinstance(model, Model)
+    _check_shapes(model, p)
+    return model
+
+
+def _check_shapes(m: Model, path: Path) -> None:
+    n = m.n
+    wrong = [
+        name
+        for name, ok in (
+            ("rotor", m.rotor.shape == (n,)),
+            ("abstraction.Minv", m.abstraction.Minv.shape == (n, n)),
+            ("domain", m.domain.q.dim == n and m.domain.dq.dim == n and m.domain.u.dim == n),
+            *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),
+            ("sets.powered", "powered" in m.sets),
+        )
+        if not ok
+    ]
+    if wrong:
+        raise ModelFileError(f"{path}: {', '.join(wrong)} does not fit the robot's {n} joints; identify again")

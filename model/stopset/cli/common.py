@@ -1,0 +1,58 @@
+"""What several commands share: output options, machine-readable answers, progress on the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stopset.files import writable, write_text
+
+T = TypeVar("T")
+
+
+def add_output_options(parser: argparse.ArgumentParser, report: bool = True) -> None:
+    """``--json FILE`` and ``--report FILE.html``."""
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the machine-readable answer here")
+    if report:
+        parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
+
+
+def check_outputs(*paths: str | Path | None) -> None:
+    """Refuse impossible output places before any work is done; raises `OutputError`."""
+    for p in paths:
+        if p is not None:
+            writable(p)
+
+
+def write_json(path: str | Path, data: Any) -> None:
+    """Write ``data`` as JSON (no NaN or infinity: they are not JSON)."""
+    write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    """Yield the items, telling on stderr how far it is, at most twice a second; silent where nobody watches."""
+    shown, start = 0.0, time.monotonic()
+    live = sys.stderr.isatty()
+    count = 0
+    for item in items:
+        yield item
+        count += 1
+        now = time.monotonic()
+        if live and now - shown > 0.5:
+            of = f"/{total}" if total else ""
+            sys.stderr.write(f"\r{what}: {count}{of}, {now - start:.0f} s ")
+            sys.stderr.flush()
+            shown = now
+    if live and shown:
+        sys.stderr.write("\r" + " " * 60 + "\r")
+
+
+def say(text: str) -> None:
+    """A line of the command's answer for people."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,77 @@
+"""The command line: one file per command in this folder, found by name and imported only when asked for."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import pkgutil
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import NoReturn
+
+from stopset import cli
+from stopset.errors import StopsetError
+
+NOT_COMMANDS = {"main", "common"}
+FOOTER = "Monitoring aid, not a certified safety function: see the README before you rely on a number."
+
+
+class Parser(argparse.ArgumentParser):
+    """Bad usage gets one sentence and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"stopset: {message}; see `{self.prog} --help`\n")
+
+
+def commands() -> list[str]:
+    """Names of all commands, as typed."""
+    names = (m.name for m in pkgutil.iter_modules(cli.__path__))
+    return sorted(n.replace("_", "-") for n in names if n not in NOT_COMMANDS)
+
+
+def _module(command: str) -> object:
+    return importlib.import_module(f"stopset.cli.{command.replace('-', '_')}")
+
+
+def _overview() -> str:
+    rows = "\n".join(f"  {c:<12} {getattr(_module(c), 'HELP', '')}" for c in commands())
+    return (
+        f"usage: stopset COMMAND [options]\n\n{rows}\n\n"
+        f"`stopset COMMAND --help` tells each command's options; start with `stopset demo`.\n{FOOTER}\n"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code (0 done, 1 the answer is "no", 2 bad input)."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_overview())
+        return 0
+    if words[0] == "--version":
+        sys.stdout.write(f"stopset {version('stopset')}\n")
+        return 0
+    if words[0] not in commands():
+        sys.stderr.write(f"stopset: no command {words[0]!r}; expected one of {', '.join(commands())}\n")
+        return 2
+    parser = Parser(prog=f"stopset {words[0]}", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=FOOTER)
+    try:
+        module = importlib.import_module(f"stopset.cli.{words[0].replace('-', '_')}")
+        parser.description = module.HELP
+        module.add_arguments(parser)
+        return int(module.run(parser.parse_args(words[1:])))
+    except StopsetError as e:
+        sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")
+        return 2
+    except ModuleNotFoundError as e:
+        if (e.name or "").split(".")[0] == "stopset":
+            raise
+        sys.stderr.write(f"stopset: {words[0]} needs the package {e.name}; install stopset[all]\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("stopset: interrupted\n")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
