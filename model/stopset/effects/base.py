@@ -10,11 +10,15 @@ Sign: ``rigid(q, dq, ddq) + J_rotor ddq + friction + effects = tau``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
+
+from stopset.errors import EffectError
+from stopset.ring import sign
 
 Number = Any  # a float, an array, an Interval, a Taylor form or C text: whatever stopset.ring computes with
 Entry = Literal["compensation", "inertia", "viscous", "input_gain", "input_delay", "state"]
+REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that base friction means friction at 30 degC
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,21 +48,39 @@ class Shape:
 class Signals:
     """What a law may look at, for one joint, sample by sample (any `stopset.ring` numbers, all of one shape).
 
-    ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``load``: modelled rigid-body gravity torque of the joint [N m]; ``tau``: modelled torque
-    of the joint without this effect [N m]; ``temp``: temperature above the reference [K]; ``warm``: place in the campaign
-    (0 first trial of the session, 1 last) where no temperature is recorded; ``t`` [s]; ``memory``: states of the effect.
+    Of the joint: ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``way``: direction of motion, ``sign(dq)`` unless given (a simulator
+    gives ``tanh(dq / w)``); ``temp``: temperature above `REFERENCE_TEMPERATURE` [K]; ``warm``: place in the campaign (0
+    first trial of the session, 1 last), for where no temperature is recorded; ``t`` [s]; ``memory``: the effect's states.
+    From the rigid-body model: ``load``: gravity torque [N m]; ``tau``: torque of the joint without this effect [N m];
+    ``dtau``: its rate [N m/s]; ``link``: the links' part of ``tau`` [N m], without rotor and friction; ``tip``: derivatives of
+    the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N m/rad];
+    ``stiff``: by the joint's own position [N m/rad]; ``inertia``: ``M_jj`` [kg m^2]; ``coriolis`` [N m].
+    Of the partner of a pair: ``dq_other`` [rad/s].
     """
 
-    q: Number
-    dq: Number
+    q: Number = 0.0
+    dq: Number = 0.0
     ddq: Number = 0.0
+    way: Number = None
     load: Number = 0.0
     tau: Number = 0.0
     dtau: Number = 0.0
+    link: Number = 0.0
     temp: Number = 0.0
     warm: Number = 0.0
     t: Number = 0.0
     memory: tuple[Number, ...] = ()
+    tip: tuple[Number, ...] = (0.0,) * 10
+    tilt: tuple[Number, ...] = (0.0, 0.0)
+    stiff: Number = 0.0
+    inertia: Number = 0.0
+    coriolis: Number = 0.0
+    dq_other: Number = 0.0
+
+    @property
+    def direction(self) -> Number:
+        """Direction of motion, -1 to 1."""
+        return sign(self.dq) if self.way is None else self.way
 
 
 Law = Callable[[Signals, Mapping[str, Number]], Sequence[Number]]
@@ -66,38 +88,80 @@ Law = Callable[[Signals, Mapping[str, Number]], Sequence[Number]]
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A physical effect at one joint (``scope='joint'``) or of the whole arm (``scope='arm'``).
+    """A physical effect at one joint (``scope='joint'``), between two (``'pair'``) or of the whole arm (``'arm'``).
 
     ``says``: one plain sentence; ``look_at``: the variable its residual depends on, e.g. ``"temp * dq"``;
     ``looks_like``: names of effects it is easily taken for; ``tell_apart``: the experiment that separates them;
-    ``enters``: where it goes in the reachset model; ``law``: see the module; ``flow``: derivative of the memory
-    variables per second; ``source``: key in docs/references.bib.
+    ``enters``: where it goes in the reachset model; ``law``: see the module; ``needs``: the fields of `Signals` the law
+    reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in docs/references.bib.
+    Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
     """
 
     name: str
     says: str
     look_at: str
     terms: tuple[Term, ...]
-    law: Law | None
+    law: Law
     enters: Entry
     source: str
+    needs: tuple[str, ...]
     shapes: tuple[Shape, ...] = ()
     looks_like: tuple[str, ...] = ()
     tell_apart: str = ""
-    scope: Literal["joint", "arm"] = "joint"
-    needs: tuple[str, ...] = ()  # signals beyond motion and torque, e.g. "temp"
+    scope: Literal["joint", "pair", "arm"] = "joint"
     states: tuple[Term, ...] = ()
     flow: Law | None = None
+    base: bool = False  # part of every model from the start: friction that each drive has
+
+    def columns(self, s: Signals, shapes: Mapping[str, Number] | None = None) -> tuple[Number, ...]:
+        """One column per term, for the signals of one joint; ``shapes`` default to the middle of each grid.
+
+        Raises `EffectError` if the law does not give one column per term.
+        """
+        out = tuple(self.law(s, self.shape_values(shapes)))
+        if len(out) != len(self.terms):
+            raise EffectError(
+                f"effect {self.name}: its law gives {len(out)} columns for {len(self.terms)} terms; mend it"
+            )
+        return out
+
+    def torque(self, s: Signals, values: Mapping[str, Number]) -> Number:
+        """The effect's joint torque [N m] for the values of all its terms and shapes."""
+        missing = [t.symbol for t in (*self.terms, *self.shapes) if t.symbol not in values]
+        if missing:
+            raise EffectError(
+                f"effect {self.name}: no value for {', '.join(missing)}; expected one for every parameter"
+            )
+        columns = self.columns(s, values)
+        total = columns[0] * values[self.terms[0].symbol]
+        for term, column in zip(self.terms[1:], columns[1:], strict=True):
+            total = total + column * values[term.symbol]
+        return total
+
+    def rates(self, s: Signals, values: Mapping[str, Number]) -> tuple[Number, ...]:
+        """Derivatives of the states [1/s times their units]; ``s.memory`` holds the states."""
+        return tuple(self.flow(s, self.shape_values(values))) if self.flow else ()
+
+    def shape_values(self, values: Mapping[str, Number] | None) -> dict[str, Number]:
+        """The shapes' values out of ``values``, the middle of the grid where it says nothing."""
+        given = values or {}
+        return {p.symbol: given.get(p.symbol, p.grid[len(p.grid) // 2]) for p in self.shapes}
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """An effect with numbers: terms' values and covariance, shapes' values; ``joint`` is None for the whole arm."""
+    """An effect with numbers: values of terms and shapes, standard deviations; ``joint`` is None for the whole arm, and
+    ``"a+b"`` for the pair of joints a and b."""
 
     effect: str
     joint: str | None
     values: Mapping[str, float]
-    std: Mapping[str, float]
+    std: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints named: none, one or two."""
+        return tuple(self.joint.split("+")) if self.joint else ()
 
     @property
     def label(self) -> str:
