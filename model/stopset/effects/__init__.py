@@ -1,4 +1,5 @@
-"""The catalogue of physical effects: one file, one law each; others register in the entry-point group ``stopset.effects``."""
+"""The catalogue of physical effects: one file, one law each; others register in the entry-point group
+``stopset.effects``."""
 
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term
 from stopset.effects.registry import catalogue, check, get, names

@@ -9,7 +9,10 @@ from stopset.ring import square
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
-    """A torque that pushes the same way in both directions while moving; ``F_c +- F_o``. Source: Liu & Althoff (2018), eq. (5)."""
+    """A torque that pushes the same way in both directions while moving; ``F_c +- F_o``.
+
+    Source: Liu & Althoff (2018), eq. (5).
+    """
     return (square(s.direction),)
 
 

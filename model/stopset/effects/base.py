@@ -34,7 +34,8 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A parameter the law is nonlinear in; ``grid`` are start values for the search, refined between ``lo`` and ``hi``."""
+    """A parameter the law is nonlinear in; ``grid`` are start values for the search, refined between ``lo`` and
+    ``hi``."""
 
     symbol: str
     unit: str
@@ -48,12 +49,16 @@ class Shape:
 class Signals:
     """What a law may look at, for one joint, sample by sample (any `stopset.ring` numbers, all of one shape).
 
-    Of the joint: ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``way``: direction of motion, ``sign(dq)`` unless given (a simulator
+    Of the joint: ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``way``: direction of motion, ``sign(dq)`` unless given (a
+    simulator
     gives ``tanh(dq / w)``); ``temp``: temperature above `REFERENCE_TEMPERATURE` [K]; ``warm``: place in the campaign (0
-    first trial of the session, 1 last), for where no temperature is recorded; ``t`` [s]; ``memory``: the effect's states.
+    first trial of the session, 1 last), for where no temperature is recorded; ``t`` [s]; ``memory``: the effect's
+    states.
     From the rigid-body model: ``load``: gravity torque [N m]; ``tau``: torque of the joint without this effect [N m];
-    ``dtau``: its rate [N m/s]; ``link``: the links' part of ``tau`` [N m], without rotor and friction; ``tip``: derivatives of
-    the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N m/rad];
+    ``dtau``: its rate [N m/s]; ``link``: the links' part of ``tau`` [N m], without rotor and friction; ``tip``:
+    derivatives of
+    the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N
+    m/rad];
     ``stiff``: by the joint's own position [N m/rad]; ``inertia``: ``M_jj`` [kg m^2]; ``coriolis`` [N m].
     Of the partner of a pair: ``dq_other`` [rad/s].
     """
@@ -93,7 +98,8 @@ class Effect:
     ``says``: one plain sentence; ``look_at``: the variable its residual depends on, e.g. ``"temp * dq"``;
     ``looks_like``: names of effects it is easily taken for; ``tell_apart``: the experiment that separates them;
     ``enters``: where it goes in the reachset model; ``law``: see the module; ``needs``: the fields of `Signals` the law
-    reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in docs/references.bib.
+    reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in
+    docs/references.bib.
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
     """
 
@@ -127,7 +133,8 @@ class Effect:
 
     def torque(self, s: Signals, values: Mapping[str, Number]) -> Number:
         """The effect's joint torque [N m] for the values of all its terms and shapes."""
-        missing = [t.symbol for t in (*self.terms, *self.shapes) if t.symbol not in values]
+        symbols = [t.symbol for t in self.terms] + [p.symbol for p in self.shapes]
+        missing = [symbol for symbol in symbols if symbol not in values]
         if missing:
             raise EffectError(
                 f"effect {self.name}: no value for {', '.join(missing)}; expected one for every parameter"

@@ -8,7 +8,8 @@ from stopset.effects.base import Effect, Number, Shape, Signals, Term
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
-    """The link swings behind the motor by the states ``x`` [rad] and ``dx`` [rad/s]: ``-K x - D dx`` replaces the link torque.
+    """The link swings behind the motor by the states ``x`` [rad] and ``dx`` [rad/s]: ``-K x - D dx`` replaces the
+    link torque.
 
     Source: Spong (1987).
     """

@@ -34,5 +34,8 @@ EFFECT = Effect(
     enters="state",
     source="dahl1968",
     looks_like=("stribeck", "delay"),
-    tell_apart="Reverse many times with different accelerations: hysteresis depends on the way since the reversal, Stribeck on speed.",
+    tell_apart=(
+        "Reverse many times with different accelerations: hysteresis depends on the way since the reversal, "
+        "Stribeck on speed."
+    ),
 )

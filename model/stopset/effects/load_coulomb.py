@@ -9,7 +9,10 @@ from stopset.ring import absolute, sign
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
-    """``|load| sign(dq)``, apart for the load driving against and along the motion. Source: Liu & Althoff (2018), eqs. (6)-(9)."""
+    """``|load| sign(dq)``, apart for the load driving against and along the motion.
+
+    Source: Liu & Althoff (2018), eqs. (6)-(9).
+    """
     magnitude = absolute(s.load) * s.direction
     along = sign(s.load) * s.direction  # 1: the drive lifts the load; -1: the load drives
     return (0.5 * magnitude * (1.0 + along), 0.5 * magnitude * (1.0 - along))
@@ -28,5 +31,7 @@ EFFECT = Effect(
     enters="compensation",
     source="liu2018",
     looks_like=("coulomb", "torque_gain"),
-    tell_apart="Move slowly up and down through the whole load range: a gain error does not change sign with the direction.",
+    tell_apart=(
+        "Move slowly up and down through the whole load range: a gain error does not change sign with the direction."
+    ),
 )

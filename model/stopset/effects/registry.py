@@ -8,9 +8,10 @@ import pkgutil
 from functools import cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
+from typing import Any
 
 import stopset.effects as folder
-from stopset.effects.base import Effect
+from stopset.effects.base import Effect, Shape, Term
 from stopset.errors import EffectError
 
 GROUP = "stopset.effects"
@@ -32,7 +33,8 @@ def catalogue() -> MappingProxyType[str, Effect]:
             effect = entry.load()
         except Exception as e:
             raise EffectError(
-                f"effect {entry.name} of {entry.value} cannot be loaded ({type(e).__name__}: {e}); mend or remove that package"
+                f"effect {entry.name} of {entry.value} cannot be loaded ({type(e).__name__}: {e}); "
+                f"mend or remove that package"
             ) from e
         check(effect, entry.value)
         if effect.name in found:
@@ -54,11 +56,12 @@ def get(name: str) -> Effect:
     return effect
 
 
-def check(effect: object, where: str) -> None:
+def check(effect: Any, where: str) -> None:
     """Refuse what would break later: no effect at all, a parameter without unit, an empty range, a start outside it."""
     if not isinstance(effect, Effect):
         raise EffectError(f"{where} is a {type(effect).__name__}; expected a stopset.effects.Effect")
-    for p in (*effect.terms, *effect.shapes):
+    parameters: list[Term | Shape] = [*effect.terms, *effect.shapes]
+    for p in parameters:
         if not p.unit or not p.means:
             raise EffectError(f"{where}: parameter {p.symbol} of {effect.name} lacks a unit or a meaning; state both")
         if not p.lo < p.hi:

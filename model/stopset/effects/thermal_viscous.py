@@ -9,7 +9,8 @@ from stopset.ring import exp
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
-    """``k_T dq (1 - exp(-b T)) / b``: slope ``k_T`` at the reference temperature, levelling off when warm (oil viscosity)."""
+    """``k_T dq (1 - exp(-b T)) / b``: slope ``k_T`` at the reference temperature, levelling off when warm (oil
+    viscosity)."""
     return (s.dq * (1.0 - exp(-(s.temp * shape["b"]))) * (1.0 / shape["b"]),)
 
 
@@ -28,5 +29,7 @@ EFFECT = Effect(
     enters="viscous",
     source="bittencourt2012",
     looks_like=("thermal_coulomb", "cubic_viscous", "warm_up"),
-    tell_apart="Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not.",
+    tell_apart=(
+        "Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."
+    ),
 )

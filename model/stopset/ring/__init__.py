@@ -1,8 +1,10 @@
 """The number kinds a physical law is evaluated over: arrays, intervals, C text, Taylor forms.
 
-A law calls the functions below and ``+ - * / **`` with an integer exponent; which number comes in decides what comes out:
+A law calls the functions below and ``+ - * / **`` with an integer exponent; which number comes in decides what comes
+out:
 arrays give torques, `Interval` a bound over a box, `CText` the source of the FMU.  A number kind is any class with the
-operators and methods of these names; a kind that cannot honour one (a Taylor form at a ``sign``) refuses with a sentence.
+operators and methods of these names; a kind that cannot honour one (a Taylor form at a ``sign``) refuses with a
+sentence.
 """
 
 from stopset.ring.ctext import CText

@@ -1,6 +1,7 @@
 """Intervals: what a law can give while its arguments move in a box.
 
-Every operation rounds outward by one unit in the last place (elementary functions by four, numpy's stated accuracy), so the
+Every operation rounds outward by one unit in the last place (elementary functions by four, numpy's stated accuracy),
+so the
 true range over real numbers is inside.  Arrays of intervals are one Interval with array bounds.
 
 Source: Moore, Kearfott & Cloud, Introduction to Interval Analysis (2009), ch. 2-5.
@@ -73,7 +74,8 @@ class Interval:
         return _out(self.lo - hi, self.hi - lo)
 
     def __rsub__(self, other: Any) -> Interval:
-        return (-self) + other
+        lo, hi = _pair(other)
+        return _out(lo - self.hi, hi - self.lo)
 
     def __mul__(self, other: Any) -> Interval:
         lo, hi = _pair(other)
