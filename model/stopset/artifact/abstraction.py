@@ -6,39 +6,26 @@ Model 1 keeps only ``M^-1(q_a)`` and a viscous polynomial per joint; models 2 an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.artifact.polynomial import Polynomial, Program, compiled, evaluate, jacobian
+
 Array = NDArray[np.float64]
+__all__ = ["Abstraction", "Polynomial"]
 
 
-@dataclass(frozen=True, slots=True)
-class Polynomial:
-    """``sum_k coefficient[k] * prod_i z_i^exponent[k, i]``; ``exponent``: (m, d) small integers, ``coefficient``: (m,)."""
-
-    exponent: NDArray[np.int64]
-    coefficient: Array
-
-    def __call__(self, z: Array) -> Array:
-        """Values at the rows of ``z`` (N, d) -> (N,)."""
-        out = np.zeros(z.shape[0])
-        for e, c in zip(self.exponent, self.coefficient, strict=True):
-            term = np.full(z.shape[0], c)
-            for i in np.flatnonzero(e):
-                term = term * z[:, i] ** int(e[i])
-            out += term
-        return out
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Abstraction:
     """``ddq = Minv (u - viscous(dq) - coriolis(dq, s, c))`` (models 1, 2) or ``ddq = acceleration(dq, s, c, u)`` (model 3).
 
     ``Minv``: (n, n) [1/(kg m^2)], the inverse of ``M(q_a) + J_rotor``; ``viscous``: (n, r) coefficients of
     ``dq, dq^2, ..., dq^r`` [N m (s/rad)^k]; ``coriolis``: n polynomials in ``(dq, sin q, cos q)`` (3n variables), empty in
-    model 1; ``acceleration``: n polynomials in ``(dq, sin q, cos q, u)`` (4n variables), only in model 3.
+    model 1; ``acceleration``: n polynomials in ``(dq, sin q, cos q, u)`` (4n variables), only in model 3.  ``offset``: (n,)
+    constant torque [N m] taken off the input by `stopset.artifact.inputs.InputMap` (empty: none).
     """
 
     kind: int
@@ -47,6 +34,7 @@ class Abstraction:
     viscous: Array
     coriolis: tuple[Polynomial, ...] = ()
     acceleration: tuple[Polynomial, ...] = ()
+    offset: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n(self) -> int:
@@ -76,13 +64,40 @@ class Abstraction:
         """Whether every joint is a system of its own (``Minv`` diagonal)."""
         return self.kind == 1 and not np.any(self.Minv - np.diag(np.diag(self.Minv)))
 
+    @property
+    def program(self) -> Program:
+        """The polynomials of model 2 or 3, compiled for evaluation (once per abstraction); model 1 has none."""
+        if self not in _PROGRAMS:
+            _PROGRAMS[self] = compiled(self.acceleration if self.kind == 3 else self.coriolis)
+        return _PROGRAMS[self]
+
     def ddq(self, q: Array, dq: Array, u: Array) -> Array:
         """Accelerations at rows of ``q, dq, u`` (N, n) -> (N, n) [rad/s^2]."""
         if self.kind == 3:
-            z = np.hstack([dq, np.sin(q), np.cos(q), u])
-            return np.column_stack([p(z) for p in self.acceleration])
+            return evaluate(self.program, np.hstack([dq, np.sin(q), np.cos(q), u]))
         friction = sum(self.viscous[:, k] * dq ** (k + 1) for k in range(self.viscous.shape[1]))
         if self.coriolis:
-            z = np.hstack([dq, np.sin(q), np.cos(q)])
-            friction = friction + np.column_stack([p(z) for p in self.coriolis])
+            friction = friction + evaluate(self.program, np.hstack([dq, np.sin(q), np.cos(q)]))
         return (u - friction) @ self.Minv.T
+
+    def linearised(self, q: Array, dq: Array, u: Array) -> tuple[Array, Array]:
+        """``d ddq / d(q, dq)`` (N, n, 2n) and ``d ddq / du`` (N, n, n) at rows of ``q, dq, u`` (N, n)."""
+        n, s, c = self.n, np.sin(q), np.cos(q)
+        if self.kind == 3:
+            J = jacobian(self.program, np.hstack([dq, s, c, u]))
+            J_u = J[:, :, 3 * n :]
+        else:
+            J = np.zeros((q.shape[0], n, 3 * n))
+            J_u = np.broadcast_to(self.Minv, (q.shape[0], n, n))
+            slope = sum((k + 1) * self.viscous[:, k] * dq**k for k in range(self.viscous.shape[1]))
+            J[:, np.arange(n), np.arange(n)] = slope
+            if self.coriolis:
+                J += jacobian(self.program, np.hstack([dq, s, c]))
+            J = -self.Minv @ J
+        # the angle moves its sine and cosine: d sin = c dq, d cos = -s dq
+        J_q = J[:, :, n : 2 * n] * c[:, None, :] - J[:, :, 2 * n : 3 * n] * s[:, None, :]
+        return np.concatenate([J_q, J[:, :, :n]], axis=2), np.array(J_u)
+
+
+# a frozen, slotted value has no room for a cache of its own; entries go when the abstraction goes
+_PROGRAMS: WeakKeyDictionary[Abstraction, Program] = WeakKeyDictionary()

@@ -1,0 +1,196 @@
+"""Polynomials of the model file, and their compiled evaluation.
+
+A polynomial is stored as a plain list of monomials, readable by anyone.  For evaluation, several of them share one table in
+which every monomial is an earlier one times one variable, so a value costs one product per monomial and a Jacobian twice that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomial:
+    """``sum_k coefficient[k] * prod_i z_i^exponent[k, i]``; ``exponent``: (m, d) small integers, ``coefficient``: (m,)."""
+
+    exponent: Integers
+    coefficient: Array
+
+    def __call__(self, z: Array) -> Array:
+        """Values at the rows of ``z`` (N, d) -> (N,)."""
+        return evaluate(compiled((self,)), np.atleast_2d(np.asarray(z, float)))[:, 0]
+
+    @property
+    def degree(self) -> int:
+        """Highest total degree of a monomial."""
+        return int(self.exponent.sum(axis=1).max(initial=0))
+
+    def recentred(self, centre: Array) -> Polynomial:
+        """The same function written in the deviation from ``centre`` (d,): ``P.recentred(a)(w) == P(a + w)``.
+
+        Binomial expansion, one variable after the other; monomials that cancel to zero are dropped.
+        """
+        e, c = self.exponent, self.coefficient
+        for i in np.flatnonzero(np.asarray(centre)):
+            power = e[:, i]
+            rows = np.repeat(np.arange(power.size), power + 1)
+            kept = np.arange(rows.size) - np.repeat(np.cumsum(power + 1) - power - 1, power + 1)  # 0..power of each row
+            table = _binomials(int(power.max(initial=0)))
+            new_c = c[rows] * table[power[rows], kept] * centre[i] ** (power[rows] - kept)
+            new_e = e[rows].copy()
+            new_e[:, i] = kept
+            e, c = collected(new_e, new_c)
+        return Polynomial(e, c)
+
+    def enclosure(self, box: Box) -> tuple[float, float]:
+        """Bounds of the values over a box (d,), true for every point in it.
+
+        Written about the box's centre, where a monomial's range is that of its powers; rounding of the re-expansion is added.
+        Source: Moore, Kearfott & Cloud (2009), ch. 6 (centred forms).
+        """
+        local = self.recentred(box.centre)
+        size = np.prod(np.nextafter(box.radius, np.inf) ** local.exponent, axis=1) * np.abs(local.coefficient)
+        fixed = ~np.any(local.exponent, axis=1)
+        even = ~np.any(local.exponent % 2, axis=1) & ~fixed
+        up, down = ~even | (local.coefficient > 0), ~even | (local.coefficient < 0)
+        middle = float(local.coefficient[fixed].sum())
+        # every original monomial is split into at most prod(e + 1) parts, of about 2 (degree + 1) operations each
+        reach = np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(box.centre)
+        parts = np.prod(self.exponent + 1.0, axis=1)
+        scale = np.prod(np.maximum(reach, 1e-300) ** self.exponent, axis=1) * np.abs(self.coefficient) * parts
+        slack = 2.0**-52 * (2 * self.degree + 2 + np.log2(max(2, self.coefficient.size))) * float(scale.sum())
+        vary = ~fixed
+        return middle - float(size[vary & down].sum()) - slack, middle + float(size[vary & up].sum()) + slack
+
+    def derivative(self, i: int) -> Polynomial:
+        """Partial derivative in variable ``i``."""
+        keep = self.exponent[:, i] > 0
+        e, c = self.exponent[keep].copy(), self.coefficient[keep] * self.exponent[keep, i]
+        e[:, i] -= 1
+        return Polynomial(e, c)
+
+
+def _binomials(n: int) -> Array:
+    """(n+1, n+1) Pascal's triangle."""
+    table = np.zeros((n + 1, n + 1))
+    for k in range(n + 1):
+        table[k, 0] = 1.0
+        table[k, 1 : k + 1] = table[k - 1, :k] + table[k - 1, 1 : k + 1]
+    return table
+
+
+def _rows(exponent: Integers) -> NDArray[np.bytes_]:
+    """One sortable byte string per monomial."""
+    if exponent.shape[1] == 0:
+        return np.zeros(exponent.shape[0], "S1")
+    return np.ascontiguousarray(exponent.astype(np.uint8)).view(f"S{exponent.shape[1]}").ravel()
+
+
+def collected(exponent: Integers, coefficient: Array) -> tuple[Integers, Array]:
+    """Equal monomials added up, zeros dropped; sorted."""
+    _, first, where = np.unique(_rows(exponent), return_index=True, return_inverse=True)
+    total = np.bincount(where.ravel(), weights=coefficient, minlength=first.size)
+    keep = total != 0.0
+    return exponent[first][keep], total[keep]
+
+
+class Program(NamedTuple):
+    """Several polynomials over one monomial table: monomial k = monomial ``parent[k]`` times ``z[variable[k]]``; number 0 is 1.
+
+    ``coefficient``: (m, number of polynomials).
+    """
+
+    parent: Integers
+    variable: Integers
+    coefficient: Array
+    dimension: int
+
+
+def compiled(polynomials: Sequence[Polynomial]) -> Program:
+    """One table for all monomials of ``polynomials`` (at least one, all in the same variables)."""
+    d = polynomials[0].exponent.shape[1]
+    exponent = np.vstack([np.zeros((1, d), np.int64), *(p.exponent for p in polynomials)])
+    _, first = np.unique(_rows(exponent), return_index=True)
+    table = exponent[first]
+    # close the table downwards: every monomial's parent (last variable's power less one) must be in it
+    level = table
+    while level.size:
+        parents = _parents(level[level.any(axis=1)])[0]
+        new = np.setdiff1d(_rows(parents), _rows(table)) if parents.size else np.zeros(0, "S1")
+        if not new.size:
+            break
+        level = np.frombuffer(new.astype(f"S{d}").tobytes(), np.uint8).reshape(-1, d).astype(np.int64)
+        table = np.vstack([table, level])
+    table = table[np.lexsort((*table.T, table.sum(axis=1)))]
+    names = _rows(table)
+    order = np.argsort(names)
+    up, last = _parents(table[1:])
+    parent = np.zeros(table.shape[0], np.int64)
+    variable = np.zeros(table.shape[0], np.int64)
+    if up.size:
+        parent[1:], variable[1:] = order[np.searchsorted(names, _rows(up), sorter=order)], last
+    coefficient = np.zeros((table.shape[0], len(polynomials)))
+    for k, p in enumerate(polynomials):
+        np.add.at(coefficient[:, k], order[np.searchsorted(names, _rows(p.exponent), sorter=order)], p.coefficient)
+    return Program(parent, variable, coefficient, d)
+
+
+def _parents(exponent: Integers) -> tuple[Integers, Integers]:
+    """Monomials with one power of their last variable taken off, and which variable that was."""
+    d = exponent.shape[1]
+    last = d - 1 - np.argmax(exponent[:, ::-1] > 0, axis=1)
+    up = exponent.copy()
+    up[np.arange(up.shape[0]), last] -= 1
+    return up, last
+
+
+@njit(cache=True)
+def value_at(program: Program, z: Array, monomial: Array, out: Array) -> None:
+    """Values of all polynomials at ``z`` (d,) into ``out``; ``monomial``: workspace, one number per row of the table."""
+    out[:] = 0.0
+    monomial[0] = 1.0
+    for k in range(program.parent.shape[0]):
+        if k > 0:
+            monomial[k] = monomial[program.parent[k]] * z[program.variable[k]]
+        for i in range(out.shape[0]):
+            out[i] += monomial[k] * program.coefficient[k, i]
+
+
+@njit(cache=True)
+def evaluate(program: Program, z: Array) -> Array:
+    """Values at the rows of ``z`` (N, d) -> (N, number of polynomials)."""
+    out = np.empty((z.shape[0], program.coefficient.shape[1]))
+    monomial = np.empty(program.parent.shape[0])
+    for r in range(z.shape[0]):
+        value_at(program, z[r], monomial, out[r])
+    return out
+
+
+@njit(cache=True)
+def jacobian(program: Program, z: Array) -> Array:
+    """Derivatives at the rows of ``z`` (N, d) -> (N, number of polynomials, d), by going back through the table."""
+    m, n = program.coefficient.shape
+    out = np.zeros((z.shape[0], n, program.dimension))
+    monomial, weight = np.empty(m), np.empty((m, n))
+    monomial[0] = 1.0
+    for r in range(z.shape[0]):
+        for k in range(1, m):
+            monomial[k] = monomial[program.parent[k]] * z[r, program.variable[k]]
+        weight[:] = program.coefficient
+        for k in range(m - 1, 0, -1):
+            p, v = program.parent[k], program.variable[k]
+            for i in range(n):
+                out[r, i, v] += weight[k, i] * monomial[p]
+                weight[p, i] += weight[k, i] * z[r, v]
+    return out
