@@ -1,0 +1,135 @@
+"""How late the torque acts, or is stamped, against the motion: found before anything is fitted.
+
+A delay ``d`` looks like ``d |du/dt|`` of torque error and, unknown, ends in friction and inertia.  The torque is kept at
+several lags in the normal equations, so the error of the best model at each lag is known from the sums alone; its lowest
+point is the delay.  A drive that holds its command over a sample acts half a sample late: that part is expected and
+told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.offline.nominal.gram import DELAYS, NormalEquations
+from stopset.offline.nominal.prior import Prior
+from stopset.recording.types import Array
+
+FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """``joint`` (n,) [s] best lag of each joint and ``std`` (n,) its standard error (inf: undetermined);
+
+    ``common`` [s]: the lag all joints share, from clocks rather than from a single drive, and its ``common_std``;
+    ``hold`` [s]: the half sample expected of a held command.
+    """
+
+    joint: Array
+    std: Array
+    common: float
+    common_std: float
+    hold: float
+
+
+def lag_weights(d: float) -> Array:
+    """(len(DELAYS),) weights that interpolate the torque at lag ``d``: cubic through the four nearest lags."""
+    h = DELAYS[1] - DELAYS[0]
+    k = int(np.clip(np.floor((d - DELAYS[0]) / h) - 1, 0, len(DELAYS) - 4))
+    w = np.zeros(len(DELAYS))
+    for a in range(4):
+        others = [b for b in range(4) if b != a]
+        w[k + a] = np.prod([(d - DELAYS[k + b]) / (DELAYS[k + a] - DELAYS[k + b]) for b in others])
+    return w
+
+
+def joint_reduced(G: Array, lags: Array) -> Array:
+    """Normal matrix (.., c, c) with the lagged torques replaced by the one that ``lags`` (len(DELAYS),) weights."""
+    k = len(lags)
+    head = G.shape[-1] - k
+    T = np.zeros((G.shape[-1], head + 1))
+    T[:head, :head] = np.eye(head)
+    T[head:, head] = lags
+    return np.asarray(np.swapaxes(T, 0, 1) @ G @ T)
+
+
+def _profile(G: Array, ridge: Array) -> Array:
+    """(len(FINE),) sum of squared residuals of the best fit at each fine lag."""
+    k = len(DELAYS)
+    head = G.shape[0] - k
+    A = G[:head, :head] + ridge
+    L = np.linalg.cholesky(A)
+    W = np.linalg.solve(L, G[:head, head:])
+    S = G[head:, head:] - W.T @ W  # residual products at the coarse lags
+    weights = _fine_weights()
+    return np.asarray(np.einsum("fa,ab,fb->f", weights, S, weights))
+
+
+def _fine_weights() -> Array:
+    return np.array([lag_weights(float(d)) for d in FINE])
+
+
+def _lowest(profile: Array) -> float:
+    """Vertex of the parabola through the lowest point; nan at the edge of the search."""
+    k = int(np.argmin(profile))
+    if k in (0, len(profile) - 1):
+        return float("nan")
+    a, b, c = profile[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float(FINE[k] + (0.5 * (a - c) / bend if bend > 0 else 0.0) * (FINE[1] - FINE[0]))
+
+
+def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
+    """Best lag per joint with a standard error by leaving out motions, and the one common to all.
+
+    Joints that disagree with the rest do not pull the common lag: it is the weighted median.
+    """
+    n = data.layout.n
+    hold = 0.5 * data.period if np.isfinite(data.period) else 0.0
+    best, std = np.full(n, np.nan), np.full(n, np.inf)
+    for j in range(n):
+        G = data.moving[:, j]
+        if data.rows_moving[:, j].sum() < 100:
+            continue
+        ridge = _ridge(G.sum(axis=0), prior, data, j)
+        best[j] = _lowest(_profile(G.sum(axis=0), ridge))
+        groups = [g for g in range(len(G)) if data.rows_moving[g, j] > 0]
+        if len(groups) < 3 or not np.isfinite(best[j]):
+            continue
+        total = G.sum(axis=0)
+        left = np.array([_lowest(_profile(total - G[g], ridge)) for g in groups])
+        if np.isfinite(left).all():
+            m = len(groups)
+            std[j] = np.sqrt((m - 1) / m * np.sum((left - left.mean()) ** 2))
+    sound = np.isfinite(best) & np.isfinite(std)
+    if not sound.any():
+        sound = np.isfinite(best)
+    if not sound.any():
+        return Delay(best, std, hold, float("inf"), hold)
+    weight = 1 / np.maximum(np.where(np.isfinite(std), std, 1e-3), 1e-4)[sound]
+    common = _weighted_median(best[sound], weight)
+    spread = np.median(np.abs(best[sound] - common)) * 1.4826
+    own = 1 / np.sqrt(np.sum(weight**2)) if np.isfinite(std[sound]).all() else float("inf")
+    return Delay(best, std, common, float(max(own, spread / np.sqrt(sound.sum()))), hold)
+
+
+def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int) -> Array:
+    """Prior of this joint's columns, scaled by a rough noise level, plus a trace of itself for what has no prior."""
+    index = data.layout.index(joint)
+    head = G.shape[0] - len(DELAYS)
+    n = data.layout.n
+    rows = max(float(data.rows_moving[:, joint].sum()), 1.0)
+    k = head + int(np.argmin(np.abs(DELAYS)))
+    noise = (0.05**2) * G[k, k] / rows  # 5 % of the torque: the ridge only has to make the matrix regular
+    out = np.diag(1e-9 * (np.diag(G)[:head] + 1e-9 * np.trace(G)))
+    place = index[: 10 * n + 1]
+    out[: 10 * n + 1, : 10 * n + 1] += noise * prior.precision[np.ix_(place, place)]
+    return out
+
+
+def _weighted_median(x: Array, weight: Array) -> float:
+    order = np.argsort(x)
+    cum = np.cumsum(weight[order])
+    return float(np.interp(0.5 * cum[-1], cum - 0.5 * weight[order], x[order]))

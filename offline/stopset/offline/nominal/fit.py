@@ -1,0 +1,205 @@
+"""The fit itself: weighted normal equations of all joints, the CAD as prior, friction that never pushes, possible bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
+from stopset.offline.nominal.gram import Layout, NormalEquations
+from stopset.offline.nominal.physical import consistent, solve_consistent
+from stopset.offline.nominal.prior import Prior
+from stopset.offline.nominal.qp import solve_qp
+from stopset.recording.types import Array
+
+ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
+FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
+ASSUMED_INFLATION = 30.0  # then a joint's errors are taken to hang together over half a second at 60 rows per second
+MOST_INFLATION = 1000.0
+WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """``theta``, ``covariance``: all parameters; ``sigma, sigma_still, inflation`` (n,): noise of a row, motions and poses."""
+
+    theta: Array
+    covariance: Array
+    sigma: Array
+    sigma_still: Array
+    inflation: Array
+    prior_scale: float
+    rms: Array
+    rms_before: Array
+    notes: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _Problem:
+    """Reduced sums of each joint: ``A[j] (k, k), b[j] (k,), yy[j]`` with ``k`` its own columns, motions and poses apart."""
+
+    layout: Layout
+    index: list[Array]
+    moving: list[Array]
+    still: list[Array]
+    rows: Array
+    rows_still: Array
+
+
+def _problem(layout: Layout, moving: Array, still: Array, rows: Array, rows_still: Array) -> _Problem:
+    n = layout.n
+    index = [layout.index(j) for j in range(n)]
+    cut = [np.r_[0 : len(index[j]), moving.shape[-1] - 1] for j in range(n)]
+    return _Problem(
+        layout, index,
+        [moving[j][np.ix_(cut[j], cut[j])] for j in range(n)],
+        [still[j][np.ix_(cut[j], cut[j])] for j in range(n)],
+        rows, rows_still,
+    )  # fmt: skip
+
+
+def _residual(G: Array, theta: Array) -> float:
+    """Sum of squared residuals of one joint, from its normal matrix with the torque last."""
+    v = np.append(theta, -1.0)
+    return max(float(v @ G @ v), 0.0)
+
+
+def _assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Array) -> tuple[Array, Array]:
+    """Normal matrix and right-hand side of all parameters."""
+    size, m = p.layout.size, len(mean)
+    H, b = np.zeros((size, size)), np.zeros(size)
+    for j in range(p.layout.n):
+        G = w[j] * p.moving[j] + w_still[j] * p.still[j]
+        at = p.index[j]
+        H[np.ix_(at, at)] += G[:-1, :-1]
+        b[at] += G[:-1, -1]
+    H[:m, :m] += precision
+    b[:m] += precision @ mean
+    # friction has no prior: a ridge of 1e-9 keeps columns that never moved (or move together) regular
+    typical = float(np.median(np.diag(H)[m:])) if size > m else 0.0
+    H[range(m, size), range(m, size)] += 1e-9 * np.diag(H)[m:] + 1e-12 * max(typical, 1e-12)
+    return H, b
+
+
+def _solve(p: _Problem, H: Array, b: Array, limits: Limits, speed: Array, reference: Array) -> tuple[Array, list[str]]:
+    """Parameters under all limits, and what the limits did."""
+    notes: list[str] = []
+    n = p.layout.n
+    theta, active = solve_qp(H, b, limits.A, limits.lower, limits.upper)
+    for _ in range(20):
+        more = worst(p.layout, theta, speed)
+        if not len(more.A):
+            break
+        limits = limits + more
+        theta, active = solve_qp(H, b, limits.A, limits.lower, limits.upper)
+    names = p.layout.names()
+    held = {names[k] for row in limits.A[active] for k in np.flatnonzero(row)}
+    if held:
+        notes.append(f"held at a limit (admissible range, or friction that would push): {', '.join(sorted(held))}")
+    if not consistent(theta[: 10 * n].reshape(n, 10), reference):
+        theta = solve_consistent(H, b, limits.A, limits.lower, limits.upper, reference)
+        notes.append("inertias moved to the nearest that bodies can have (positive definite pseudo-inertia)")
+    return theta, notes
+
+
+def _inflation(data: NormalEquations, moving: Array, j: int, index: Array, theta: Array, variance: float) -> float:
+    """How much wider errors are than for independent rows, from the scores of whole groups of motions."""
+    groups = np.flatnonzero(data.rows_moving[:, j] > 0)
+    if len(groups) < FEW_GROUPS:
+        return ASSUMED_INFLATION
+    cut = np.r_[0 : len(index), moving.shape[-1] - 1]
+    G = moving[np.ix_(groups, [j], cut, cut)][:, 0]
+    scores = G[:, :-1, -1] - G[:, :-1, :-1] @ theta
+    A = G[:, :-1, :-1].sum(axis=0)
+    d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    values, vectors = np.linalg.eigh(d[:, None] * A * d)
+    sound = values > 1e-7 * values[-1]
+    z = (scores * d) @ vectors[:, sound] / np.sqrt(values[sound])
+    m = len(groups)
+    ratio = float(np.sum(z**2)) * m / (m - 1) / (max(variance, 1e-300) * sound.sum())
+    return float(np.clip(ratio, 1.0, MOST_INFLATION))
+
+
+def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array) -> Fit:
+    """Weighted least squares of all joints at once.
+
+    ``moving, still`` (GROUPS, n, c, c): sums with one torque column last; weights, the correlation of errors and the
+    spread of the CAD's errors are estimated with the parameters (empirical Bayes): a CAD that the data contradict
+    counts for less.
+    """
+    layout, n = data.layout, data.layout.n
+    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still.sum(axis=0)
+    p = _problem(layout, moving.sum(axis=0), still.sum(axis=0), rows, rows_still)
+    variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
+    variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
+    inflation, scale = np.full(n, ASSUMED_INFLATION), 1.0
+    m = len(prior.mean)
+    for _ in range(ROUNDS):
+        w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)
+        w, w_still = np.where(rows > 0, w, 0.0), np.where(rows_still > 0, w_still, 0.0)
+        precision = prior.precision / scale**2
+        H, b = _assemble(p, w, w_still, precision, prior.mean)
+        theta = np.linalg.solve(H, b)
+        for j in range(n):
+            own = theta[p.index[j]]
+            if rows[j]:
+                variance[j] = _residual(p.moving[j], own) / rows[j]
+                inflation[j] = _inflation(data, moving, j, p.index[j], own, variance[j])
+            if rows_still[j]:
+                variance_still[j] = _residual(p.still[j], own) / rows_still[j]
+        told = float(m - np.trace(precision @ np.linalg.inv(H)[:m, :m]))
+        off = theta[:m] - prior.mean
+        scale = float(np.clip(np.sqrt(off @ prior.precision @ off / max(told, 1.0)), 1.0, WIDEST_PRIOR))
+    limits = ranges(layout) + passivity(layout, *_seen(data))
+    theta, notes = _solve(p, H, b, limits, _seen(data)[0], reference)
+    if scale > 1.5:
+        notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
+    rms = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
+    return Fit(
+        theta, np.linalg.inv(H), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
+        _before(p, prior, rows), tuple(notes),
+    )  # fmt: skip
+
+
+def _seen(data: NormalEquations) -> tuple[Array, Array]:
+    speed, load = np.abs(data.speed).max(axis=1), np.abs(data.load).max(axis=1)
+    return np.where(np.isfinite(speed), speed, 0.0), np.where(np.isfinite(load), load, 0.0)
+
+
+def _before(p: _Problem, prior: Prior, rows: Array) -> Array:
+    """(n,) residual with CAD and data sheet believed, friction alone fitted."""
+    n = p.layout.n
+    out = np.full(n, np.nan)
+    for j in range(n):
+        if not rows[j]:
+            continue
+        head = 10 * n + 1
+        at = p.index[j][:head]
+        T = np.zeros((len(p.moving[j]), len(p.moving[j]) - head))
+        T[:head, -1] = -prior.mean[at]
+        T[head:, :] = np.eye(len(T) - head)
+        G = T.T @ p.moving[j] @ T
+        own = np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=1e-12)[0] if len(G) > 1 else np.zeros(0)
+        out[j] = np.sqrt(_residual(G, own) / rows[j])
+    return out
+
+
+def cross_validated(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array, full: Fit) -> Array:
+    """(n,) torque residual on groups of motions left out of the fit; nan with fewer than two groups."""
+    n = data.layout.n
+    groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
+    if len(groups) < 2:
+        return np.full(n, np.nan)
+    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still.sum(axis=0)
+    total, total_still = moving.sum(axis=0), still.sum(axis=0)
+    w = np.where(rows > 0, 1 / np.maximum(full.sigma**2 * full.inflation, 1e-12), 0.0)
+    w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
+    squares = np.zeros(n)
+    for g in groups:
+        p = _problem(data.layout, total - moving[g], total_still - still[g], rows, rows_still)
+        H, b = _assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
+        theta = np.linalg.solve(H, b)
+        left = _problem(data.layout, moving[g], still[g], rows, rows_still)
+        squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
+    return np.sqrt(squares / np.maximum(rows, 1))

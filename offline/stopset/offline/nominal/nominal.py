@@ -1,0 +1,192 @@
+"""The nominal model: one call from recordings to link parameters, rotors, friction, delay, and how sure each is.
+
+Source: Liu & Althoff (2018), sec. IV-A and appendix; Gautier & Khalil (1990) for base parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stopset.effects import Effect, Fitted
+from stopset.errors import RecordingError
+from stopset.offline.nominal.delay import Delay, estimate_delay, joint_reduced, lag_weights
+from stopset.offline.nominal.fit import Fit, cross_validated, fit
+from stopset.offline.nominal.gram import NormalEquations, accumulate
+from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
+from stopset.offline.nominal.unknown import base_count, undetermined
+from stopset.recording.types import Array, Recording, Recordings
+from stopset.robot import Robot
+
+DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
+
+
+@dataclass(frozen=True, slots=True)
+class Nominal:
+    """The identified rigid body, rotors and friction of an arm with ``n`` joints.
+
+    ``pi`` (n, 10) standard parameters; ``rotor`` (n,) reflected rotor inertia [kg m^2]; ``friction``: one `Fitted` per
+    effect and joint; ``names``, ``covariance``: of all parameters in one vector (10 n links, n rotors, friction);
+    ``rms``, ``rms_heldout`` (n,) [N m] torque residual after filtering, on all motions and on motions left out of the
+    fit (nan with fewer than two); ``rms_before`` (n,): of the CAD model with friction fitted alone; ``s_max`` (n,)
+    [rad/s]: friction is not to be predicted beyond; ``load_max`` (n,) [N m]; ``span`` (n, 2) [rad]; ``delay``: torque
+    against motion, see `Delay`; ``delay_applied`` [s]; ``undetermined``: what the data leave open; ``notes``: what was
+    done; ``inflation`` (n,): how many filtered samples are worth one independent one; ``data``: the sums, to fold later
+    recordings in with `solve_nominal(robot, old + new)`.
+    """
+
+    joints: tuple[str, ...]
+    pi: Array
+    rotor: Array
+    friction: tuple[Fitted, ...]
+    names: tuple[str, ...]
+    covariance: Array
+    rms: Array
+    rms_heldout: Array
+    rms_before: Array
+    s_max: Array
+    load_max: Array
+    span: Array
+    delay: Delay
+    delay_applied: float
+    inflation: Array
+    base_parameters: int
+    undetermined: tuple[str, ...]
+    notes: tuple[str, ...]
+    data: NormalEquations
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard error of each parameter by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def robot(self, robot: Robot) -> Robot:
+        """The arm with identified links and rotors in place of CAD and data sheet."""
+        drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(robot.drives, self.rotor, strict=True))
+        return replace(robot.with_parameters(self.pi), drives=drives)
+
+    def value(self, effect: str, joint: str) -> dict[str, float]:
+        """Parameters of one effect at one joint; empty if it is not part of the model."""
+        return next((dict(f.values) for f in self.friction if f.effect == effect and f.joint == joint), {})
+
+
+def identify_nominal(
+    robot: Robot,
+    recordings: Recordings | Iterable[Recording],
+    effects: Sequence[str | Effect] = ("coulomb", "viscous"),
+    *,
+    effort: str | None = None,
+    settings: Preprocessing | None = None,
+    tolerance: Tolerance | None = None,
+    delay: float | None = None,
+) -> Nominal:
+    """Rigid body, rotors, friction and delay of an arm from raw recordings of any phases.
+
+    ``effects``: effects of single joints, ``"name"`` (all joints), ``"name:joint"``, or `Effect`.  ``effort``: kind of
+    torque, taken from the recordings' metadata if they have one, else motor torque; currents arrive here already times
+    their torque constant.  ``tolerance``: how far the CAD may be off; ``delay`` [s]: known delay of torque against
+    motion, else it is estimated first.
+    Static poses count where both approach directions were recorded; stops are left out (the brake's torque is not in
+    ``tau``).  With load-dependent effects and re-readable recordings, the load is that of a first fit, not of the CAD.
+    Raises `RecordingError` when no sample can be used; what the data leave open is kept at the CAD and listed.
+    """
+    if effort is None:
+        effort = recordings.meta.effort if isinstance(recordings, Recordings) else "motor_torque"
+    compensated = effort == "compensated_torque"
+    reference = None
+    needs_load = any("load" in _effect(e).needs for e in effects)
+    if needs_load and isinstance(recordings, Recordings):
+        first = accumulate(robot, recordings, ("coulomb", "viscous"), settings, compensated=compensated)
+        reference = solve_nominal(robot, first, tolerance=tolerance, delay=delay).pi
+    data = accumulate(robot, recordings, effects, settings, reference, compensated)
+    return solve_nominal(robot, data, tolerance=tolerance, delay=delay)
+
+
+def _effect(item: str | Effect) -> Effect:
+    from stopset.effects import get
+
+    return get(item.partition(":")[0]) if isinstance(item, str) else item
+
+
+def solve_nominal(
+    robot: Robot, data: NormalEquations, *, tolerance: Tolerance | None = None, delay: float | None = None
+) -> Nominal:
+    """The nominal model from sums alone; ``solve_nominal(robot, old + new)`` equals reading everything again."""
+    if data.rows_moving.sum() + data.rows_still.sum() == 0:
+        raise RecordingError(
+            f"no usable sample: {data.recordings} moving trials, {data.poses} poses, left out {data.skipped or 'none'}; "
+            "expected motor torque over at least one motion of a second, or poses approached from both sides"
+        )
+    prior = prior_of(robot, tolerance or Tolerance())
+    lag, applied, notes = _delay(data, prior, delay)
+    weights = lag_weights(applied)
+    moving, still = joint_reduced(data.moving, weights), joint_reduced(data.still, weights)
+    result = fit(data, moving, still, prior, robot.pi)
+    heldout = cross_validated(data, moving, still, prior, robot.pi, result)
+    return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
+
+
+def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[Delay, float, list[str]]:
+    lag = estimate_delay(data, prior)
+    if given is not None:
+        return lag, given + lag.hold, [f"delay {given * 1e3:.2f} ms as given"]
+    if data.recordings == 0:
+        return lag, 0.0, []
+    if lag.common_std > DELAY_TRUSTED:
+        return lag, lag.hold, [
+            f"delay of torque against motion undetermined ({lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms): the half "
+            f"sample of a held command, {lag.hold * 1e3:.2f} ms, is assumed"
+        ]  # fmt: skip
+    extra = lag.common - lag.hold
+    return lag, lag.common, [f"torque acts {lag.common * 1e3:.2f} ms late ({lag.hold * 1e3:.2f} ms of it the held command, {extra * 1e3:+.2f} ms more)"]
+
+
+def _nominal(
+    robot: Robot, data: NormalEquations, prior: Prior, result: Fit, heldout: Array, lag: Delay, applied: float, notes: tuple[str, ...]
+) -> Nominal:
+    n, layout = robot.n, data.layout
+    std = np.sqrt(np.diag(result.covariance))
+    friction = []
+    for j, columns in enumerate(layout.columns):
+        places = layout.index(j)[10 * n + 1 :]
+        for effect in dict.fromkeys(c.effect for c in columns):
+            mine = [(c.symbol, int(p)) for c, p in zip(columns, places, strict=True) if c.effect is effect]
+            shapes = effect.shape_values(None)
+            friction.append(
+                Fitted(
+                    effect.name,
+                    robot.joints[j],
+                    {**{s: float(result.theta[p]) for s, p in mine}, **{k: float(v) for k, v in shapes.items()}},
+                    {s: float(std[p]) for s, p in mine},
+                )
+            )
+    skipped = [f"{count} recordings left out: {why}" for why, count in sorted(data.skipped.items())]
+    return Nominal(
+        joints=robot.joints,
+        pi=result.theta[: 10 * n].reshape(n, 10),
+        rotor=result.theta[10 * n : 11 * n],
+        friction=tuple(friction),
+        names=layout.names(),
+        covariance=result.covariance,
+        rms=result.rms,
+        rms_heldout=heldout,
+        rms_before=result.rms_before,
+        s_max=_magnitude(data.speed),
+        load_max=_magnitude(data.load),
+        span=data.span,
+        delay=lag,
+        delay_applied=applied,
+        inflation=result.inflation,
+        base_parameters=base_count(robot),
+        undetermined=undetermined(robot, data, prior, result),
+        notes=(*notes, *skipped),
+        data=data,
+    )
+
+
+def _magnitude(interval: Array) -> Array:
+    size = np.abs(interval).max(axis=1)
+    return np.where(np.isfinite(size), size, 0.0)

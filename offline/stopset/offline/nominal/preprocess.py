@@ -1,0 +1,171 @@
+"""From raw samples to what a regression can use: even spacing, zero-phase low-pass, derivatives, stiction left out.
+
+Friction turns over where a joint reverses; a step that went through the low-pass on the torque side only would look
+like a missing effect, so `Motion.smooth` passes every non-smooth regressor through the very same filter.  At standstill
+the motor torque is anything inside the stiction band: such samples say nothing of friction and are masked, together
+with the filter's ringing around them.
+
+Source: Gautier (1997), Dynamic identification of robots with power model; Liu & Althoff (2018), sec. IV-A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+from stopset.recording.types import Array, Recording
+
+ORDER = 4  # of the Butterworth low-pass, run forwards and backwards: no phase, -6 dB at the cut-off
+IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of the period are resampled
+GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be invented across it
+RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
+
+
+@dataclass(frozen=True, slots=True)
+class Preprocessing:
+    """How samples are prepared; part of the identification's settings, so that later recordings are treated alike.
+
+    ``cutoff`` [Hz], lowered to a fifth of the sampling rate where that is slow; ``still`` [rad/s]: below it a joint is
+    taken to stand still; ``rate`` [Hz] of the rows kept for the regression.
+    """
+
+    cutoff: float = 15.0
+    still: float = 0.015
+    rate: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One even piece of a trial: ``q, dq, ddq, tau`` (N, n) filtered at full rate, ``kept`` the rows of the regression.
+
+    ``moving`` (N, n): joint not within the stiction band or its ringing; ``raw_tau`` (N, n) before filtering.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    raw_tau: Array
+    moving: NDArray[np.bool_]
+    temp: Array | None
+    kept: NDArray[np.intp]
+    sos: Array
+
+    @property
+    def period(self) -> float:
+        return float(self.t[1] - self.t[0])
+
+    def smooth(self, x: Array) -> Array:
+        """A regressor (N, ...) through the filter that the torque went through."""
+        return _zero_phase(self.sos, x)
+
+    def delayed(self, x: Array, d: float) -> Array:
+        """``x(t - d)`` (N, ...) of a filtered, hence smooth, signal; the ends repeat."""
+        steps = d / self.period
+        whole = int(np.floor(steps))
+        w = steps - whole
+        index = np.arange(len(x)) - whole
+        # four-point Lagrange: exact for cubics, where linear interpolation would lose amplitude near the cut-off
+        c = (-(1 - w) * w * (1 + w) / 6, (2 - w) * w * (1 + w) / 2, (1 - w) * (2 - w) * (1 + w) / 2, -(1 - w) * (2 - w) * w / 6)
+        last = len(x) - 1
+        out = np.zeros_like(x)
+        for shift, weight in zip((-2, -1, 0, 1), c, strict=True):
+            out += weight * x[np.clip(index + shift, 0, last)]
+        return out
+
+
+def _zero_phase(sos: Array, x: Array) -> Array:
+    pad = min(len(x) - 1, int(3 * ORDER * 8))
+    return np.asarray(sosfiltfilt(sos, x, axis=0, padtype="odd", padlen=pad))
+
+
+def derivative(x: Array, h: float) -> Array:
+    """Time derivative of even samples, five points, error of fourth order; second order at the two ends."""
+    out = np.gradient(x, h, axis=0)
+    if len(x) > 4:
+        out[2:-2] = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / (12 * h)
+    return out
+
+
+def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | None]]:
+    """Evenly spaced ``t, q, tau, temp`` of each stretch without a hole; evenly sampled trials pass unchanged."""
+    dt = np.diff(r.t)
+    step = float(np.median(dt))
+    holes = np.flatnonzero(dt > GAP * step)
+    edges = [0, *(holes + 1).tolist(), len(r.t)]
+    for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+        t, temp = r.t[lo:hi], None if r.temp is None else r.temp[lo:hi]
+        if hi - lo < 8:
+            continue
+        even = t[0] + step * np.arange(hi - lo)
+        if np.abs(t - even).max() <= IRREGULAR * step:
+            yield even, r.q[lo:hi], r.tau[lo:hi], temp
+            continue
+        h = float(np.mean(np.diff(t)))
+        grid = t[0] + h * np.arange(hi - lo)
+        grid = grid[grid <= t[-1]]
+        q = CubicSpline(t, r.q[lo:hi])(grid)
+        tau = np.column_stack([np.interp(grid, t, x) for x in r.tau[lo:hi].T])
+        yield grid, q, tau, None if temp is None else np.column_stack([np.interp(grid, t, x) for x in temp.T])
+
+
+def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
+    """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
+    for t, q, tau, temp in even_pieces(r):
+        h = float(t[1] - t[0])
+        cutoff = min(settings.cutoff, 0.2 / h)
+        sos = butter(ORDER, cutoff, fs=1 / h, output="sos")
+        ring = int(np.ceil(RINGING / (cutoff * h)))
+        if len(t) < 6 * ring:
+            continue
+        qf = _zero_phase(sos, q)
+        dq = derivative(qf, h)
+        ddq = derivative(dq, h)
+        still = np.abs(dq) < settings.still
+        moving = ~_dilated(still, ring)
+        every = max(1, round(1 / (h * settings.rate)))
+        kept = np.arange(2 * ring, len(t) - 2 * ring, every)
+        yield Motion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, kept, sos)
+
+
+def _dilated(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
+    """True within ``by`` samples of a True, column by column."""
+    count = np.zeros((len(mask) + 1, mask.shape[1]), np.intp)
+    np.cumsum(mask, axis=0, out=count[1:])
+    k = np.arange(len(mask))
+    return np.asarray(count[np.minimum(k + by + 1, len(mask))] - count[np.maximum(k - by, 0)] > 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A static pose reached from both sides: ``q, tau, direction`` (2, n); friction cancels in the mean of the rows.
+
+    ``direction``: +1 where the joint came from below, -1 from above, by the sign of the torque difference;
+    ``count``: samples averaged in each row.
+    """
+
+    suite: int
+    q: Array
+    tau: Array
+    direction: Array
+    count: int
+
+
+def pose_of(pair: list[Recording]) -> Pose | None:
+    """Mean signals of a pose's trials, or None when it was approached from one side only."""
+    if len(pair) < 2:
+        return None
+    tau = np.array([r.tau.mean(axis=0) for r in pair])
+    q = np.array([r.q.mean(axis=0) for r in pair])
+    if len(pair) > 2:  # several visits: the extremes of each side are averaged alike, pairs in order
+        half = len(pair) // 2 * 2
+        tau = tau[:half].reshape(-1, 2, tau.shape[1]).mean(axis=0)
+        q = q[:half].reshape(-1, 2, q.shape[1]).mean(axis=0)
+    up = np.where(tau[0] >= tau[1], 1.0, -1.0)
+    return Pose(pair[0].suite, q, tau, np.array([up, -up]), min(len(r.t) for r in pair))

@@ -1,0 +1,75 @@
+"""What is believed before any data: the CAD's masses, centres and inertias, and the data sheet's rotors, with doubts.
+
+A CAD is a few per cent wrong in mass and millimetres in the centre; it is a prior with that spread, not a truth.  Where
+the data speak they win; where no motion tells, the CAD stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.recording.types import Array
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """One standard deviation of the CAD and the data sheet: relative mass, centre [m], relative inertia, rotor."""
+
+    mass: float = 0.04
+    centre: float = 0.005
+    inertia: float = 0.2
+    rotor: float = 0.1
+    rotor_unknown: float = 10.0  # [kg m^2] where the data sheet gives none: as good as no prior
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Gaussian over ``[pi (10 n), rotor (n)]``: ``mean`` (11 n,), ``precision`` (11 n, 11 n)."""
+
+    mean: Array
+    precision: Array
+    rotor_known: tuple[bool, ...]
+
+
+def tensor(P: Array) -> Array:
+    """(3, 3) inertia of ten standard parameters about the link frame's origin."""
+    return np.array([[P[4], P[5], P[7]], [P[5], P[6], P[8]], [P[7], P[8], P[9]]])
+
+
+def prior_of(robot: Robot, tolerance: Tolerance) -> Prior:
+    """The robot description as a prior: independent errors of mass, centre and central inertia of every link."""
+    n = robot.n
+    precision = np.zeros((11 * n, 11 * n))
+    for i in range(n):
+        s = slice(10 * i, 10 * i + 10)
+        precision[s, s] = np.linalg.inv(_link_covariance(robot.pi[i], tolerance))
+    rotor = robot.rotor
+    known = tuple(bool(np.isfinite(d.rotor_inertia)) for d in robot.drives)
+    for i in range(n):
+        sd = max(tolerance.rotor * rotor[i], 1e-4) if known[i] else tolerance.rotor_unknown
+        precision[10 * n + i, 10 * n + i] = 1 / sd**2
+    return Prior(np.concatenate([robot.pi.ravel(), rotor]), precision, known)
+
+
+def _link_covariance(P: Array, tolerance: Tolerance) -> Array:
+    """(10, 10): errors of (m, c, I_c) carried to the standard parameters, to first order."""
+    m = max(P[0], 1e-6)
+    c = P[1:4] / m
+    central = tensor(P) - m * ((c @ c) * np.eye(3) - np.outer(c, c))
+    # a body has some extent even where the CAD calls it a point: two centimetres of gyration radius
+    size = max(float(np.trace(central)) / 3, m * 0.02**2)
+    sd = np.array([tolerance.mass * m, *([tolerance.centre] * 3), *([tolerance.inertia * size] * 6)])
+    J = np.zeros((10, 10))
+    J[0, 0] = 1.0
+    J[1:4, 0] = c
+    J[1:4, 1:4] = m * np.eye(3)
+    J[4:, 4:] = np.eye(6)
+    pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+    for row, (a, b) in enumerate(pairs, start=4):
+        J[row, 0] = (c @ c) * (a == b) - c[a] * c[b]
+        for k in range(3):
+            J[row, 1 + k] = m * (2 * c[k] * (a == b) - c[a] * (b == k) - c[b] * (a == k))
+    return J @ np.diag(sd**2) @ J.T

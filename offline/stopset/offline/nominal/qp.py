@@ -1,0 +1,79 @@
+"""Least squares under linear limits: friction that never pushes, parameters inside their admissible ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.errors import NotConformant
+from stopset.recording.types import Array
+
+TOLERANCE = 1e-9  # of the scaled rows: what may be left over after the exact active-set step
+
+
+def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Minimise ``theta' H theta / 2 - b' theta`` with ``lower <= A theta <= upper``; returns (theta, active rows).
+
+    The first-order solver finds the active rows, a linear solve then meets them to rounding: its own tolerance would
+    leave friction that pushes a little.  Source: Stellato et al. (2020), OSQP.
+    """
+    d = 1 / np.sqrt(np.diag(H))
+    Hs, bs = d[:, None] * H * d, d * b
+    x = np.linalg.solve(Hs, bs)
+    As = A * d
+    size = np.abs(As).max(axis=1, initial=0.0)
+    rows = size > 0
+    As, lo, hi = As[rows] / size[rows, None], lower[rows] / size[rows], upper[rows] / size[rows]
+    active = np.zeros(len(A), bool)
+    if not _violated(As, lo, hi, x).any():
+        return d * x, active
+    at = _active(Hs, bs, As, lo, hi)
+    for _ in range(3 * len(lo) + 10):
+        x, multiplier = _equality(Hs, bs, As, at)
+        bad = _violated(As, lo, hi, x)
+        wrong = [k for k, (m, (_, side)) in enumerate(zip(multiplier, at.items(), strict=True)) if m * side[1] < -TOLERANCE]
+        if bad.any():
+            k = int(np.argmax(np.maximum(lo - As @ x, As @ x - hi)))
+            low = lo[k] - As[k] @ x > 0
+            at[k] = (float(lo[k] if low else hi[k]), 1.0 if low else -1.0)
+        elif wrong:
+            at.pop(list(at)[wrong[0]])
+        else:
+            active[np.flatnonzero(rows)[list(at)]] = True
+            return d * x, active
+    raise NotConformant("the limits on friction and inertia contradict each other in these data; expected a solution: leave effects out")
+
+
+def _violated(A: Array, lo: Array, hi: Array, x: Array) -> Array:
+    v = A @ x
+    return np.asarray((v < lo - TOLERANCE) | (v > hi + TOLERANCE))
+
+
+def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, tuple[float, float]]:
+    """Rows that the solver ends on, with their value and side (+1 lower, -1 upper)."""
+    import osqp
+    from scipy import sparse
+
+    problem = osqp.OSQP()
+    problem.setup(
+        sparse.csc_matrix(np.triu(H)), -b, sparse.csc_matrix(A), lo, hi,
+        verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=20_000, polishing=True,
+    )  # fmt: skip
+    result = problem.solve()
+    y = np.asarray(result.y)
+    scale = float(np.abs(y).max(initial=0.0))
+    out: dict[int, tuple[float, float]] = {}
+    for k in np.flatnonzero(np.abs(y) > 1e-6 * scale):
+        out[int(k)] = (float(lo[k]), 1.0) if y[k] < 0 else (float(hi[k]), -1.0)
+    return out
+
+
+def _equality(H: Array, b: Array, A: Array, at: dict[int, tuple[float, float]]) -> tuple[Array, Array]:
+    """Minimiser with the rows ``at`` met exactly, and the multipliers (positive: the limit pushes up)."""
+    k = list(at)
+    if not k:
+        return np.linalg.solve(H, b), np.zeros(0)
+    E, e = A[k], np.array([at[i][0] for i in k])
+    W = np.linalg.solve(H, np.column_stack([E.T, b]))
+    S, r = E @ W[:, :-1], e - E @ W[:, -1]
+    multiplier = np.linalg.lstsq(S, r, rcond=1e-12)[0]
+    return W[:, -1] + W[:, :-1] @ multiplier, multiplier
