@@ -20,12 +20,13 @@ __all__ = ["Abstraction", "Polynomial"]
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Abstraction:
-    """``ddq = Minv (u - viscous(dq) - coriolis(dq, s, c))`` (models 1, 2) or ``ddq = acceleration(dq, s, c, u)`` (model 3).
+    """``ddq = Minv (u - viscous(dq) - coriolis(dq, s, c))`` (models 1, 2) or ``ddq = acceleration(dq, s, c, u)`` (model
+    3).
 
     ``Minv``: (n, n) [1/(kg m^2)], the inverse of ``M(q_a) + J_rotor``; ``viscous``: (n, r) coefficients of
-    ``dq, dq^2, ..., dq^r`` [N m (s/rad)^k]; ``coriolis``: n polynomials in ``(dq, sin q, cos q)`` (3n variables), empty in
-    model 1; ``acceleration``: n polynomials in ``(dq, sin q, cos q, u)`` (4n variables), only in model 3.  ``offset``: (n,)
-    constant torque [N m] taken off the input by `stopset.artifact.inputs.InputMap` (empty: none).
+    ``dq, dq^2, ..., dq^r`` [N m (s/rad)^k]; ``coriolis``: n polynomials in ``(dq, sin q, cos q)`` (3n variables), empty
+    in model 1; ``acceleration``: n polynomials in ``(dq, sin q, cos q, u)`` (4n variables), only in model 3.
+    ``offset``: (n,) constant torque [N m] taken off the input by `stopset.artifact.inputs.InputMap` (empty: none).
     """
 
     kind: int

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
+from stopset.artifact.inputs import InputMap
 from stopset.effects.base import Fitted
 from stopset.robot import Robot
 from stopset.sets import Box
@@ -136,6 +137,12 @@ class Model:
     @property
     def n(self) -> int:
         return self.robot.n
+
+    @property
+    def input(self) -> InputMap:
+        """Measured torque to the abstraction's input ``u``, the one way for everyone."""
+        offset = self.abstraction.offset if self.abstraction.offset.size else np.zeros(self.n)
+        return InputMap(self.robot, self.effects, self.effort, offset)
 
     @property
     def powered(self) -> UncertaintySets:

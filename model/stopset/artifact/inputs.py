@@ -1,0 +1,99 @@
+"""From measured torque to the input ``u`` of the abstraction: what the model knows is taken off.
+
+``u = tau - friction and other algebraic effects - g(q) - offset``, Liu & Althoff (2018), eq. (11).  Identification, monitor
+and comparison all go through this one function (trap P18).  A recording of compensated torque holds ``u`` already; only the
+identified offset and effects added later are taken off it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.effects.base import Fitted, Signals
+from stopset.effects.registry import get
+from stopset.effects.signals import arm_signals, paired
+from stopset.robot import Robot
+from stopset.robot.rigid import gravity_torques
+
+Array = NDArray[np.float64]
+
+# these enter the abstraction itself (its damping polynomial, its inertia), not the compensation
+IN_ABSTRACTION = frozenset({"viscous", "cubic_viscous", "rotor_inertia", "payload"})
+
+
+@dataclass(frozen=True, slots=True)
+class InputMap:
+    """Turns torque into ``u``; ``offset``: (n,) constant torque [N m] that every motion shows."""
+
+    robot: Robot
+    effects: tuple[Fitted, ...]
+    effort: str
+    offset: Array
+
+    def __call__(
+        self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None
+    ) -> Array:
+        """``u`` (N, n) [N m] for samples ``q, dq, tau`` (N, n) in time order; ``temp`` (N, n) [degC], ``warm`` 0 to 1."""
+        u = tau - self.offset
+        if self.effort != "compensated_torque":
+            u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
+        active = [f for f in self.effects if f.effect not in IN_ABSTRACTION]
+        if active:
+            u = u - effect_torques(self.robot, active, q, dq, temp=temp, warm=warm, t=t)
+        return np.asarray(u)
+
+
+def effect_torques(
+    robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, ddq: Array | None = None, *,
+    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
+) -> Array:  # fmt: skip
+    """Torque (N, n) [N m] of all ``effects`` together at samples in time order; accelerations are zero if left out."""
+    laws = [(f, get(f.effect)) for f in effects]
+    needs = {name for _, e in laws for name in e.needs}
+    rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
+    signals = arm_signals(
+        robot, q, dq, np.zeros_like(q) if ddq is None else ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"}
+    )
+    out = np.zeros_like(q)
+    for f, effect in laws:
+        values = dict(f.values)
+        if effect.scope == "arm" or f.joint is None:
+            for j in range(robot.n):
+                out[:, j] += effect.torque(signals[j], values)
+        elif effect.scope == "pair":
+            i, j = _pair(robot, f.joint)
+            a, b = paired(signals, i, j)
+            out[:, i] += effect.torque(a, values)
+            out[:, j] += effect.torque(b, values)
+        else:
+            j = robot.joints.index(f.joint)
+            s: Signals = signals[j]
+            if effect.states and t is not None:
+                s = replace(s, memory=_memory(effect.name, s, values, t))
+            out[:, j] += effect.torque(s, values)
+    return out
+
+
+def _pair(robot: Robot, joint: str) -> tuple[int, int]:
+    """Joint ``a`` (coupled to the next one), or ``a+b``."""
+    names = joint.split("+")
+    i = robot.joints.index(names[0])
+    return (i, robot.joints.index(names[1])) if len(names) > 1 else (i, min(i + 1, robot.n - 1))
+
+
+def _memory(name: str, s: Signals, values: dict[str, float], t: Array) -> tuple[Array, ...]:
+    """Memory states along the recording, from zero at its start, by the effect's own flow (explicit midpoint)."""
+    effect = get(name)
+    assert effect.flow is not None
+    count = len(effect.states)
+    z = np.zeros((len(t), count))
+    for k in range(len(t) - 1):
+        dt = float(t[k + 1] - t[k])
+        here = replace(s, q=s.q[k], dq=s.dq[k], ddq=s.ddq[k], temp=s.temp[k], memory=tuple(z[k]))
+        rate = np.array([float(r) for r in effect.flow(here, values)])
+        z[k + 1] = np.clip(z[k] + dt * rate, [x.lo for x in effect.states], [x.hi for x in effect.states])
+    return tuple(z.T)

@@ -1,0 +1,1 @@
+"""Conformance: the smallest sets that make every measured behaviour reachable."""

@@ -1,0 +1,172 @@
+"""Envelope of measured deviations from the nominal prediction, per prediction age: all that the sets need to know.
+
+One pass over the recordings and constant memory: a running maximum and minimum per age and state (a map-reduce, exact
+and independent of order).  ``windows='sliding'`` restarts the prediction at every sample (trap P15: conformance from the
+trial's start does not survive a restart); ``'start'`` predicts from the trial's first sample only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, ActiveBound
+from stopset.errors import RecordingError
+from stopset.reach.flowpipe import discretise
+from stopset.recording import Recording
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Envelope:
+    """Running envelope: ``hi``, ``lo`` (H+1, 2n) of deviations at age ``k dt``; where each was reached; samples per age."""
+
+    dt: float
+    hi: Array
+    lo: Array
+    hi_at: Index  # (H+1, 2n, 2) trial number (position in `labels`), start sample
+    lo_at: Index
+    count: Index  # (H+1,) number of windows that reach this age
+    labels: list[str] = field(default_factory=list)
+
+    @classmethod
+    def empty(cls, dt: float, steps: int, states: int) -> Envelope:
+        shape = (steps + 1, states)
+        at = np.full((*shape, 2), -1, np.int64)
+        return cls(dt, np.full(shape, -np.inf), np.full(shape, np.inf), at, at.copy(), np.zeros(steps + 1, np.int64))
+
+    @property
+    def steps(self) -> int:
+        """Last age (in steps) that any window reached."""
+        return int(np.flatnonzero(self.count)[-1])
+
+    def merge(self, other: Envelope) -> Envelope:
+        """Envelope of both parts; maxima are associative, so the order of merging does not matter."""
+        out = Envelope(
+            self.dt, self.hi.copy(), self.lo.copy(), self.hi_at.copy(), self.lo_at.copy(),
+            self.count + other.count, self.labels + other.labels,
+        )  # fmt: skip
+        shift = np.array([len(self.labels), 0])
+        higher, lower = other.hi > self.hi, other.lo < self.lo
+        out.hi[higher], out.hi_at[higher] = other.hi[higher], other.hi_at[higher] + shift
+        out.lo[lower], out.lo_at[lower] = other.lo[lower], other.lo_at[lower] + shift
+        return out
+
+    def where(self, bound: str, age: int, state: int, side: str, joints: tuple[str, ...]) -> ActiveBound:
+        """Which recording and time put the envelope where it is at this age and state."""
+        at = (self.hi_at if side == "hi" else self.lo_at)[age, state]
+        n = len(joints)
+        name = f"{'q' if state < n else 'dq'}_{joints[state % n]}"
+        label = self.labels[int(at[0])] if at[0] >= 0 else "noise alone"
+        return ActiveBound(bound, label, float(at[1]) * self.dt, age * self.dt, name)
+
+
+@njit(cache=True)
+def _update_decoupled(
+    a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
+) -> None:
+    """Joint by joint ``e(h+1) = Ad e(h) + r``; ``a``: (n, 2, 2), ``residual``: (N-1, 2n)."""
+    N, n2 = residual.shape
+    n = n2 // 2
+    H = hi.shape[0] - 1
+    eq, ed = np.empty(starts), np.empty(starts)
+    for j in range(n):
+        a11, a12, a21, a22 = a[j, 0, 0], a[j, 0, 1], a[j, 1, 0], a[j, 1, 1]
+        eq[:] = 0.0
+        ed[:] = 0.0
+        for h in range(1, min(H, N) + 1):
+            live = min(starts, N - h + 1)
+            mq, md, nq, nd = -np.inf, -np.inf, np.inf, np.inf
+            for s in range(live):
+                q = a11 * eq[s] + a12 * ed[s] + residual[s + h - 1, j]
+                d = a21 * eq[s] + a22 * ed[s] + residual[s + h - 1, n + j]
+                eq[s] = q
+                ed[s] = d
+                mq = max(mq, q)
+                nq = min(nq, q)
+                md = max(md, d)
+                nd = min(nd, d)
+            if mq > hi[h, j]:
+                hi[h, j] = mq
+                hi_at[h, j, 0], hi_at[h, j, 1] = trial, _first(eq, live, mq)
+            if nq < lo[h, j]:
+                lo[h, j] = nq
+                lo_at[h, j, 0], lo_at[h, j, 1] = trial, _first(eq, live, nq)
+            if md > hi[h, n + j]:
+                hi[h, n + j] = md
+                hi_at[h, n + j, 0], hi_at[h, n + j, 1] = trial, _first(ed, live, md)
+            if nd < lo[h, n + j]:
+                lo[h, n + j] = nd
+                lo_at[h, n + j, 0], lo_at[h, n + j, 1] = trial, _first(ed, live, nd)
+
+
+@njit(cache=True)
+def _first(x: Array, live: int, value: float) -> int:
+    for s in range(live):
+        if x[s] == value:
+            return s
+    return -1
+
+
+def _update_coupled(Ad: Array, residual: Array, starts: int, trial: int, env: Envelope) -> None:
+    """The same recursion for a full state matrix, all starts at once."""
+    N = residual.shape[0]
+    e = np.zeros((starts, residual.shape[1]))
+    for h in range(1, min(env.hi.shape[0] - 1, N) + 1):
+        live = min(starts, N - h + 1)
+        e = e[:live] @ Ad.T + residual[h - 1 : h - 1 + live]
+        top, bottom = e.argmax(axis=0), e.argmin(axis=0)
+        for side, at, best, better in (
+            (env.hi, env.hi_at, top, np.greater),
+            (env.lo, env.lo_at, bottom, np.less),
+        ):
+            value = e[best, np.arange(e.shape[1])]
+            new = better(value, side[h])
+            side[h, new] = value[new]
+            at[h, new, 0] = trial
+            at[h, new, 1] = best[new]
+
+
+def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
+    """``x(k+1) - Ad x(k) - Bd u(k)``, (N-1, 2n): what one step of the nominal model leaves unexplained."""
+    return np.ascontiguousarray(x[1:] - x[:-1] @ Ad.T - u[:-1] @ Bd.T)
+
+
+def envelope(
+    trials: Iterable[tuple[Recording, Array]], abstraction: Abstraction, dt: float, steps: int, windows: str = "sliding"
+) -> Envelope:
+    """Envelope over ``trials``, pairs of a recording sampled every ``dt`` [s] and its input ``u`` (N, n) [N m].
+
+    Raises `RecordingError` for a trial whose clock is not the grid's (resample it first).
+    """
+    Ad, Bd = discretise(abstraction, dt)
+    n = abstraction.n
+    blocks = np.ascontiguousarray(
+        np.stack([Ad[np.ix_([j, n + j], [j, n + j])] for j in range(n)]) if abstraction.decoupled else np.empty((0, 2, 2))
+    )
+    env = Envelope.empty(dt, steps, 2 * n)
+    for r, u in trials:
+        off = np.abs(np.diff(r.t) - dt).max()
+        if off > 0.05 * dt:
+            raise RecordingError(f"{r.label}: a step of its clock differs from {dt} s by {off:.3g} s; resample it to the grid")
+        x = np.hstack([r.q, r.dq])
+        residual = step_residual(Ad, Bd, x, u)
+        starts = len(residual) if windows == "sliding" else 1
+        trial = len(env.labels)
+        env.labels.append(r.label)
+        if abstraction.decoupled:
+            _update_decoupled(blocks, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
+        else:
+            _update_coupled(Ad, residual, starts, trial, env)
+        reach = min(steps, len(residual))
+        ages = np.arange(1, reach + 1)
+        env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)
+        env.count[0] += starts
+    env.hi[0], env.lo[0] = 0.0, 0.0
+    return env
