@@ -1,7 +1,8 @@
 """Polynomials of the model file, and their compiled evaluation.
 
-A polynomial is stored as a plain list of monomials, readable by anyone.  For evaluation, several of them share one table in
-which every monomial is an earlier one times one variable, so a value costs one product per monomial and a Jacobian twice that.
+A polynomial is stored as a plain list of monomials, readable by anyone.  For evaluation, several of them share one
+table in which every monomial is an earlier one times one variable, so a value costs one product per monomial and a
+Jacobian twice that.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
-    """``sum_k coefficient[k] * prod_i z_i^exponent[k, i]``; ``exponent``: (m, d) small integers, ``coefficient``: (m,)."""
+    """``sum_k coefficient[k] * prod_i z_i^exponent[k, i]``; ``exponent``: (m, d) small integers; ``coefficient``: (m,)
+    numbers.
+    """
 
     exponent: Integers
     coefficient: Array
@@ -56,8 +59,8 @@ class Polynomial:
     def enclosure(self, box: Box) -> tuple[float, float]:
         """Bounds of the values over a box (d,), true for every point in it.
 
-        Written about the box's centre, where a monomial's range is that of its powers; rounding of the re-expansion is added.
-        Source: Moore, Kearfott & Cloud (2009), ch. 6 (centred forms).
+        Written about the box's centre, where a monomial's range is that of its powers; rounding of the re-expansion is
+        added. Source: Moore, Kearfott & Cloud (2009), ch. 6 (centred forms).
         """
         local = self.recentred(box.centre)
         size = np.prod(np.nextafter(box.radius, np.inf) ** local.exponent, axis=1) * np.abs(local.coefficient)
@@ -106,7 +109,8 @@ def collected(exponent: Integers, coefficient: Array) -> tuple[Integers, Array]:
 
 
 class Program(NamedTuple):
-    """Several polynomials over one monomial table: monomial k = monomial ``parent[k]`` times ``z[variable[k]]``; number 0 is 1.
+    """Several polynomials over one monomial table: monomial k = monomial ``parent[k]`` times ``z[variable[k]]``; number
+    0 is 1.
 
     ``coefficient``: (m, number of polynomials).
     """
@@ -157,7 +161,7 @@ def _parents(exponent: Integers) -> tuple[Integers, Integers]:
 
 @njit(cache=True)
 def value_at(program: Program, z: Array, monomial: Array, out: Array) -> None:
-    """Values of all polynomials at ``z`` (d,) into ``out``; ``monomial``: workspace, one number per row of the table."""
+    """Values of all polynomials at ``z`` (d,) into ``out``; ``monomial``: workspace, a number per row of the table."""
     out[:] = 0.0
     monomial[0] = 1.0
     for k in range(program.parent.shape[0]):

@@ -1,11 +1,13 @@
 """Taylor forms: a law evaluated over them gives its Taylor polynomial, by nothing but ``+ - * /`` on polynomials.
 
-A form is a sparse polynomial in the deviations ``z_1 .. z_d`` from the expansion point, cut at total degree ``p``.  A monomial
-is one integer: the total degree in the top bits, then one field per variable.  Multiplying monomials adds their integers, and
-sorting by them sorts by degree, so a product loops exactly over the pairs whose degree survives the cut.
+A form is a sparse polynomial in the deviations ``z_1 .. z_d`` from the expansion point, cut at total degree ``p``.  A
+monomial is one integer: the total degree in the top bits, then one field per variable.  Multiplying monomials adds
+their integers, and sorting by them sorts by degree, so a product loops exactly over the pairs whose degree survives the
+cut.
 
-Written here instead of taken from a library because the forms of an arm are sparse and of low order: the compiled product
-below needs no table over all monomials, so its memory grows with what is in the polynomial, not with what could be.
+Written here instead of taken from a library because the forms of an arm are sparse and of low order: the compiled
+product below needs no table over all monomials, so its memory grows with what is in the polynomial, not with what could
+be.
 
 Source: Liu & Althoff (2018), Sec. III-A and Def. 3; Berz (1999), Modern Map Methods in Particle Beam Physics, ch. 2.
 """
@@ -97,27 +99,31 @@ def _add(ka: Keys, a: Array, kb: Keys, b: Array, factor: float) -> tuple[Keys, A
 class Algebra:
     """Taylor forms in ``variables`` deviations up to total degree ``order``.
 
-    ``live``: about how many full polynomials the computation holds at once; with it the memory is predicted *before* anything is
-    computed, and a size that would not fit into ``limit`` bytes is refused (a general library dies there without a word).
+    ``live``: about how many full polynomials the computation holds at once; with it the memory is predicted *before*
+    anything is computed, and a size that would not fit into ``limit`` bytes is refused (a general library dies there
+    without a word). ``sparse``: a bound of the terms of any polynomial in the computation, where its structure gives a
+    lower one than counting.
     """
 
     variables: int
     order: int
     live: int = 1
+    sparse: int | None = None
     limit: int = MEMORY_LIMIT
 
     def __post_init__(self) -> None:
         need = self.predicted_bytes
         if need > self.limit:
             raise TaylorError(
-                f"Taylor forms of order {self.order} in {self.variables} variables have {monomials(self.variables, self.order):,} "
-                f"monomials, about {need / 2**30:.1f} GiB for {self.live} of them; allowed are {self.limit / 2**30:.1f} GiB: "
+                f"Taylor forms of order {self.order} in {self.variables} variables have {self.terms:,} "
+                f"monomials, about {need / 2**30:.1f} GiB for {self.live} of them; allowed are "
+                f"{self.limit / 2**30:.1f} GiB: "
                 "lower the order, or use the structure (linear in u, free of the first joint's angle) to save variables"
             )
         if self.bits * (self.variables + 1) > _KEY_BITS:
             raise TaylorError(
-                f"order {self.order} in {self.variables} variables needs {self.bits * (self.variables + 1)} bits per monomial; "
-                f"expected at most {_KEY_BITS}: lower the order or the number of variables"
+                f"order {self.order} in {self.variables} variables needs {self.bits * (self.variables + 1)} bits per "
+                f"monomial; expected at most {_KEY_BITS}: lower the order or the number of variables"
             )
 
     @property
@@ -126,8 +132,14 @@ class Algebra:
         return max(1, self.order.bit_length())
 
     @property
+    def terms(self) -> int:
+        """Most terms a polynomial can have."""
+        full = monomials(self.variables, self.order)
+        return full if self.sparse is None else min(full, self.sparse)
+
+    @property
     def predicted_bytes(self) -> int:
-        return monomials(self.variables, self.order) * (_TERM_BYTES * self.live + _WORK_BYTES)
+        return self.terms * (_TERM_BYTES * self.live + _WORK_BYTES)
 
     def constant(self, x: float) -> Taylor:
         return self.from_terms(np.zeros(1, np.int64), np.array([float(x)]))
@@ -158,7 +170,6 @@ class Taylor:
     value: Array
     __array_ufunc__ = None  # numpy scalars and arrays hand over to the operators below
 
-    # --- reading -------------------------------------------------------------------------------------------------------
     @property
     def constant(self) -> float:
         """Value at the expansion point."""
@@ -185,7 +196,6 @@ class Taylor:
         """Values at the rows of ``z`` (N, d): deviations from the expansion point."""
         return np.asarray(np.prod(np.asarray(z, float)[:, None, :] ** self.exponents, axis=2) @ self.value)
 
-    # --- arithmetic ----------------------------------------------------------------------------------------------------
     def _plus(self, other: Any, factor: float) -> Taylor:
         b = other if isinstance(other, Taylor) else self.algebra.constant(float(other))
         if b.algebra != self.algebra:
@@ -204,7 +214,7 @@ class Taylor:
         return Taylor(self.algebra, self.key, -self.value)
 
     def __rsub__(self, other: Any) -> Taylor:
-        return (-self) + other
+        return (-self)._plus(other, 1.0)
 
     def __mul__(self, other: Any) -> Taylor:
         if not isinstance(other, Taylor):
@@ -212,19 +222,20 @@ class Taylor:
             return Taylor(self.algebra, self.key, x * self.value) if x != 0.0 else self.algebra.constant(0.0)
         if other.algebra != self.algebra:
             raise ValueError(f"Taylor forms of different kinds: {self.algebra} and {other.algebra}; expected one")
-        order, d = self.algebra.order, self.algebra.variables
-        room = max(1, min(self.key.size * other.key.size, monomials(d, order)))
-        key, value = _multiply(self.key, self.value, other.key, other.value, order, self.algebra._shift, room)
+        room = max(1, min(self.key.size * other.key.size, monomials(self.algebra.variables, self.algebra.order)))
+        key, value = _multiply(
+            self.key, self.value, other.key, other.value, self.algebra.order, self.algebra._shift, room
+        )
         rank = np.argsort(key)
         return self.algebra.from_terms(key[rank], value[rank])
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Taylor:
-        return self * (other.reciprocal() if isinstance(other, Taylor) else 1.0 / float(other))
+        return self.__mul__(other.reciprocal() if isinstance(other, Taylor) else 1.0 / float(other))
 
     def __rtruediv__(self, other: Any) -> Taylor:
-        return self.reciprocal() * other
+        return self.reciprocal().__mul__(other)
 
     def __pow__(self, n: int) -> Taylor:
         if not isinstance(n, int) or n < 0:
@@ -234,7 +245,6 @@ class Taylor:
             out = out * self
         return out
 
-    # --- functions -----------------------------------------------------------------------------------------------------
     def _compose(self, series: Sequence[float]) -> Taylor:
         """``sum_k series[k] * (self - constant)^k``, the outer function's own Taylor series put in by Horner's rule."""
         e = self - self.constant
@@ -247,7 +257,9 @@ class Taylor:
         """``1 / x``."""
         a = self.constant
         if a == 0.0:
-            raise TaylorError("division by a Taylor form that is 0 at the expansion point; choose another expansion point")
+            raise TaylorError(
+                "division by a Taylor form that is 0 at the expansion point; choose another expansion point"
+            )
         return self._compose([(-1.0) ** k / a ** (k + 1) for k in range(self.algebra.order + 1)])
 
     def exp(self) -> Taylor:
@@ -275,7 +287,9 @@ class Taylor:
         """Square root at a positive expansion point."""
         a = self.constant
         if a <= 0.0:
-            raise TaylorError(f"square root of a Taylor form that is {a:g} at the expansion point; expected a positive number")
+            raise TaylorError(
+                f"square root of a Taylor form that is {a:g} at the expansion point; expected a positive number"
+            )
         c = [math.sqrt(a)]
         for k in range(self.algebra.order):
             c.append(c[-1] * (0.5 - k) / ((k + 1) * a))
@@ -304,7 +318,6 @@ class Taylor:
         """Refused: not smooth."""
         self._not_smooth("max(x, y)")
 
-    # --- calculus ------------------------------------------------------------------------------------------------------
     def derivative(self, i: int) -> Taylor:
         """Partial derivative in variable ``i``; exact to one order less than the form itself."""
         bits = self.algebra.bits

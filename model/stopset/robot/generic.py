@@ -1,9 +1,9 @@
 """Rigid-body dynamics in plain Python over any numbers: floats, arrays, intervals, Taylor forms.
 
 The same recursions as the compiled ones, in spatial vectors (angular over linear part, six numbers), written once with
-``+ - * /``; which numbers come in decides what comes out.  Angles enter as their sine and cosine (property A), so with Taylor
-forms for these the dynamics are composed into polynomials by operator overloading.  Exact zeros of the geometry are skipped,
-which keeps the polynomials as sparse as the arm is.
+``+ - * /``; which numbers come in decides what comes out.  Angles enter as their sine and cosine (property A), so with
+Taylor forms for these the dynamics are composed into polynomials by operator overloading.  Exact zeros of the geometry
+are skipped, which keeps the polynomials as sparse as the arm is.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 5 and 7; Liu & Althoff (2018), Sec. IV-B, property A.
 """
@@ -100,7 +100,10 @@ def _transforms(chain: Chain, s: Sequence[Number], c: Sequence[Number]) -> list[
         with_c = _exact(R @ (np.eye(3) - np.outer(axis, axis)))
         with_s = _exact(R @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
         rotation = [
-            [_plus(_plus(float(fixed[r, k]), _times(float(with_c[r, k]), ci)), _times(float(with_s[r, k]), si)) for k in range(3)]
+            [
+                _plus(_plus(float(fixed[r, k]), _times(float(with_c[r, k]), ci)), _times(float(with_s[r, k]), si))
+                for k in range(3)
+            ]
             for r in range(3)
         ]
         E = _transposed(rotation)
@@ -141,9 +144,11 @@ def inverse_dynamics(
     ddq: Sequence[Number],
     gravity: Sequence[Number] = (0.0, 0.0, 0.0),
 ) -> list[Number]:
-    """Joint torques ``M ddq + c + g`` [N m] (recursive Newton-Euler), links only; without ``gravity`` [m/s^2]: ``M ddq + c``.
+    """Joint torques ``M ddq + c + g`` [N m] (recursive Newton-Euler), links only; without ``gravity`` [m/s^2]: ``M ddq
+    + c``.
 
-    ``s, c``: sine and cosine of the joint angles.  Source: Featherstone (2008), table 5.1; Liu & Althoff (2018), eq. (3).
+    ``s, c``: sine and cosine of the joint angles.  Source: Featherstone (2008), table 5.1; Liu & Althoff (2018), eq.
+    (3).
     """
     X, inertia = _transforms(chain, s, c), _inertias(pi)
     v: Vector = [0.0] * 6
@@ -172,9 +177,16 @@ def mass_matrix(chain: Chain, pi: Array, s: Sequence[Number], c: Sequence[Number
 
 
 def forward_dynamics(
-    chain: Chain, pi: Array, rotor: Array, s: Sequence[Number], c: Sequence[Number], dq: Sequence[Number], u: Sequence[Number]
+    chain: Chain,
+    pi: Array,
+    rotor: Array,
+    s: Sequence[Number],
+    c: Sequence[Number],
+    dq: Sequence[Number],
+    u: Sequence[Number],
 ) -> list[Number]:
-    """Accelerations [rad/s^2] of ``(M + diag(rotor)) ddq + c(q, dq) = u``: Featherstone's articulated bodies, no gravity.
+    """Accelerations [rad/s^2] of ``(M + diag(rotor)) ddq + c(q, dq) = u``: Featherstone's articulated bodies, no
+    gravity.
 
     Source: Featherstone (2008), table 7.1.
     """

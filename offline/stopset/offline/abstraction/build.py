@@ -5,7 +5,8 @@
     model 3   ddq = T^p_f(dq, sin q, cos q, u)                                             eq. (16)
 
 The Taylor polynomial of f is put together from those of its factors: f = M_m^-1 (u - c - tau_nu) is linear in u and
-quadratic in dq apart from tau_nu, so the part behind ``u_j`` is cut at ``p - 1``, the part behind ``dq_j dq_k`` at ``p - 2``.
+quadratic in dq apart from tau_nu, so the part behind ``u_j`` is cut at ``p - 1``, the part behind ``dq_j dq_k`` at ``p
+- 2``.
 
 Source: Liu & Althoff (2018), Sec. IV-B.
 """
@@ -15,18 +16,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected
 from stopset.errors import StopsetError
-from stopset.offline.abstraction.forms import Angles, Matrix, coriolis, coriolis_degree, inertia, inverse
+from stopset.offline.abstraction.forms import Angles, Matrix, coriolis, coriolis_degree, inertia, inverse, terms
 from stopset.ring.taylor import MEMORY_LIMIT, Taylor, TaylorError, monomials
 from stopset.robot import Robot
 from stopset.robot.rigid import Array, mass_matrix
 
 ORDERS = (1, 3, 5, 7)  # of the paper's Table I
-# coefficients whose sum is below this fraction of the largest are rounding of the algebra and are dropped: on |sin|, |cos| <= 1
-# this moves a value by no more than that
+# coefficients whose sum is below this fraction of the largest are rounding of the algebra and are dropped: on |sin|,
+# |cos| <= 1 this moves a value by no more than that
 ROUNDING = 1e-13
 
 
@@ -43,17 +45,22 @@ def build(kind: int, order: int, robot: Robot, rotor: Array, viscous: Array, q_a
         raise StopsetError(f"model {kind} of order {order}: expected model 1, 2 or 3 and an order of at least 1")
     rotor, viscous = np.asarray(rotor, float), np.asarray(viscous, float).reshape(n, -1)
     at = np.zeros(n) if q_a is None else np.asarray(q_a, float)
-    _guard(kind, order, n, viscous.shape[1])
+    exact = kind == 2 and order >= coriolis_degree(robot)
+    if not exact:
+        _guard(kind, order, n, viscous.shape[1])
     M_a = mass_matrix(robot.chain, robot.pi, at) + np.diag(rotor)
     Minv = np.linalg.inv(M_a)
     tau_nu = viscous[:, :order].copy()  # T^p of a polynomial
     Minv = 0.5 * (Minv + Minv.T)
     if kind == 1 or (kind == 2 and order < 2):
         return Abstraction(kind, order, Minv, tau_nu)
-    angles = Angles.at(np.sin(at), np.cos(at), order - 1, live=2 * n**3)
+    if exact:  # the polynomials end by themselves; written about zero instead of q_a they are the same and far shorter
+        angles = Angles.at(np.zeros(n), np.zeros(n), max(1, 2 * (n - 1)), inverse=False)
+    else:
+        angles = Angles.at(np.sin(at), np.cos(at), order - 1, inverse=kind == 3)
     M = inertia(robot, rotor, angles)
     if kind == 2:
-        C = coriolis(M, angles, order - 2)
+        C = coriolis(M, angles, min(order - 2, angles.algebra.order))
         return Abstraction(2, order, Minv, tau_nu, coriolis=tuple(_quadratic(C[i], angles, 3 * n) for i in range(n)))
     return Abstraction(3, order, Minv, tau_nu, acceleration=_acceleration(M, tau_nu, angles, order))
 
@@ -70,12 +77,14 @@ def predicted_bytes(kind: int, order: int, n: int, friction_degree: int = 3) -> 
     d, width = 2 * (n - 1), 3 * n if kind == 2 else 4 * n
 
     def count(cut: int) -> int:
-        return monomials(d, cut) if cut >= 0 else 0
+        full = monomials(d, cut) if cut >= 0 else 0
+        return min(full, terms(n)) if kind == 2 else full
 
     rows = n * (n + 1) // 2 * count(order - 2)
     if kind == 3:
         rows += n * count(order - 1) + n * sum(count(order - k) for k in range(1, friction_degree + 1))
-    # exponents and coefficient of each row, per joint, once while collecting and once in the result; and the compiled table
+    # exponents and coefficient of each row, per joint, once while collecting and once in the result; and the compiled
+    # table
     return 0 if kind == 1 else rows * n * (2 * 8 * (width + 1) + 3 * 8)
 
 
@@ -84,7 +93,8 @@ def _guard(kind: int, order: int, n: int, friction_degree: int) -> None:
     if need > MEMORY_LIMIT:
         raise TaylorError(
             f"model {kind} of order {order} for {n} joints would take up to {need / 2**30:.1f} GiB; allowed are "
-            f"{MEMORY_LIMIT / 2**30:.1f} GiB: lower the order (model 3 is no better there: see docs/table1.md) or take model 2"
+            f"{MEMORY_LIMIT / 2**30:.1f} GiB: lower the order, or take model 2 (a high order of model 3 is no better: "
+            "see docs/table1.md)"
         )
 
 
@@ -93,7 +103,7 @@ class _Rows:
 
     def __init__(self, angles: Angles, width: int) -> None:
         self.angles, self.width, self.n = angles, width, len(angles.sine)
-        self.exponent: list[Array] = []
+        self.exponent: list[NDArray[np.int64]] = []
         self.coefficient: list[Array] = []
 
     def add(self, x: Taylor, *columns: int) -> None:

@@ -1,7 +1,8 @@
-"""Mass matrix, its inverse and the Coriolis matrices of an arm as Taylor polynomials in the sines and cosines of its angles.
+"""Mass matrix, its inverse and the Coriolis matrices of an arm as Taylor polynomials in the sines and cosines of its
+angles.
 
-Nothing depends on the first joint's angle (gravity is in the input), so an arm of ``n`` joints needs ``2 (n - 1)`` variables,
-and the velocities and torques, in which the dynamics are quadratic and linear, need none at all.
+Nothing depends on the first joint's angle (gravity is in the input), so an arm of ``n`` joints needs ``2 (n - 1)``
+variables, and the velocities and torques, in which the dynamics are quadratic and linear, need none at all.
 
 Source: Liu & Althoff (2018), Sec. IV-B, eq. (12) and property A.
 """
@@ -30,10 +31,10 @@ class Angles:
     centre: Array  # (2 (n - 1),) values of the variables at the expansion point: sines, then cosines
 
     @classmethod
-    def at(cls, sine: Array, cosine: Array, order: int, live: int) -> Angles:
-        """Variables about ``sine, cosine`` (n,); ``live``: full polynomials held at once, for the memory guard."""
+    def at(cls, sine: Array, cosine: Array, order: int, inverse: bool = True) -> Angles:
+        """Variables about ``sine, cosine`` (n,); ``inverse``: are quotients needed too (for the memory guard)?"""
         n = sine.size
-        algebra = Algebra(2 * (n - 1), order, live)
+        algebra = Algebra(2 * (n - 1), order, live=n**3, sparse=None if inverse else terms(n))
         first = (algebra.constant(0.0),), (algebra.constant(1.0),)  # any angle does for the first joint
         s = (algebra.variable(i, float(sine[i + 1])) for i in range(n - 1))
         c = (algebra.variable(n - 1 + i, float(cosine[i + 1])) for i in range(n - 1))
@@ -47,11 +48,17 @@ class Angles:
         return self.cosine[k] * x.derivative(k - 1) - self.sine[k] * x.derivative(n - 2 + k)
 
 
+def terms(n: int) -> int:
+    """Most terms of an entry of M or C: they are quadratic in (sin q_k, cos q_k) of each joint behind the first."""
+    return int(6 ** (n - 1))
+
+
 def inertia(robot: Robot, rotor: Array, angles: Angles) -> Matrix:
     """``M_m = M(q) + diag(rotor)`` [kg m^2]."""
     n, zero = robot.n, angles.algebra.constant(0.0)
     M = mass_matrix(robot.chain, robot.pi, angles.sine, angles.cosine)
-    # exact zeros of the geometry come as plain numbers; both halves are computed and one is kept, so M is symmetric to the bit
+    # exact zeros of the geometry come as plain numbers; both halves are computed and one is kept, so M is symmetric to
+    # the bit
     return [[zero + M[max(i, j)][min(i, j)] + (float(rotor[i]) if i == j else 0.0) for j in range(n)] for i in range(n)]
 
 
@@ -86,6 +93,7 @@ def inverse(M: Matrix) -> Matrix:
     algebra = M[0][0].algebra
     one, zero = algebra.constant(1.0), algebra.constant(0.0)
     L = [[one if i == j else zero for j in range(n)] for i in range(n)]
+    raw: list[Taylor] = []  # D
     pivot: list[Taylor] = []  # 1 / D
     for j in range(n):
         column = [M[i][j] for i in range(n)]
@@ -94,7 +102,7 @@ def inverse(M: Matrix) -> Matrix:
             for i in range(j, n):
                 column[i] = column[i] - L[i][k] * scaled
         pivot.append(column[j].reciprocal())
-        raw = [*(raw if j else []), column[j]]
+        raw.append(column[j])
         for i in range(j + 1, n):
             L[i][j] = column[i] * pivot[j]
     W = [[zero] * n for _ in range(n)]  # L^-1, row by row
@@ -117,11 +125,13 @@ def inverse(M: Matrix) -> Matrix:
 
 
 def coriolis_degree(robot: Robot) -> int:
-    """Highest total degree of the Coriolis torques as polynomials in velocities, sines and cosines (12 for six generic joints).
+    """Highest total degree of the Coriolis torques as polynomials in velocities, sines and cosines (12 for six generic
+    joints).
 
-    Exact: with the variables themselves instead of deviations the polynomials end by themselves, at twice per moving angle.
+    Exact: with the variables themselves instead of deviations the polynomials end by themselves, at twice per moving
+    angle.
     """
-    angles = Angles.at(np.zeros(robot.n), np.zeros(robot.n), max(1, 2 * (robot.n - 1)), robot.n**3)
+    angles = Angles.at(np.zeros(robot.n), np.zeros(robot.n), max(1, 2 * (robot.n - 1)), inverse=False)
     M = inertia(robot, np.zeros(robot.n), angles)
     terms = [x for rows in coriolis(M, angles, angles.algebra.order) for row in rows for x in row]
     largest = max(float(np.abs(x.value).max(initial=0.0)) for x in terms)
