@@ -124,13 +124,13 @@ def _inflation(data: NormalEquations, moving: Array, j: int, index: Array, theta
 def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array) -> Fit:
     """Weighted least squares of all joints at once.
 
-    ``moving, still`` (GROUPS, n, c, c): sums with one torque column last; weights, the correlation of errors and the
+    ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c): sums with one torque column last; weights, the correlation of errors and the
     spread of the CAD's errors are estimated with the parameters (empirical Bayes): a CAD that the data contradict
     counts for less.
     """
     layout, n = data.layout, data.layout.n
-    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still.sum(axis=0)
-    p = _problem(layout, moving.sum(axis=0), still.sum(axis=0), rows, rows_still)
+    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
+    p = _problem(layout, moving.sum(axis=0), still, rows, rows_still)
     variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
     variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
     inflation, scale = np.full(n, ASSUMED_INFLATION), 1.0
@@ -157,9 +157,32 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
     rms = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
-        theta, np.linalg.inv(H), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
+        theta, _covariance(data, p, moving, H, w, precision, theta), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
         _before(p, prior, rows), tuple(notes),
     )  # fmt: skip
+
+
+def _covariance(data: NormalEquations, p: _Problem, moving: Array, H: Array, w: Array, precision: Array, theta: Array) -> Array:
+    """Inverse of the normal matrix, widened per parameter where whole motions differ by more than it says.
+
+    Cluster-robust ("sandwich") with the motions as units; never narrower than the model's own.
+    """
+    C = np.linalg.inv(H)
+    groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
+    if len(groups) < FEW_GROUPS:
+        return np.asarray(C)
+    size, m = len(theta), len(precision)
+    scores = np.zeros((len(groups), size))
+    for j in range(p.layout.n):
+        at = p.index[j]
+        cut = np.r_[0 : len(at), moving.shape[-1] - 1]
+        G = moving[np.ix_(groups, [j], cut, cut)][:, 0]
+        scores[:, at] += w[j] * (G[:, :-1, -1] - G[:, :-1, :-1] @ theta[at])
+    middle = scores.T @ scores * len(groups) / (len(groups) - 1)
+    middle[:m, :m] += precision
+    robust = np.diag(C @ middle @ C)
+    wider = np.sqrt(np.maximum(robust / np.diag(C), 1.0))
+    return np.asarray(wider[:, None] * C * wider)
 
 
 def _seen(data: NormalEquations) -> tuple[Array, Array]:
@@ -191,15 +214,15 @@ def cross_validated(data: NormalEquations, moving: Array, still: Array, prior: P
     groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
     if len(groups) < 2:
         return np.full(n, np.nan)
-    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still.sum(axis=0)
-    total, total_still = moving.sum(axis=0), still.sum(axis=0)
+    rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
+    total = moving.sum(axis=0)
     w = np.where(rows > 0, 1 / np.maximum(full.sigma**2 * full.inflation, 1e-12), 0.0)
     w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
     squares = np.zeros(n)
     for g in groups:
-        p = _problem(data.layout, total - moving[g], total_still - still[g], rows, rows_still)
+        p = _problem(data.layout, total - moving[g], still, rows, rows_still)
         H, b = _assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
         theta = np.linalg.solve(H, b)
-        left = _problem(data.layout, moving[g], still[g], rows, rows_still)
+        left = _problem(data.layout, moving[g], still, rows, rows_still)
         squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
     return np.sqrt(squares / np.maximum(rows, 1))

@@ -5,8 +5,9 @@ its usable samples.  Every later question (fit, weights, delay, held-out error, 
 so a campaign of any length is read once, and a later recording is folded in by addition, with the result of having
 read everything together (sums of floating-point numbers: equal to rounding).
 
-Motions are spread over a fixed number of groups by a hash of (phase, suite): leaving out a group leaves out whole
-motions, which is what an honest held-out error and a standard error need.
+Motions are spread over a fixed number of groups by a hash of their name: leaving out a group leaves out whole motions,
+which is what an honest held-out error and a standard error need (friction varies from motion to motion, not from
+sample to sample).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from stopset.recording.types import Array, Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
-GROUPS = 16
+GROUPS = 32
 DELAYS = np.arange(-0.02, 0.0401, 0.005)  # [s] torque is kept at these lags; 5 ms resolves 15 Hz to 0.1 %
 STILL_PHASES = ("static",)
 BRAKED_PHASES = ("stop0", "stop1")  # the brake's torque is not in tau
@@ -101,9 +102,9 @@ def layout_of(robot: Robot, effects: Sequence[str | Effect], compensated: bool) 
 
 @dataclass(slots=True)
 class NormalEquations:
-    """Sums over recordings; ``moving, still`` (GROUPS, n, c, c) with ``c = 10 n + 1 + width + len(DELAYS)``.
+    """Sums over recordings: ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c) with ``c = 10 n + 1 + width + len(DELAYS)``.
 
-    ``rows_moving, rows_still`` (GROUPS, n): samples; ``speed, load`` (n, 2): lowest and highest seen; ``period`` [s].
+    ``rows_moving`` (GROUPS, n), ``rows_still`` (n,): samples; ``speed, load`` (n, 2): lowest and highest seen; ``period`` [s].
     """
 
     layout: Layout
@@ -153,9 +154,13 @@ def _hull(a: Array, b: Array) -> Array:
     return np.column_stack([np.minimum(a[:, 0], b[:, 0]), np.maximum(a[:, 1], b[:, 1])])
 
 
-def group_of(phase: str, suite: int) -> int:
-    """The group of a motion: the same in every run and on every machine."""
-    return zlib.crc32(f"{phase}:{suite}".encode()) % GROUPS
+def group_of(r: Recording) -> int:
+    """The group of a trial's motion, the same in every run and on every machine.
+
+    Open-loop trials of a suite repeat one motion; elsewhere every trial is a motion of its own.
+    """
+    name = f"{r.phase}:{r.suite}" if r.phase == "open_loop" else f"{r.phase}:{r.suite}:{r.trial}"
+    return zlib.crc32(name.encode()) % GROUPS
 
 
 def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Array, compensated: bool) -> NormalEquations:
@@ -165,7 +170,7 @@ def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Arra
     nothing = np.tile([np.inf, -np.inf], (n, 1))
     return NormalEquations(
         layout, settings, np.array(reference, float),
-        np.zeros((GROUPS, n, c, c)), np.zeros((GROUPS, n, c, c)), np.zeros((GROUPS, n)), np.zeros((GROUPS, n)),
+        np.zeros((GROUPS, n, c, c)), np.zeros((n, c, c)), np.zeros((GROUPS, n)), np.zeros(n),
         nothing.copy(), nothing.copy(), nothing.copy(), compensated,
     )  # fmt: skip
 
@@ -206,7 +211,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
     used = 0
     for m in motions(r, out.settings):
         X, use = _moving_rows(out, robot, m)
-        g = group_of(r.phase, r.suite)
+        g = group_of(r)
         for j in range(robot.n):
             rows = X[j][use[:, j]]
             out.moving[g, j] += rows.T @ rows
@@ -268,10 +273,9 @@ def _add_pose(out: NormalEquations, robot: Robot, trials: list[Recording]) -> No
         out.skipped[what] = out.skipped.get(what, 0) + len(trials)
         return
     X = _pose_rows(out, robot, pose)
-    g = group_of("static", pose.suite)
     for j in range(robot.n):
-        out.still[g, j] += np.outer(X[j], X[j])
-        out.rows_still[g, j] += 1
+        out.still[j] += np.outer(X[j], X[j])
+        out.rows_still[j] += 1
     out.poses += 1
     out.span = _hull(out.span, np.column_stack([pose.q.min(axis=0), pose.q.max(axis=0)]))
 

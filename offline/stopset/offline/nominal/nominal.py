@@ -132,16 +132,16 @@ def solve_nominal(
 def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[Delay, float, list[str]]:
     lag = estimate_delay(data, prior)
     if given is not None:
-        return lag, given + lag.hold, [f"delay {given * 1e3:.2f} ms as given"]
+        return lag, given, [f"delay of torque against motion {given * 1e3:.2f} ms as given"]
     if data.recordings == 0:
         return lag, 0.0, []
-    if lag.common_std > DELAY_TRUSTED:
+    found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
+    if not lag.common_std <= DELAY_TRUSTED:
         return lag, lag.hold, [
-            f"delay of torque against motion undetermined ({lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms): the half "
-            f"sample of a held command, {lag.hold * 1e3:.2f} ms, is assumed"
-        ]  # fmt: skip
-    extra = lag.common - lag.hold
-    return lag, lag.common, [f"torque acts {lag.common * 1e3:.2f} ms late ({lag.hold * 1e3:.2f} ms of it the held command, {extra * 1e3:+.2f} ms more)"]
+            f"delay of torque against motion undetermined ({found}): the half sample of a held command, "
+            f"{lag.hold * 1e3:.2f} ms, is assumed"
+        ]
+    return lag, lag.common, [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
 
 
 def _nominal(
