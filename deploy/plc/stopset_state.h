@@ -1,0 +1,113 @@
+/* Generated from stopset.monitor.layout; do not edit. Monitoring aid, not a safety function. Little-endian hosts. */
+#ifndef STOPSET_STATE_H
+#define STOPSET_STATE_H
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define STOPSET_MAGIC 0x53505453u
+#define STOPSET_LAYOUT_VERSION 1u
+#define STOPSET_LENGTH 544u
+#define STOPSET_MAX_JOINTS 8u
+#define STOPSET_STATE_NEVER_SENT 0x00u
+#define STOPSET_STATE_INIT 0x17u
+#define STOPSET_STATE_OK 0x2Bu
+#define STOPSET_STATE_DEGRADED 0x4Du
+#define STOPSET_STATE_VIOLATION 0x71u
+#define STOPSET_STATE_UNKNOWN 0x8Eu
+#define STOPSET_STATE_FAULT 0xB2u
+#define STOPSET_STATE_SHUTDOWN 0xD4u
+#define STOPSET_FLAG_VIOLATION_LATCHED 1u
+#define STOPSET_FLAG_OUT_OF_DOMAIN 2u
+#define STOPSET_FLAG_BUS_GAP 4u
+#define STOPSET_FLAG_BUS_STALE 8u
+#define STOPSET_FLAG_NO_STOP_PROVABLE 16u
+#define STOPSET_FLAG_DEADLINE_MISS 32u
+#define STOPSET_FLAG_DRIVES_NOT_POWERED 64u
+#define STOPSET_FLAG_NO_TORQUE 128u
+#define STOPSET_FLAG_FALLBACK_IN_FORCE 256u
+#define STOPSET_FLAG_STOP_NOT_FRESH 512u
+
+typedef struct {
+  uint32_t magic; /* @0 0x53505453 */
+  uint16_t layout_version; /* @4 this table's version */
+  uint16_t length; /* @6 [byte] of the whole message */
+  uint32_t data_id; /* @8 identity of the source: site, cell, arm; from the configuration */
+  uint32_t seq; /* @12 +1 per message and boot */
+  uint64_t boot_id; /* @16 random per start of the daemon */
+  uint64_t t_meas_ns; /* @24 [ns] sampling instant (SYNC), clock of the bus adapter */
+  uint64_t t_pub_ns; /* @32 [ns] when this message was made, CLOCK_REALTIME of the daemon */
+  uint64_t model_hash; /* @40 first 8 bytes of the model file's SHA-256 */
+  uint64_t config_hash; /* @48 first 8 bytes of the configuration's SHA-256 */
+  uint16_t valid_for_ms; /* @56 [ms] do not use the numbers longer than this after t_meas */
+  uint8_t state; /* @58 see the state codes; anything unknown means FAULT */
+  uint8_t conformance; /* @59 of this sample: 0 unknown, 1 conformant, 2 violation, 3 check failed */
+  uint32_t cycle_us; /* @60 [us] nominal cycle of the messages */
+  uint8_t joints; /* @64 number of joints in use; later slots are 0 */
+  uint8_t first_joint; /* @65 first joint of the latched violation, 1 = joint 1; 0 none */
+  uint16_t reserved; /* @66 0 */
+  uint32_t flags; /* @68 see the flag bits */
+  uint32_t violation_count; /* @72 samples outside their prediction since the last reset */
+  float holding_margin_min; /* @76 [N m] least torque to spare in holding the arm on its brakes */
+  float oldest_age; /* @80 [s] oldest prediction this sample was held against */
+  float room_min; /* @84 distance to the nearest bound over the half width; negative outside */
+  uint32_t stop0_provable; /* @88 STOP 0: bit i set = joint i+1 has a proven bound */
+  float stop0_time[8]; /* @92 [s] STOP 0: stop time per joint, +Inf if not provable */
+  float stop0_angle_forward[8]; /* @124 [rad] STOP 0: travel in + direction per joint */
+  float stop0_angle_back[8]; /* @156 [rad] STOP 0: travel in - direction per joint */
+  float stop0_time_max; /* @188 [s] STOP 0: stop time of the arm */
+  float stop0_tcp; /* @192 [m] STOP 0: travel of the flange */
+  float stop0_reaction; /* @196 [s] STOP 0: reaction time included in the numbers */
+  uint32_t stop1_provable; /* @200 STOP 1, the ramp works: bit i set = joint i+1 has a proven bound */
+  float stop1_time[8]; /* @204 [s] STOP 1, the ramp works: stop time per joint, +Inf if not provable */
+  float stop1_angle_forward[8]; /* @236 [rad] STOP 1, the ramp works: travel in + direction per joint */
+  float stop1_angle_back[8]; /* @268 [rad] STOP 1, the ramp works: travel in - direction per joint */
+  float stop1_time_max; /* @300 [s] STOP 1, the ramp works: stop time of the arm */
+  float stop1_tcp; /* @304 [m] STOP 1, the ramp works: travel of the flange */
+  float stop1_reaction; /* @308 [s] STOP 1, the ramp works: reaction time included in the numbers */
+  uint32_t stop1g_provable; /* @312 STOP 1, the ramp fails: bit i set = joint i+1 has a proven bound */
+  float stop1g_time[8]; /* @316 [s] STOP 1, the ramp fails: stop time per joint, +Inf if not provable */
+  float stop1g_angle_forward[8]; /* @348 [rad] STOP 1, the ramp fails: travel in + direction per joint */
+  float stop1g_angle_back[8]; /* @380 [rad] STOP 1, the ramp fails: travel in - direction per joint */
+  float stop1g_time_max; /* @412 [s] STOP 1, the ramp fails: stop time of the arm */
+  float stop1g_tcp; /* @416 [m] STOP 1, the ramp fails: travel of the flange */
+  float stop1g_reaction; /* @420 [s] STOP 1, the ramp fails: reaction time included in the numbers */
+  uint32_t stop2_provable; /* @424 STOP 2: bit i set = joint i+1 has a proven bound */
+  float stop2_time[8]; /* @428 [s] STOP 2: stop time per joint, +Inf if not provable */
+  float stop2_angle_forward[8]; /* @460 [rad] STOP 2: travel in + direction per joint */
+  float stop2_angle_back[8]; /* @492 [rad] STOP 2: travel in - direction per joint */
+  float stop2_time_max; /* @524 [s] STOP 2: stop time of the arm */
+  float stop2_tcp; /* @528 [m] STOP 2: travel of the flange */
+  float stop2_reaction; /* @532 [s] STOP 2: reaction time included in the numbers */
+  uint32_t check; /* @536 CRC-32/ISO-HDLC of all bytes before this field */
+  uint32_t crc; /* @540 CRC-32C of all bytes before this field */
+} stopset_state;
+typedef char stopset_size_check[sizeof(stopset_state) == STOPSET_LENGTH ? 1 : -1];
+
+static uint32_t stopset_crc(const uint8_t *p, size_t n, uint32_t polynomial) {
+  uint32_t c = 0xFFFFFFFFu;
+  for (size_t i = 0; i < n; i++) {
+    c ^= p[i];
+    for (int k = 0; k < 8; k++) c = (c >> 1) ^ ((c & 1u) ? polynomial : 0u);
+  }
+  return ~c;
+}
+
+/* 0: *out holds a message that may be believed as far as `last` shows; else why not. `last` is the message accepted before
+   (all zero at first). The caller keeps the watchdog: without an accepted message in time the state is FAULT. */
+static int stopset_accept(const uint8_t *data, size_t n, uint32_t data_id, const stopset_state *last, stopset_state *out) {
+  stopset_state m;
+  if (n != STOPSET_LENGTH) return 1;
+  memcpy(&m, data, sizeof m);
+  if (m.magic != STOPSET_MAGIC || m.layout_version != STOPSET_LAYOUT_VERSION || m.length != STOPSET_LENGTH) return 1;
+  if (m.crc != stopset_crc(data, STOPSET_LENGTH - 4u, 0x82F63B78u)) return 2;
+  if (m.check != stopset_crc(data, STOPSET_LENGTH - 8u, 0xEDB88320u)) return 2;
+  if (m.data_id != data_id) return 3;
+  if (last->magic && m.boot_id == last->boot_id) {
+    uint32_t step = m.seq - last->seq;
+    if (step == 0u || step >= 0x80000000u) return 4;
+  }
+  *out = m;
+  return 0;
+}
+#endif

@@ -1,0 +1,1 @@
+"""The daemon: listens to the arm, checks every measurement against the model, publishes what a stop would take now."""

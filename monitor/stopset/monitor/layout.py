@@ -1,0 +1,184 @@
+"""The message a PLC reads: one table of fields, from which packing, C header, Structured Text and documentation follow.
+
+Little endian, fixed offsets, every field naturally aligned. Numbers are rounded to the safe side: what bounds from above goes
+up, what bounds from below goes down, so a float32 never promises more than the float64 it came from.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.errors import BusError
+
+MAGIC = 0x53505453  # "STPS" in memory
+LAYOUT_VERSION = 1
+MAX_JOINTS = 8
+CATEGORIES = ("0", "1", "1 guaranteed", "2")
+PREFIX = {"0": "stop0", "1": "stop1", "1 guaranteed": "stop1g", "2": "stop2"}
+
+
+class State(IntEnum):
+    """One byte; any two codes differ in at least four bits, and anything else means FAULT to the consumer."""
+
+    NEVER_SENT = 0x00
+    INIT = 0x17
+    OK = 0x2B
+    DEGRADED = 0x4D
+    VIOLATION = 0x71
+    UNKNOWN = 0x8E
+    FAULT = 0xB2
+    SHUTDOWN = 0xD4
+
+
+class Flag(IntFlag):
+    """Why the state is what it is."""
+
+    VIOLATION_LATCHED = 1
+    OUT_OF_DOMAIN = 2
+    BUS_GAP = 4
+    BUS_STALE = 8
+    NO_STOP_PROVABLE = 16
+    DEADLINE_MISS = 32
+    DRIVES_NOT_POWERED = 64
+    NO_TORQUE = 128
+    FALLBACK_IN_FORCE = 256
+    STOP_NOT_FRESH = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """``kind``: a key of `KINDS`; ``rounds``: "up" or "down" for floats that bound something."""
+
+    name: str
+    kind: str
+    count: int
+    unit: str
+    means: str
+    rounds: str = ""
+
+
+KINDS = {"u8": ("B", 1), "u16": ("H", 2), "u32": ("I", 4), "u64": ("Q", 8), "f32": ("f", 4)}
+
+
+def _category(name: str, prefix: str) -> list[Field]:
+    said = {"0": "STOP 0", "1": "STOP 1, the ramp works", "1 guaranteed": "STOP 1, the ramp fails", "2": "STOP 2"}[name]
+    return [
+        Field(f"{prefix}_provable", "u32", 1, "", f"{said}: bit i set = joint i+1 has a proven bound"),
+        Field(f"{prefix}_time", "f32", MAX_JOINTS, "s", f"{said}: stop time per joint, +Inf if not provable", "up"),
+        Field(f"{prefix}_angle_forward", "f32", MAX_JOINTS, "rad", f"{said}: travel in + direction per joint", "up"),
+        Field(f"{prefix}_angle_back", "f32", MAX_JOINTS, "rad", f"{said}: travel in - direction per joint", "up"),
+        Field(f"{prefix}_time_max", "f32", 1, "s", f"{said}: stop time of the arm", "up"),
+        Field(f"{prefix}_tcp", "f32", 1, "m", f"{said}: travel of the flange", "up"),
+        Field(f"{prefix}_reaction", "f32", 1, "s", f"{said}: reaction time included in the numbers", "up"),
+    ]
+
+
+FIELDS: tuple[Field, ...] = (
+    Field("magic", "u32", 1, "", "0x53505453"),
+    Field("layout_version", "u16", 1, "", "this table's version"),
+    Field("length", "u16", 1, "byte", "of the whole message"),
+    Field("data_id", "u32", 1, "", "identity of the source: site, cell, arm; from the configuration"),
+    Field("seq", "u32", 1, "", "+1 per message and boot"),
+    Field("boot_id", "u64", 1, "", "random per start of the daemon"),
+    Field("t_meas_ns", "u64", 1, "ns", "sampling instant (SYNC), clock of the bus adapter"),
+    Field("t_pub_ns", "u64", 1, "ns", "when this message was made, CLOCK_REALTIME of the daemon"),
+    Field("model_hash", "u64", 1, "", "first 8 bytes of the model file's SHA-256"),
+    Field("config_hash", "u64", 1, "", "first 8 bytes of the configuration's SHA-256"),
+    Field("valid_for_ms", "u16", 1, "ms", "do not use the numbers longer than this after t_meas"),
+    Field("state", "u8", 1, "", "see the state codes; anything unknown means FAULT"),
+    Field("conformance", "u8", 1, "", "of this sample: 0 unknown, 1 conformant, 2 violation, 3 check failed"),
+    Field("cycle_us", "u32", 1, "us", "nominal cycle of the messages"),
+    Field("joints", "u8", 1, "", "number of joints in use; later slots are 0"),
+    Field("first_joint", "u8", 1, "", "first joint of the latched violation, 1 = joint 1; 0 none"),
+    Field("reserved", "u16", 1, "", "0"),
+    Field("flags", "u32", 1, "", "see the flag bits"),
+    Field("violation_count", "u32", 1, "", "samples outside their prediction since the last reset"),
+    Field("holding_margin_min", "f32", 1, "N m", "least torque to spare in holding the arm on its brakes", "down"),
+    Field("oldest_age", "f32", 1, "s", "oldest prediction this sample was held against", "down"),
+    Field("room_min", "f32", 1, "", "distance to the nearest bound over the half width; negative outside", "down"),
+    *(f for c in CATEGORIES for f in _category(c, PREFIX[c])),
+    Field("check", "u32", 1, "", "CRC-32/ISO-HDLC of all bytes before this field"),
+    Field("crc", "u32", 1, "", "CRC-32C of all bytes before this field"),
+)
+_STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
+LENGTH = _STRUCT.size
+_CRC_TABLE = np.zeros(256, np.uint32)
+for _i in range(256):
+    _c = _i
+    for _ in range(8):
+        _c = (_c >> 1) ^ (0x82F63B78 if _c & 1 else 0)
+    _CRC_TABLE[_i] = _c
+
+
+def offsets() -> dict[str, int]:
+    """Byte offset of every field."""
+    out, at = {}, 0
+    for f in FIELDS:
+        out[f.name] = at
+        at += f.count * KINDS[f.kind][1]
+    return out
+
+
+@njit(cache=True)
+def _crc32c(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> int:
+    crc = np.uint32(0xFFFFFFFF)
+    for b in data:
+        crc = np.uint32(table[np.uint8(crc ^ np.uint32(b))] ^ (crc >> np.uint32(8)))
+    return int(crc ^ np.uint32(0xFFFFFFFF))
+
+
+def crc32c(data: bytes) -> int:
+    """CRC-32C (Castagnoli) of ``data``."""
+    return _crc32c(np.frombuffer(data, np.uint8), _CRC_TABLE)
+
+
+def outward(x: float, rounds: str) -> float:
+    """``x`` as a float32 number that is not below (``up``) or not above (``down``) it; not a number becomes +Inf or -Inf."""
+    if math.isnan(x):
+        return math.inf if rounds == "up" else -math.inf
+    if abs(x) > 3.4e38:
+        return math.copysign(math.inf, x)
+    y = np.float32(x)
+    if rounds == "up" and float(y) < x:
+        y = np.nextafter(y, np.float32(np.inf))
+    if rounds == "down" and float(y) > x:
+        y = np.nextafter(y, np.float32(-np.inf))
+    return float(y)
+
+
+def pack(values: Mapping[str, Any]) -> bytes:
+    """One message from field values; magic, version, length and both checks are filled in, missing fields are 0."""
+    flat: list[Any] = []
+    given = {"magic": MAGIC, "layout_version": LAYOUT_VERSION, "length": LENGTH, **values}
+    for f in FIELDS:
+        v = given.get(f.name, 0)
+        items = list(v) if isinstance(v, (Sequence, np.ndarray)) else [v]
+        items += [0] * (f.count - len(items))
+        flat += [outward(float(x), f.rounds) for x in items] if f.kind == "f32" else [int(x) for x in items]
+    body = bytearray(_STRUCT.pack(*flat))
+    struct.pack_into("<I", body, LENGTH - 8, zlib.crc32(body[: LENGTH - 8]))
+    struct.pack_into("<I", body, LENGTH - 4, crc32c(bytes(body[: LENGTH - 4])))
+    return bytes(body)
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    """Field values of a message; raises `BusError` if it is not one or was damaged on the way."""
+    if len(data) != LENGTH:
+        raise BusError(f"state message has {len(data)} bytes, expected {LENGTH}; sender and reader have different versions")
+    items = iter(_STRUCT.unpack(data))
+    out: dict[str, Any] = {f.name: next(items) if f.count == 1 else tuple(next(items) for _ in range(f.count)) for f in FIELDS}
+    if out["magic"] != MAGIC or out["layout_version"] != LAYOUT_VERSION or out["length"] != LENGTH:
+        raise BusError(f"state message has magic {out['magic']:#x}, version {out['layout_version']}; expected {LAYOUT_VERSION}")
+    if out["crc"] != crc32c(data[: LENGTH - 4]) or out["check"] != zlib.crc32(data[: LENGTH - 8]):
+        raise BusError("state message is damaged: its checksum does not match; drop it and look at the network")
+    return out

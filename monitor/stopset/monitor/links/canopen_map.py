@@ -1,0 +1,190 @@
+"""The arm's CANopen frames as a table of structs: canopen reads the DCF once, the loop only unpacks.
+
+`Decoder` turns PDOs of one SYNC into one `Cycle`; `Encoder` is its mirror for replay.
+"""
+
+from __future__ import annotations
+
+import configparser
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import canopen
+import numpy as np
+from canopen.objectdictionary import ObjectDictionaryError, datatypes
+from numpy.typing import NDArray
+
+from stopset.errors import BusError
+from stopset.monitor.profile import SIGNALS, Profile
+
+Array = NDArray[np.float64]
+FORMATS = {
+    datatypes.INTEGER8: "b", datatypes.INTEGER16: "h", datatypes.INTEGER32: "i", datatypes.INTEGER64: "q",
+    datatypes.UNSIGNED8: "B", datatypes.UNSIGNED16: "H", datatypes.UNSIGNED32: "I", datatypes.UNSIGNED64: "Q",
+    datatypes.REAL32: "f", datatypes.REAL64: "d", datatypes.BOOLEAN: "?",
+}  # fmt: skip
+SYNC_ID = 0x080
+
+
+@dataclass(frozen=True, slots=True)
+class FrameMap:
+    """One PDO: how its bytes unpack, and for each value the (signal row, joint) it goes to, or None for values not needed."""
+
+    cob_id: int
+    layout: struct.Struct
+    targets: tuple[tuple[int, int] | None, ...]
+    codes: str
+
+
+def frame_maps(profile: Profile) -> dict[int, FrameMap]:
+    """Frames of ``profile`` that carry a wanted signal, by COB-ID; raises `BusError` if a signal is mapped nowhere or twice."""
+    wanted = {(s.object, s.sub): SIGNALS.index(name) for name, s in profile.signals.items()}
+    found: dict[tuple[int, int], int] = {}
+    maps: dict[int, FrameMap] = {}
+    network = canopen.Network()  # never connected: nothing is sent
+    for joint, (name, node_id) in enumerate(profile.nodes.items()):
+        try:
+            node = network.add_node(canopen.RemoteNode(node_id, str(profile.dcf)))
+            node.tpdo.read(from_od=True)
+        except (configparser.Error, ObjectDictionaryError, KeyError, ValueError, TypeError, AttributeError) as e:
+            raise BusError(f"{profile.dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
+        for pdo in node.tpdo.values():
+            if not pdo.enabled or not pdo.map:
+                continue
+            if not 0 <= pdo.trans_type <= 240:
+                continue  # event-driven: it belongs to no SYNC
+            codes, targets = "<", []
+            for v in pdo.map:
+                code = FORMATS.get(v.od.data_type)
+                if code is None or struct.calcsize("<" + code) * 8 != v.length:
+                    raise BusError(
+                        f"{profile.dcf}: object 0x{v.index:04X} is mapped with {v.length} bits; expected whole standard numbers"
+                    )
+                codes += code
+                row = wanted.get((v.index, v.subindex))
+                if row is not None and (row, joint) in found:
+                    row = None  # mapped twice: the first PDO counts
+                targets.append(None if row is None else (row, joint))
+                if row is not None:
+                    found[(row, joint)] = pdo.cob_id
+            if any(t is not None for t in targets):
+                maps[pdo.cob_id] = FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:])
+        lacking = [s for s in profile.signals if (SIGNALS.index(s), joint) not in found]
+        if lacking:
+            raise BusError(f"profile {profile.name}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {profile.dcf.name}")
+    return maps
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """All PDOs of one SYNC: ``counter`` of the SYNC or None, ``t`` its reception [s], SI ``values`` (signals, n), NaN if absent."""
+
+    counter: int | None
+    t: float
+    values: Array
+
+
+@dataclass(slots=True)
+class Decoder:
+    """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
+
+    A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
+    serves to find the rhythm again and is not given out.
+    """
+
+    profile: Profile
+    maps: dict[int, FrameMap] = field(init=False)
+    incomplete: int = 0
+    unknown: int = 0
+    emergencies: list[tuple[int, bytes]] = field(default_factory=list)
+    _scale: Array = field(init=False)
+    _raw: Array = field(init=False)
+    _seen: set[int] = field(init=False)
+    _sync: tuple[int | None, float] | None = None
+    _doubtful: bool = False
+
+    def __post_init__(self) -> None:
+        self.maps = frame_maps(self.profile)
+        n = len(self.profile.nodes)
+        self._scale = np.ones((len(SIGNALS), n))
+        for name, s in self.profile.signals.items():
+            self._scale[SIGNALS.index(name)] = s.scale
+        self._raw = np.full((len(SIGNALS), n), np.nan)
+        self._seen = set()
+
+    def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> Cycle | None:
+        """Take one frame received at ``t`` [s]; returns the cycle it completes, if it does."""
+        if cob_id == SYNC_ID:
+            if self._sync is not None and len(self._seen) < len(self.maps):
+                self.incomplete += 1
+                self._doubtful = True
+            self._sync = (data[0] if len(data) else None, t)
+            self._seen.clear()
+            return None
+        frame = self.maps.get(cob_id)
+        if frame is None:
+            self.unknown += 1
+            if 0x81 <= cob_id <= 0xFF and len(self.emergencies) < 64:
+                self.emergencies.append((cob_id - 0x80, bytes(data)))
+            return None
+        if self._sync is None:  # heard before any SYNC: the next cycle may hold a late one of these
+            self._doubtful = True
+            return None
+        if cob_id in self._seen or len(data) != frame.layout.size:
+            self.incomplete += 1
+            self._doubtful = True
+            self._sync = None
+            return None
+        self._seen.add(cob_id)
+        for target, value in zip(frame.targets, frame.layout.unpack(data), strict=True):
+            if target is not None:
+                self._raw[target] = value
+        if len(self._seen) < len(self.maps):
+            return None
+        if self._doubtful:
+            self._doubtful = False
+            return None
+        return Cycle(self._sync[0], self._sync[1], self._raw * self._scale)
+
+
+@dataclass(slots=True)
+class Encoder:
+    """One sample to the frames a bus with this profile would show: SYNC first, then every PDO."""
+
+    profile: Profile
+    maps: dict[int, FrameMap] = field(init=False)
+    _count: int = 0
+
+    def __post_init__(self) -> None:
+        self.maps = frame_maps(self.profile)
+
+    def skip(self, cycles: int) -> None:
+        """Let the SYNC counter run on as if ``cycles`` had gone by unseen."""
+        self._count += cycles
+
+    def frames(self, values: Array) -> Iterator[tuple[int, bytes]]:
+        """(COB-ID, data) of one cycle for SI ``values`` (signals, n); raises `BusError` where a number does not fit."""
+        counts = np.array(values)
+        for name, s in self.profile.signals.items():
+            counts[SIGNALS.index(name)] /= s.scale
+        overflow = self.profile.sync_overflow
+        yield SYNC_ID, bytes([self._count % overflow + 1]) if overflow else b""
+        self._count += 1
+        for m in self.maps.values():
+            out = []
+            for code, target in zip(m.codes, m.targets, strict=True):
+                x = 0.0 if target is None else float(counts[target])
+                out.append(x if code in "fd" else self._whole(x, code, target))
+            yield m.cob_id, m.layout.pack(*out)
+
+    def _whole(self, x: float, code: str, target: tuple[int, int] | None) -> int:
+        bits = 8 * struct.calcsize("<" + code)
+        lo, hi = (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
+        if not lo <= x <= hi:
+            what = f"{SIGNALS[target[0]]} of {self.profile.joints[target[1]]}" if target else "a value"
+            raise BusError(
+                f"{what} is {x:.6g} counts, which {bits} bits of {self.profile.name} cannot carry ({lo} to {hi}); "
+                "change the profile's scale"
+            )
+        return round(x)

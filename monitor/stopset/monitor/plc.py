@@ -1,0 +1,105 @@
+"""Writes the C and Structured Text views of the state message: ``python -m stopset.monitor.plc deploy/plc``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from stopset.monitor.layout import FIELDS, LAYOUT_VERSION, LENGTH, MAGIC, MAX_JOINTS, Flag, State, offsets
+
+_C = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "f32": "float"}
+_ST = {"u8": "USINT", "u16": "UINT", "u32": "UDINT", "u64": "ULINT", "f32": "REAL"}
+_NOTE = "Generated from stopset.monitor.layout; do not edit. Monitoring aid, not a safety function."
+
+
+def c_header() -> str:
+    """``stopset_state.h``: the struct, its codes, and the check every consumer must make before reading it."""
+    at = offsets()
+    rows = "\n".join(
+        f"  {_C[f.kind]} {f.name}{f'[{f.count}]' if f.count > 1 else ''}; "
+        f"/* @{at[f.name]} {f'[{f.unit}] ' if f.unit else ''}{f.means} */"
+        for f in FIELDS
+    )
+    states = "\n".join(f"#define STOPSET_STATE_{s.name} 0x{s.value:02X}u" for s in State)
+    flags = "\n".join(f"#define STOPSET_FLAG_{f.name} {f.value}u" for f in Flag)
+    return f"""/* {_NOTE} Little-endian hosts. */
+#ifndef STOPSET_STATE_H
+#define STOPSET_STATE_H
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define STOPSET_MAGIC 0x{MAGIC:08X}u
+#define STOPSET_LAYOUT_VERSION {LAYOUT_VERSION}u
+#define STOPSET_LENGTH {LENGTH}u
+#define STOPSET_MAX_JOINTS {MAX_JOINTS}u
+{states}
+{flags}
+
+typedef struct {{
+{rows}
+}} stopset_state;
+typedef char stopset_size_check[sizeof(stopset_state) == STOPSET_LENGTH ? 1 : -1];
+
+static uint32_t stopset_crc(const uint8_t *p, size_t n, uint32_t polynomial) {{
+  uint32_t c = 0xFFFFFFFFu;
+  for (size_t i = 0; i < n; i++) {{
+    c ^= p[i];
+    for (int k = 0; k < 8; k++) c = (c >> 1) ^ ((c & 1u) ? polynomial : 0u);
+  }}
+  return ~c;
+}}
+
+/* 0: *out holds a message that may be believed as far as `last` shows; else why not. `last` is the message accepted before
+   (all zero at first). The caller keeps the watchdog: without an accepted message in time the state is FAULT. */
+static int stopset_accept(const uint8_t *data, size_t n, uint32_t data_id, const stopset_state *last, stopset_state *out) {{
+  stopset_state m;
+  if (n != STOPSET_LENGTH) return 1;
+  memcpy(&m, data, sizeof m);
+  if (m.magic != STOPSET_MAGIC || m.layout_version != STOPSET_LAYOUT_VERSION || m.length != STOPSET_LENGTH) return 1;
+  if (m.crc != stopset_crc(data, STOPSET_LENGTH - 4u, 0x82F63B78u)) return 2;
+  if (m.check != stopset_crc(data, STOPSET_LENGTH - 8u, 0xEDB88320u)) return 2;
+  if (m.data_id != data_id) return 3;
+  if (last->magic && m.boot_id == last->boot_id) {{
+    uint32_t step = m.seq - last->seq;
+    if (step == 0u || step >= 0x80000000u) return 4;
+  }}
+  *out = m;
+  return 0;
+}}
+#endif
+"""
+
+
+def structured_text() -> str:
+    """``stopset_state.st``: the same as an IEC 61131-3 structure with constants (SCL and CODESYS read it)."""
+    at = offsets()
+    rows = "\n".join(
+        f"    {f.name} : {f'ARRAY[1..{f.count}] OF ' if f.count > 1 else ''}{_ST[f.kind]}; "
+        f"(* @{at[f.name]} {f'[{f.unit}] ' if f.unit else ''}{f.means} *)"
+        for f in FIELDS
+    )
+    states = "\n".join(f"    STOPSET_STATE_{s.name} : USINT := 16#{s.value:02X};" for s in State)
+    flags = "\n".join(f"    STOPSET_FLAG_{f.name} : UDINT := {f.value};" for f in Flag)
+    return f"""(* {_NOTE} Little endian; swap bytes on a big-endian PLC. *)
+TYPE STOPSET_STATE :
+STRUCT (* {LENGTH} bytes, layout version {LAYOUT_VERSION} *)
+{rows}
+END_STRUCT
+END_TYPE
+
+VAR_GLOBAL CONSTANT
+    STOPSET_MAGIC : UDINT := 16#{MAGIC:08X};
+    STOPSET_LENGTH : UINT := {LENGTH};
+{states}
+{flags}
+END_VAR
+"""
+
+
+FILES = {"stopset_state.h": c_header, "stopset_state.st": structured_text}
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "deploy/plc")
+    for name, text in FILES.items():
+        (folder / name).write_text(text(), encoding="utf-8")

@@ -1,0 +1,112 @@
+"""A bus profile: which number of which frame is which signal of which joint, and what one count is worth.
+
+A TOML file beside a DCF (or EDS). Shipped ones are named ``lwa4p/monitor``; any other is a path.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.errors import BusError
+
+Array = NDArray[np.float64]
+SIGNALS = ("q", "dq", "tau", "temp", "status")
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """An object of the dictionary and the SI value of one count, per joint: ``scale`` (n,)."""
+
+    object: int
+    sub: int
+    scale: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """How to read one arm's bus. ``nodes``: node id by joint; ``cycle_s``: SYNC period; ``sync_overflow``: 0 = no counter."""
+
+    name: str
+    dcf: Path
+    bitrate: int
+    cycle_s: float
+    sync_overflow: int
+    nodes: dict[str, int]
+    signals: dict[str, Signal]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return tuple(self.nodes)
+
+    def quantum(self, signal: str) -> Array:
+        """(n,) greatest rounding error of a signal on this bus: half a count [SI]; 0 for a signal the bus does not carry."""
+        s = self.signals.get(signal)
+        return np.zeros(len(self.nodes)) if s is None else 0.5 * np.abs(s.scale)
+
+
+def shipped_profiles() -> list[str]:
+    """Names of the profiles in the package."""
+    root = resources.files("stopset.monitor") / "profiles"
+    return sorted(
+        f"{arm.name}/{f.name.removesuffix('.toml')}"
+        for arm in root.iterdir() if arm.is_dir()
+        for f in arm.iterdir() if f.name.endswith(".toml")
+    )  # fmt: skip
+
+
+def load_profile(where: str | Path) -> Profile:
+    """Read a profile by shipped name or path; raises `BusError` for anything unusable."""
+    if str(where) in shipped_profiles():
+        arm, name = str(where).split("/")
+        path = Path(str(resources.files("stopset.monitor") / "profiles" / arm / f"{name}.toml"))
+    else:
+        path = Path(where)
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as e:
+        shipped = ", ".join(shipped_profiles())
+        raise BusError(f"bus profile {where}: no such file; expected a path or one of {shipped}") from e
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+        raise BusError(f"bus profile {path} is not readable TOML ({e}); mend it") from e
+    try:
+        return _profile(raw, str(where), path)
+    except (KeyError, TypeError, ValueError) as e:
+        raise BusError(
+            f"bus profile {path} is unusable ({type(e).__name__}: {e}); expected dcf, bitrate, cycle_s, [nodes] and [signals.q]"
+        ) from e
+
+
+def _profile(raw: dict[str, Any], name: str, path: Path) -> Profile:
+    unknown = set(raw) - {"dcf", "bitrate", "cycle_s", "sync_overflow", "nodes", "signals"}
+    unknown |= set(raw["signals"]) - set(SIGNALS)
+    if unknown:
+        raise ValueError(f"unknown key {', '.join(sorted(unknown))}")
+    nodes = {str(k): int(v) for k, v in raw["nodes"].items()}
+    if not nodes or len(set(nodes.values())) != len(nodes) or not all(1 <= v <= 127 for v in nodes.values()):
+        raise ValueError(f"node ids {list(nodes.values())} are not distinct numbers from 1 to 127")
+    dcf = path.with_name(str(raw["dcf"]))
+    if not dcf.is_file():
+        raise ValueError(f"{dcf.name} is not beside it")
+    signals = {k: _signal(s, len(nodes)) for k, s in raw["signals"].items()}
+    if "q" not in signals or "dq" not in signals:
+        raise ValueError("signals q and dq are needed")
+    cycle = float(raw["cycle_s"])
+    if not 1e-4 <= cycle <= 1.0:
+        raise ValueError(f"cycle_s is {cycle}")
+    return Profile(name, dcf, int(raw["bitrate"]), cycle, int(raw.get("sync_overflow", 0)), nodes, signals)
+
+
+def _signal(s: dict[str, Any], n: int) -> Signal:
+    if set(s) - {"object", "sub", "scale"}:
+        raise ValueError(f"unknown key {', '.join(sorted(set(s) - {'object', 'sub', 'scale'}))}")
+    scale = np.broadcast_to(np.asarray(s.get("scale", 1.0), float), (n,)).copy()
+    if not np.all(np.isfinite(scale)) or np.any(scale == 0):
+        raise ValueError(f"scale {scale.tolist()} is not finite and non-zero")
+    return Signal(int(s["object"]), int(s.get("sub", 0)), scale)

@@ -1,0 +1,282 @@
+"""The check itself: is every new measurement where some earlier measurement said it could be?
+
+Predictions start at past measurements and advance one step per sample; each sample is held against the tube of every
+prediction at its age: all horizons at once are one matrix product and one comparison. No clock, no bus, no files here.
+
+Source: Liu & Althoff (2018), Def. 2 and eq. (17)-(21), with the tube of `stopset.reach.flowpipe` (same as the identification).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.errors import NotCovered
+from stopset.monitor.inputs import Inputs
+from stopset.reach.flowpipe import deviation_tube, discretise
+
+Array = NDArray[np.float64]
+MAX_PREDICTIONS = 256
+
+
+class Conformance(StrEnum):
+    """What one sample says of the model."""
+
+    CONFORMANT = "CONFORMANT"
+    VIOLATION = "VIOLATION"
+    UNKNOWN = "UNKNOWN"
+    FAULT = "FAULT"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
+
+    ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
+    ``t``: sampling instant [s]; ``powered``: the drives hold torque (else no verdict: another regime).
+    """
+
+    k: int
+    t: float
+    q: Array
+    dq: Array
+    tau: Array | None = None
+    temp: Array | None = None
+    powered: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Quantum:
+    """Greatest error the bus itself adds to ``q, dq, tau`` (n,): half a count [rad, rad/s, N m]; zero where it adds none."""
+
+    q: Array
+    dq: Array
+    tau: Array
+
+    @classmethod
+    def none(cls, n: int) -> Quantum:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """One measurement outside its prediction: ``excess`` beyond the bound [rad or rad/s], also as a part of the tube's width.
+
+    ``age``: of the prediction that is contradicted worst [s]; ``in_domain``: whether the model ever claimed to hold here.
+    """
+
+    joint: str
+    state: str  # "q" or "dq"
+    side: str  # "above" or "below"
+    age: float
+    excess: float
+    fraction: float
+    measured: float
+    bound: float
+    in_domain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one sample says. ``compared``: predictions it was held against; ``room``: (2n,) distance to the nearest bound
+    over the tube's half width (1 centre, 0 on the bound, negative outside); ``outside``: signals beyond the domain."""
+
+    conformance: Conformance
+    why: str
+    compared: int = 0
+    oldest: float = 0.0
+    deviations: tuple[Deviation, ...] = ()
+    outside: tuple[str, ...] = ()
+    room: Array | None = None
+
+
+@dataclass(slots=True)
+class Watch:
+    """Holds an arm's samples against its model; give them one by one to `step`.
+
+    ``quantum``: rounding of the bus, by which the tube is widened (a measured set of its own); ``payload`` [kg] declared.
+    Raises `NotCovered` at once for a model whose tube cannot be computed here.
+    """
+
+    model: Model
+    quantum: Quantum | None = None
+    payload: float = 0.0
+    warm: float = 0.0
+    stride: int = field(init=False)
+    ages: Array = field(init=False)
+    _inputs: Inputs = field(init=False)
+    _Ad: Array = field(init=False)
+    _Bd: Array = field(init=False)
+    _lo: Array = field(init=False)
+    _hi: Array = field(init=False)
+    _e: Array = field(init=False)  # (m, 2n) measured minus predicted, one row per prediction
+    _w: Array = field(init=False)  # (m, 2n) what bus rounding can have added to that along the way
+    _age: NDArray[np.int64] = field(init=False)
+    _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
+    _last: Sample | None = None
+    _u: tuple[Array, Array] | None = None
+    _since: int = 0
+
+    def __post_init__(self) -> None:
+        m, sets = self.model, self.model.powered
+        n = m.n
+        if self.quantum is None:
+            self.quantum = Quantum.none(n)
+        self._inputs = Inputs.of(m, self.quantum, self.warm)
+        self._Ad, self._Bd = discretise(m.abstraction, sets.dt)
+        tube = deviation_tube(m.abstraction, sets)
+        self.ages = tube.ages
+        # H products of 2n + n terms each round by 2^-53 relative to states within a few turns
+        rounding = len(tube.ages) * 3 * n * 2.0**-53 * 32.0
+        here = np.concatenate([self.quantum.q, self.quantum.dq]) + rounding
+        self._lo, self._hi = tube.lo - here, tube.hi + here
+        self.stride = max(1, -(-(len(tube.ages) - 1) // MAX_PREDICTIONS))
+        self._forget()
+
+    @property
+    def horizon(self) -> float:
+        """Oldest age that is checked [s]."""
+        return float(self.ages[-1])
+
+    def _forget(self) -> None:
+        n = self.model.n
+        self._e, self._w = np.empty((0, 2 * n)), np.empty((0, 2 * n))
+        self._age = np.empty(0, np.int64)
+        self._foreign = np.empty(0, bool)
+        self._u = None
+        self._since = 0
+
+    def step(self, sample: Sample) -> Verdict:
+        """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
+        try:
+            return self._step(sample)
+        except Exception as e:  # noqa: BLE001 - whatever went wrong, the answer must say so and never read as conformant
+            self._forget()
+            self._last = None
+            return Verdict(Conformance.FAULT, f"the check failed: {type(e).__name__}: {e}")
+
+    def _step(self, s: Sample) -> Verdict:
+        x = np.concatenate([s.q, s.dq])
+        reason = self._no_verdict(s, x)
+        gap = self._last is not None and s.k != self._last.k + 1
+        before, self._last = self._last, s
+        if reason or gap or before is None:
+            self._forget()
+        if reason:
+            self._last = None
+            return Verdict(Conformance.UNKNOWN, reason)
+        assert s.tau is not None
+        u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
+        outside = self._outside(s, u)
+        verdict = self._compare(x, before, outside)
+        self._launch(bool(outside))
+        self._u = (u, du)
+        if gap and before is not None:
+            return Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
+        return verdict
+
+    def _no_verdict(self, s: Sample, x: Array) -> str:
+        if not s.powered:
+            return "the drives are not in powered operation"
+        if s.tau is None:
+            return "no torque in the signals"
+        if not (np.all(np.isfinite(x)) and np.all(np.isfinite(s.tau))):
+            return "a reading is not a number"
+        lo, hi = self.model.domain.payload
+        if not lo <= self.payload <= hi:
+            return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"
+        return ""
+
+    def _outside(self, s: Sample, u: Array) -> tuple[str, ...]:
+        """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
+        d, q = self.model.domain, self.quantum
+        assert q is not None
+        rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, q.tau + 1e-12)]
+        if s.temp is not None and d.temp is not None:
+            rows.append(("temp", s.temp, d.temp, np.zeros(self.model.n)))
+        out: list[str] = []
+        for name, value, box, h in rows:
+            bad = (value < box.lo - h) | (value > box.hi + h)
+            out += [f"{name}_{self.model.joints[j]}" for j in np.flatnonzero(bad)]
+        return tuple(out)
+
+    def _compare(self, x: Array, before: Sample | None, outside: tuple[str, ...]) -> Verdict:
+        if self._u is None or before is None or not len(self._age):
+            return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
+        u, du = self._u
+        residual = x - np.concatenate([before.q, before.dq]) @ self._Ad.T - self._Bd @ u
+        self._e = self._e @ self._Ad.T + residual
+        self._w = self._w @ np.abs(self._Ad).T + np.abs(self._Bd) @ du
+        self._age = self._age + 1
+        self._foreign |= bool(outside)
+        keep = self._age < len(self.ages)
+        if not keep.all():
+            self._e, self._w, self._age, self._foreign = self._e[keep], self._w[keep], self._age[keep], self._foreign[keep]
+        if not len(self._age):
+            return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
+        lo, hi = self._lo[self._age] - self._w, self._hi[self._age] + self._w
+        over, under = self._e - hi, lo - self._e
+        deviations = self._deviations(x, over, "above") + self._deviations(x, under, "below")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            room = (-np.maximum(over, under) / (0.5 * (hi - lo))).min(axis=0)
+        room[~np.isfinite(room)] = 1.0
+        common = dict(compared=len(self._age), oldest=float(self.ages[self._age.max()]), outside=outside, room=room)
+        if deviations:
+            worst = max(deviations, key=lambda d: d.fraction)
+            why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
+            return Verdict(Conformance.VIOLATION, why, deviations=deviations, **common)  # type: ignore[arg-type]
+        if outside:
+            return Verdict(Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}", **common)  # type: ignore[arg-type]
+        return Verdict(Conformance.CONFORMANT, "inside every prediction", **common)  # type: ignore[arg-type]
+
+    def _deviations(self, x: Array, beyond: Array, side: str) -> tuple[Deviation, ...]:
+        """The worst contradicted prediction of each state on one side; ``beyond``: (m, 2n), positive outside."""
+        out = []
+        n = self.model.n
+        for i in np.flatnonzero((beyond > 0).any(axis=0)):
+            width = self._hi[self._age, i] - self._lo[self._age, i]
+            row = int(np.argmax(beyond[:, i] / np.maximum(width, 1e-300)))
+            excess = float(beyond[row, i])
+            out.append(
+                Deviation(
+                    joint=self.model.joints[i % n],
+                    state="q" if i < n else "dq",
+                    side=side,
+                    age=float(self.ages[self._age[row]]),
+                    excess=excess,
+                    fraction=excess / max(float(width[row]), 1e-300),
+                    measured=float(x[i]),
+                    bound=float(x[i]) - excess if side == "above" else float(x[i]) + excess,
+                    in_domain=not bool(self._foreign[row]),
+                )
+            )
+        return tuple(out)
+
+    def _launch(self, foreign: bool) -> None:
+        """Start a prediction at this sample: every ``stride`` samples, or (sets conform from the start only) after a gap."""
+        first = self._u is None
+        self._since += 1
+        if not first and (self._since < self.stride or self.model.powered.windows != "sliding"):
+            return
+        self._since = 0
+        q = self.quantum
+        assert q is not None
+        n2 = 2 * self.model.n
+        self._e = np.vstack([self._e, np.zeros(n2)])
+        self._w = np.vstack([self._w, np.concatenate([q.q, q.dq])])
+        self._age = np.append(self._age, 0)
+        self._foreign = np.append(self._foreign, foreign)
+
+
+def check_cycle(model: Model, cycle_s: float) -> None:
+    """Refuse a bus whose cycle is not the step of the identification (trap P18); raises `NotCovered`."""
+    dt = model.powered.dt
+    if abs(cycle_s - dt) > 1e-3 * dt:
+        raise NotCovered(
+            f"the bus has a cycle of {cycle_s * 1e3:g} ms, the model was identified at {dt * 1e3:g} ms; set the bus's cycle or "
+            "identify from recordings taken at the bus's cycle"
+        )
