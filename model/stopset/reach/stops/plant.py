@@ -1,0 +1,224 @@
+"""From the model file to what bounds a stop: every parameter as an interval, every widening stated as an assumption."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Brakes, Model
+from stopset.effects.base import REFERENCE_TEMPERATURE, Fitted
+from stopset.errors import NotCovered
+from stopset.reach.stops.expansion import Curvature, curvature
+from stopset.reach.stops.tube import Plant
+from stopset.robot import Robot
+from stopset.robot.arm import standard_parameters
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+SIGMAS = 3.0  # identified parameters enter with this many standard deviations
+FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
+BRAKE_TOLERANCE = 0.30  # relative half-width of a data sheet's brake torque where it states none
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Dry and viscous friction as intervals: ``dry`` [N m], ``viscous`` [N m s/rad], ``push``: torque in any direction."""
+
+    dry: Box
+    viscous: Box
+    push: Box
+    left_out: tuple[str, ...]
+
+
+def brakes_of(model: Model) -> Brakes | None:
+    """The model's brakes, else the data sheet's with its tolerance; None if a torque or a delay is not known at all."""
+    if model.brakes is not None:
+        return model.brakes
+    drives = model.robot.drives
+    torque = np.array([d.brake_torque for d in drives])
+    delay = np.array([d.brake_delay for d in drives])
+    rise = np.array([d.brake_rise for d in drives])
+    if not (np.all(np.isfinite(torque)) and np.all(np.isfinite(delay)) and np.all(np.isfinite(rise))):
+        return None
+    tolerance = np.array([d.brake_tolerance for d in drives])
+    tolerance = np.where(np.isfinite(tolerance), tolerance, BRAKE_TOLERANCE)
+    return Brakes(
+        torque=Box.of(torque * (1 - tolerance), torque * (1 + tolerance)),
+        delay=Box.of(delay[:, 0], delay[:, 1]),
+        rise=Box.of(rise[:, 0], rise[:, 1]),
+        source="data sheet",
+    )
+
+
+def _interval(f: Fitted, symbol: str) -> tuple[float, float]:
+    """An identified value with its standard deviations; a missing value is zero."""
+    value = float(f.values.get(symbol, 0.0))
+    std = float(f.std.get(symbol, 0.0) or 0.0)
+    spread = SIGMAS * std if np.isfinite(std) else abs(value)
+    return value - spread, value + spread
+
+
+def friction_of(model: Model) -> Friction:
+    """Friction of all joints from the identified effects; what is not known is taken as none (lower) and counted in U."""
+    n = model.n
+    F, D, P = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
+    fast = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
+    q_far = np.stack([model.domain.q.lo, model.domain.q.hi], axis=1)
+    left_out: list[str] = []
+    known_viscous = np.zeros(n, bool)
+    warm = (0.0, 0.0)
+    for f in model.effects:
+        if f.joint is None or f.joint not in model.joints:
+            if f.effect not in ("payload", "base_tilt"):
+                left_out.append(f.label)
+            continue
+        i = model.joints.index(f.joint)
+        if model.domain.temp is not None:
+            warm = (model.domain.temp.lo[i] - REFERENCE_TEMPERATURE, model.domain.temp.hi[i] - REFERENCE_TEMPERATURE)
+        if f.effect == "coulomb":
+            F[i] += _interval(f, "F_c")
+        elif f.effect == "viscous":
+            D[i] += _interval(f, "F_v")
+            known_viscous[i] = True
+        elif f.effect == "cubic_viscous":
+            lo, hi = _interval(f, "v_3")
+            D[i] += (min(lo, 0.0) * fast[i] ** 2, max(hi, 0.0) * fast[i] ** 2)
+        elif f.effect == "asymmetric_coulomb":
+            offset = max(map(abs, _interval(f, "F_o")))
+            F[i] += (-offset, offset)
+        elif f.effect == "stribeck":
+            F[i, 1] += max(_interval(f, "F_s")[1], 0.0)
+        elif f.effect == "hysteresis":
+            F[i, 0] -= 2.0 * max(_interval(f, "F_h")[1], 0.0)
+        elif f.effect == "load_coulomb":
+            share = max(_interval(f, "k_lift")[1], _interval(f, "k_lower")[1], 0.0)
+            F[i, 1] += share * _largest_gravity(model.robot)[i]
+        elif f.effect == "warm_up":
+            for array, symbol in ((F, "k_c"), (D, "k_v")):
+                lo, hi = _interval(f, symbol)
+                array[i] += (min(lo, 0.0), max(hi, 0.0))
+        elif f.effect in ("thermal_coulomb", "thermal_viscous"):
+            array, symbol = (F, "k_C") if f.effect == "thermal_coulomb" else (D, "k_T")
+            # levelling off only brings the change closer to zero where warm, and away from it where cold
+            gain = (
+                1.0
+                if f.effect == "thermal_coulomb" or warm[0] >= 0
+                else float(np.exp(-f.values.get("b", 0.0) * warm[0]))
+            )
+            products = [k * w * (gain if w < 0 else 1.0) for k in _interval(f, symbol) for w in warm] + [0.0]
+            array[i] += (min(products), max(products))
+        elif f.effect == "spring":
+            products = [-k * q for k in _interval(f, "k") for q in q_far[i]]
+            c = _interval(f, "c")
+            P[i] += (min(products) - c[1], max(products) - c[0])
+        elif f.effect == "torque_ripple":
+            size = sum(max(map(abs, _interval(f, s))) for s in ("a", "b"))
+            P[i] += (-size, size)
+        else:
+            left_out.append(f.label)
+    unknown = ~known_viscous
+    D[unknown] += model.abstraction.viscous[
+        unknown, :1
+    ]  # the abstraction's linear friction, where nothing better is known
+    lower, upper = 1.0 - FRICTION_TOLERANCE, 1.0 + FRICTION_TOLERANCE
+    return Friction(
+        dry=Box.of(np.maximum(F[:, 0], 0.0) * lower, np.maximum(F[:, 1], 0.0) * upper),
+        viscous=Box.of(np.maximum(D[:, 0], 0.0) * lower, np.maximum(D[:, 1], 0.0) * upper),
+        push=Box.of(P[:, 0], P[:, 1]),
+        left_out=tuple(left_out),
+    )
+
+
+def _largest_gravity(robot: Robot) -> Array:
+    """(n,) no pose loads joint i with more than this [N m]: weight times the largest first moment beyond it."""
+    n = robot.n
+    out = np.zeros(n)
+    mass = moment = 0.0
+    for i in range(n - 1, -1, -1):
+        p = float(np.linalg.norm(robot.chain.p[i + 1])) if i + 1 < n else 0.0
+        moment += float(np.linalg.norm(robot.pi[i, 1:4])) + mass * p
+        mass += abs(float(robot.pi[i, 0]))
+        out[i] = moment * float(np.linalg.norm(robot.chain.gravity))
+    return out
+
+
+def _carried(model: Model) -> Array:
+    """(n, 10) standard parameters with an identified payload effect added."""
+    pi = model.robot.pi.copy()
+    symbols = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+    for f in model.effects:
+        if f.effect == "payload":
+            pi[-1] += [f.values.get(s, 0.0) for s in symbols]
+    return pi
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A plant with its names: everything the bounds of a model and a payload range need, computed once."""
+
+    model: Model
+    plant: Plant
+    noise: Box  # (2n,) error of a measured state (q, dq)
+    payload: tuple[float, float]
+    payload_com: Array
+    assumptions: tuple[str, ...]
+
+
+def setting_of(
+    model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None
+) -> Setting | None:
+    """Everything known of the arm's stops, or None if its brakes are not known.
+
+    ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the
+    last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain.
+    """
+    n = model.n
+    lo, hi = model.domain.payload if payload is None else payload
+    seen = model.domain.payload
+    if not (seen[0] - 1e-9 <= lo <= hi <= seen[1] + 1e-9):
+        raise NotCovered(
+            f"a payload of {lo:g} to {hi:g} kg lies outside the model's domain of {seen[0]:g} to {seen[1]:g} kg; "
+            f"identify with recordings that carry it"
+        )
+    brakes = brakes_of(model)
+    if brakes is None:
+        return None
+    friction = friction_of(model)
+    regime = "stop0" if "stop0" in model.sets else "powered"
+    sets = model.sets[regime]
+    com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
+    pi = _carried(model)
+    per_kg = np.zeros_like(pi)
+    per_kg[-1] = standard_parameters(1.0, com, np.zeros((3, 3)))
+    middle, half = pi + 0.5 * (lo + hi) * per_kg, 0.5 * (hi - lo) * per_kg
+    a, b = curvature(model.robot.chain, middle), curvature(model.robot.chain, half)
+    plant = Plant(
+        chain=model.robot.chain, pi=middle, pi_half=half, rotor=np.array(model.rotor, float),
+        coulomb_lo=friction.dry.lo, coulomb_hi=friction.dry.hi,
+        viscous_lo=friction.viscous.lo, viscous_hi=friction.viscous.hi,
+        u_lo=sets.U.lo + friction.push.lo, u_hi=sets.U.hi + friction.push.hi,
+        brake_lo=brakes.torque.lo, brake_hi=brakes.torque.hi, delay_lo=brakes.delay.lo, delay_hi=brakes.delay.hi,
+        rise_lo=brakes.rise.lo, rise_hi=brakes.rise.hi,
+        curvature=Curvature(a.M + b.M, a.g + b.g, a.Gamma + b.Gamma),
+    )  # fmt: skip
+    assumptions = [
+        "serial arm of rigid links; rotor inertia on the link side; no contact, no joint limit on the way",
+        f"brakes ({brakes.source}): torque {_range(brakes.torque)} N m, delay {_range(brakes.delay, 1e3)} ms, "
+        f"rise {_range(brakes.rise, 1e3)} ms, linear rise, constant during a stop",
+        f"dry friction {_range(friction.dry)} N m and viscous friction {_range(friction.viscous)} N m s/rad, "
+        f"from the identified effects +- {SIGMAS:g} standard deviations +- {FRICTION_TOLERANCE:.0%}; none where unknown",
+        f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
+        f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
+    ]
+    if friction.left_out:
+        assumptions.append(f"effects not in the stop bound except through U: {', '.join(friction.left_out)}")
+    if np.all(friction.dry.hi == 0):
+        assumptions.append("Coulomb friction unknown, taken as none")
+    assert sets.V.dim == 2 * n
+    return Setting(model, plant, sets.V, (lo, hi), com, tuple(assumptions))
+
+
+def _range(box: Box, scale: float = 1.0) -> str:
+    return " ".join(f"[{scale * a:.3g}, {scale * b:.3g}]" for a, b in zip(box.lo, box.hi, strict=True))
