@@ -64,7 +64,7 @@ def _solve_moving(A: Array, b: Array, plus: Array, minus: Array, mode: NDArray[n
         w[i] = s / L[i, i]
     for i in range(n):
         if mode[i] != 0:
-            if w[i] * mode[i] < 0.0:
+            if w[i] * mode[i] < 0.0 and plus[i] + minus[i] > 0.0:
                 return False
         else:
             r = b[i]

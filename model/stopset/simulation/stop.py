@@ -75,7 +75,7 @@ def simulate_stop(
                 for i in range(n):
                     A[i, i] += 0.5 * h * fv[i]
                 solve_inclusion(A, b, plus, minus, mode, w, L)
-                if event >= 0 or splits >= SPLITS_PER_JOINT * n or not crosses(v, w):
+                if event >= 0 or splits >= SPLITS_PER_JOINT * n or not crosses(v, w, plus, minus):
                     break
                 share, event = first_crossing(A, b, plus, minus, v, w, L, mode)
                 splits = splits + 1 if event >= 0 else SPLITS_PER_JOINT * n
@@ -93,9 +93,9 @@ def simulate_stop(
 
 
 @njit(cache=True)
-def crosses(v: Array, w: Array) -> bool:
-    """Does a joint that slides at ``v`` end the step at rest or the other way round?"""
+def crosses(v: Array, w: Array, plus: Array, minus: Array) -> bool:
+    """Does a coordinate with dry friction that moves at ``v`` end the step at rest or the other way round?"""
     found = False
     for i in range(v.shape[0]):
-        found = found or (v[i] != 0.0 and w[i] * v[i] <= 0.0)
+        found = found or (v[i] != 0.0 and w[i] * v[i] <= 0.0 and plus[i] + minus[i] > 0.0)
     return found

@@ -1,0 +1,171 @@
+"""The true arm of a simulation: every physical parameter it has, hidden effects among them.
+
+The laws here are deliberately *not* those of `stopset.effects`: a viscosity curve instead of a straight line, Maxwell
+slip elements instead of Dahl, a rational Stribeck curve instead of a Gaussian, a tooth load from the transmitted
+torque instead of gravity.  A diagnosis that only recognises its own formulas would be worth nothing on a real arm.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.robot import Robot
+from stopset.robot.rigid import Array, Chain, gravity_torques, mass_matrix
+
+REFERENCE_TEMPERATURE = 30.0  # [degC] at which fc and fv are stated
+VOGEL = 95.0  # [K] of the viscosity law exp(B / (T + 95)) of gear oils
+RESONANCE_WIDTH = 0.08  # [rad/s]
+COULOMB_FLOOR = 0.4  # share of Coulomb friction that no heat removes
+# Maxwell slip: four spring-slider elements in parallel, shares of the friction and of the presliding displacement
+SHARES = (0.4, 0.3, 0.2, 0.1)
+REACH = (0.4, 1.0, 2.0, 4.0)
+ELEMENTS = len(SHARES)
+
+
+class Plant(NamedTuple):
+    """All true parameters of an arm; joint arrays are (n,), link side, SI. Zero means: this arm does not have it."""
+
+    chain: Chain
+    pi: Array  # (n, 10)
+    rotor: Array  # [kg m^2]
+    fc: Array  # [N m] at REFERENCE_TEMPERATURE
+    fv: Array  # [N m s/rad] at REFERENCE_TEMPERATURE
+    limit: Array  # [N m] the drive saturates here
+    brake_torque: Array  # [N m]
+    brake_delay: Array  # [s]
+    brake_rise: Array  # [s]
+    fv_slope: Array  # [1/K] relative fall of fv at REFERENCE_TEMPERATURE
+    fc_slope: Array  # [1/K] relative fall of fc there
+    breakaway: Array  # [N m] friction at rest above fc
+    stribeck_speed: Array  # [rad/s]
+    tooth: Array  # [-] friction per transmitted torque
+    skew: Array  # [-] friction (1 + skew) forward, (1 - skew) backward
+    thinning_speed: Array  # [rad/s] above it viscous friction grows with asinh only
+    ripple: Array  # [N m]
+    ripple_order: Array  # [1/rev]
+    ripple_phase: Array  # [rad]
+    stiffness: Array  # [N m/rad] of the gear; encoder, friction and brake sit on the motor's side
+    twist_damping: Array  # [N m s/rad]
+    presliding: Array  # [rad] friction builds up over this displacement
+    gain: Array  # [-] true torque over reported torque
+    spring: Array  # [N m/rad]
+    spring_centre: Array  # [rad]
+    drag: Array  # [N m s/rad] on this joint from the partner's speed and on the partner from this one's
+    partner: NDArray[np.int64]
+    encoder_offset: Array  # [rad] reading minus truth
+    eccentricity: Array  # [rad]
+    eccentricity_phase: Array  # [rad]
+    bump: Array  # [N m] outside the catalogue: torque at one place only
+    bump_centre: Array  # [rad]
+    bump_width: Array  # [rad]
+    resonance: Array  # [N m] outside the catalogue: friction peak at one speed only
+    resonance_speed: Array  # [rad/s]
+    weave: Array  # [N m s/rad] outside the catalogue: sin(3 q) times the partner's speed
+
+
+def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
+    """An arm that is what its CAD says, with friction and brakes drawn at random around what such drives have.
+
+    Where the data sheet is silent: torque limit three times the largest gravity torque, rotor inertia half the joint's
+    own inertia, brake 1.5 times the largest gravity torque.
+    """
+    n = robot.n
+    limit = np.where(np.isfinite(robot.torque_limit) & (robot.torque_limit > 0), robot.torque_limit, 0.0)
+    limit = np.where(limit > 0, limit, np.maximum(3.0 * largest_gravity(robot), 5.0))
+    # harmonic drives from 20 to 400 N m: Coulomb friction grows with the root of the torque they are built for
+    fc = 0.75 * np.sqrt(limit) * rng.uniform(0.8, 1.2, n)
+    top = np.minimum(np.where(robot.dq_limit > 0, robot.dq_limit, 1.2), 3.0)
+    fv = fc * rng.uniform(1.0, 1.6, n) * 1.2 / top
+    nominal = np.array([d.brake_torque for d in robot.drives])
+    nominal = np.where(np.isfinite(nominal), nominal, np.maximum(1.5 * largest_gravity(robot), limit / 2))
+    delay, rise = (np.array([getattr(d, name) for d in robot.drives]) for name in ("brake_delay", "brake_rise"))
+    delay = np.where(np.isfinite(delay), delay, [0.015, 0.025])
+    rise = np.where(np.isfinite(rise), rise, [0.015, 0.025])
+    none, far = np.zeros(n), np.full(n, 1.0)
+    return Plant(
+        chain=robot.chain, pi=robot.pi.copy(), rotor=rotor_inertia(robot), fc=fc, fv=fv, limit=limit,
+        brake_torque=nominal * rng.uniform(0.95, 1.05, n),
+        brake_delay=_inside(delay, rng), brake_rise=_inside(rise, rng),
+        fv_slope=none, fc_slope=none, breakaway=none, stribeck_speed=far, tooth=none, skew=none, thinning_speed=none,
+        ripple=none, ripple_order=none, ripple_phase=none, stiffness=none, twist_damping=none, presliding=none,
+        gain=np.ones(n), spring=none, spring_centre=none, drag=none, partner=np.zeros(n, np.int64),
+        encoder_offset=none, eccentricity=none, eccentricity_phase=none, bump=none, bump_centre=none, bump_width=far,
+        resonance=none, resonance_speed=far, weave=none,
+    )  # fmt: skip
+
+
+def _inside(interval: Array, rng: np.random.Generator) -> Array:
+    """A value of each row's interval (n, 2), away from its ends: a data sheet's interval is meant to hold the truth."""
+    return np.asarray(interval[:, 0] + (interval[:, 1] - interval[:, 0]) * rng.uniform(0.3, 0.7, len(interval)))
+
+
+def largest_gravity(robot: Robot) -> Array:
+    """(n,) largest gravity torque [N m] over a fixed set of poses."""
+    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (400, robot.n))
+    return np.abs(gravity_torques(robot.chain, robot.pi, poses)).max(axis=0)
+
+
+def rotor_inertia(robot: Robot) -> Array:
+    """(n,) reflected rotor inertia [kg m^2]; half of the joint's mean own inertia where the data sheet is silent."""
+    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, robot.n))
+    own = np.mean([np.diag(mass_matrix(robot.chain, robot.pi, q)) for q in poses], axis=0)
+    return np.where(robot.rotor > 0, robot.rotor, 0.5 * own)
+
+
+# The compiled loops see the joint arrays as columns of one table: a named tuple of forty arrays costs them ten times
+# the arithmetic in reference counting. Column numbers, in the order of the fields of Plant after `pi`.
+(
+    ROTOR, FC, FV, LIMIT, BRAKE_TORQUE, BRAKE_DELAY, BRAKE_RISE, FV_SLOPE, FC_SLOPE, BREAKAWAY, STRIBECK_SPEED,
+    TOOTH, SKEW, THINNING_SPEED, RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, STIFFNESS, TWIST_DAMPING, PRESLIDING, GAIN,
+    SPRING, SPRING_CENTRE, DRAG, PARTNER, ENCODER_OFFSET, ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE,
+    BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, COLUMNS,
+) = range(35)  # fmt: skip
+
+
+def table(plant: Plant) -> Array:
+    """(n, COLUMNS) the plant's joint arrays side by side."""
+    return np.column_stack([np.asarray(x, float) for x in plant[2:]])
+
+
+@njit(cache=True)
+def viscous(T: Array, i: int, temp: float, speed: float) -> float:
+    """Viscous coefficient [N m s/rad] of joint ``i`` at ``temp`` [degC]: torque over speed at ``speed``."""
+    d = T[i, FV]
+    if T[i, FV_SLOPE] != 0.0:
+        at = REFERENCE_TEMPERATURE + VOGEL
+        d *= np.exp(T[i, FV_SLOPE] * at * at * (1.0 / (temp + VOGEL) - 1.0 / at))
+    if T[i, THINNING_SPEED] > 0.0 and speed != 0.0:
+        s = abs(speed) / T[i, THINNING_SPEED]
+        d *= np.arcsinh(s) / s
+    return float(d)
+
+
+@njit(cache=True)
+def coulomb(T: Array, i: int, temp: float, speed: float, load: float, walk: float) -> float:
+    """Dry friction [N m] of joint ``i`` before its direction; ``load``: transmitted torque, ``walk``: wander [N m]."""
+    f = T[i, FC]
+    if T[i, FC_SLOPE] != 0.0:
+        rest = 1.0 - COULOMB_FLOOR
+        f *= COULOMB_FLOOR + rest * np.exp(-T[i, FC_SLOPE] * (temp - REFERENCE_TEMPERATURE) / rest)
+    if T[i, BREAKAWAY] != 0.0:
+        f += T[i, BREAKAWAY] / (1.0 + (speed / T[i, STRIBECK_SPEED]) ** 2)
+    if T[i, RESONANCE] != 0.0:
+        f += T[i, RESONANCE] / (1.0 + ((abs(speed) - T[i, RESONANCE_SPEED]) / RESONANCE_WIDTH) ** 2)
+    f += T[i, TOOTH] * abs(load) + walk
+    return max(f, 0.0)
+
+
+@njit(cache=True)
+def position_torque(T: Array, i: int, q: float) -> float:
+    """Torque [N m] that depends on the joint's place: dress pack (stiffer when stretched), bump."""
+    x = q - T[i, SPRING_CENTRE]
+    total = T[i, SPRING] * x * (1.0 + 0.05 * x * x)
+    if T[i, BUMP] != 0.0:
+        y = (q - T[i, BUMP_CENTRE]) / T[i, BUMP_WIDTH]
+        if abs(y) < 2.0:
+            total += T[i, BUMP] * np.cos(0.25 * np.pi * y) ** 2
+    return float(total)
