@@ -36,6 +36,7 @@ class Abstraction:
     coriolis: tuple[Polynomial, ...] = ()
     acceleration: tuple[Polynomial, ...] = ()
     offset: Array = field(default_factory=lambda: np.zeros(0))
+    standstill: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n(self) -> int:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.artifact.abstraction import Abstraction
 from stopset.effects.base import Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
@@ -27,12 +29,17 @@ IN_ABSTRACTION = frozenset({"viscous", "cubic_viscous", "rotor_inertia", "payloa
 
 @dataclass(frozen=True, slots=True)
 class InputMap:
-    """Turns torque into ``u``; ``offset``: (n,) constant torque [N m] that every motion shows."""
+    """Turns torque into ``u``.
+
+    ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
+    counts as still: there friction is set-valued and balances what it can, so only the rest of the torque is input.
+    """
 
     robot: Robot
     effects: tuple[Fitted, ...]
     effort: str
     offset: Array
+    standstill: Array
 
     def __call__(
         self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None
@@ -42,22 +49,43 @@ class InputMap:
         if self.effort != "compensated_torque":
             u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
         active = [f for f in self.effects if f.effect not in IN_ABSTRACTION]
-        if active:
-            u = u - effect_torques(self.robot, active, q, dq, temp=temp, warm=warm, t=t)
-        return np.asarray(u)
+        if not active:
+            return np.asarray(u)
+        more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t}
+        still = np.abs(dq) <= self.standstill
+        moving = u - effect_torques(self.robot, active, q, dq, **more)
+        if self.effort == "compensated_torque" or not still.any():
+            return np.asarray(moving)
+        rest = np.zeros_like(dq)
+        ahead = effect_torques(self.robot, active, q, rest, way=1.0, **more)
+        back = effect_torques(self.robot, active, q, rest, way=-1.0, **more)
+        held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
+        return np.where(still, u - held, moving)
+
+
+def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
+    """The `InputMap` that belongs to an abstraction."""
+    none = np.zeros(robot.n)
+    offset = abstraction.offset if abstraction.offset.size else none
+    return InputMap(robot, effects, effort, offset, abstraction.standstill if abstraction.standstill.size else none)
 
 
 def effect_torques(
     robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, ddq: Array | None = None, *,
-    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
+    temp: Array | None = None, warm: float = 0.0, t: Array | None = None, way: float | None = None,
 ) -> Array:  # fmt: skip
-    """Torque (N, n) [N m] of all ``effects`` together at samples in time order; accelerations are zero if left out."""
+    """Torque (N, n) [N m] of all ``effects`` together at samples in time order; accelerations are zero if left out.
+
+    ``way``: direction of motion to assume in place of the sign of ``dq`` (at rest: the side friction is about to take).
+    """
     laws = [(f, get(f.effect)) for f in effects]
     needs = {name for _, e in laws for name in e.needs}
     rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
     signals = arm_signals(
         robot, q, dq, np.zeros_like(q) if ddq is None else ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"}
     )
+    if way is not None:
+        signals = tuple(replace(s, way=np.full(len(q), way)) for s in signals)
     out = np.zeros_like(q)
     for f, effect in laws:
         values = dict(f.values)

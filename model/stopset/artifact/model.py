@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
-from stopset.artifact.inputs import InputMap
+from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
 from stopset.robot import Robot
 from stopset.sets import Box
@@ -141,8 +141,7 @@ class Model:
     @property
     def input(self) -> InputMap:
         """Measured torque to the abstraction's input ``u``, the one way for everyone."""
-        offset = self.abstraction.offset if self.abstraction.offset.size else np.zeros(self.n)
-        return InputMap(self.robot, self.effects, self.effort, offset)
+        return input_map(self.robot, self.effects, self.effort, self.abstraction)
 
     @property
     def powered(self) -> UncertaintySets:

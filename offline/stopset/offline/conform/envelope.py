@@ -7,7 +7,6 @@ trial's start does not survive a restart); ``'start'`` predicts from the trial's
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -138,35 +137,47 @@ def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
     return np.ascontiguousarray(x[1:] - x[:-1] @ Ad.T - u[:-1] @ Bd.T)
 
 
-def envelope(
-    trials: Iterable[tuple[Recording, Array]], abstraction: Abstraction, dt: float, steps: int, windows: str = "sliding"
-) -> Envelope:
-    """Envelope over ``trials``, pairs of a recording sampled every ``dt`` [s] and its input ``u`` (N, n) [N m].
+class Deviations:
+    """Deviations of one nominal model on one grid, trial by trial; ``windows`` as in the module's first lines."""
 
-    Raises `RecordingError` for a trial whose clock is not the grid's (resample it first).
-    """
-    Ad, Bd = discretise(abstraction, dt)
-    n = abstraction.n
-    blocks = np.ascontiguousarray(
-        np.stack([Ad[np.ix_([j, n + j], [j, n + j])] for j in range(n)]) if abstraction.decoupled else np.empty((0, 2, 2))
-    )
-    env = Envelope.empty(dt, steps, 2 * n)
-    for r, u in trials:
-        off = np.abs(np.diff(r.t) - dt).max()
-        if off > 0.05 * dt:
-            raise RecordingError(f"{r.label}: a step of its clock differs from {dt} s by {off:.3g} s; resample it to the grid")
-        x = np.hstack([r.q, r.dq])
-        residual = step_residual(Ad, Bd, x, u)
-        starts = len(residual) if windows == "sliding" else 1
+    def __init__(self, abstraction: Abstraction, dt: float, steps: int, windows: str = "sliding") -> None:
+        self.dt, self.steps, self.windows = dt, steps, windows
+        self.states = 2 * abstraction.n
+        self._Ad, self._Bd = discretise(abstraction, dt)
+        self._blocks = None
+        if abstraction.decoupled:
+            pairs = [[j, abstraction.n + j] for j in range(abstraction.n)]
+            self._blocks = np.ascontiguousarray(np.stack([self._Ad[np.ix_(p, p)] for p in pairs]))
+
+    def empty(self) -> Envelope:
+        return Envelope.empty(self.dt, self.steps, self.states)
+
+    def add(self, env: Envelope, r: Recording, u: Array) -> None:
+        """Widen ``env`` by a recording sampled on the grid and its input ``u`` (N, n) [N m].
+
+        Raises `RecordingError` for a trial whose clock is not the grid's (resample it first).
+        """
+        off = float(np.abs(np.diff(r.t) - self.dt).max())
+        if off > 0.05 * self.dt:
+            raise RecordingError(
+                f"{r.label}: a step of its clock differs from {self.dt} s by {off:.3g} s; resample it to the grid"
+            )
+        residual = step_residual(self._Ad, self._Bd, np.hstack([r.q, r.dq]), u)
+        starts = len(residual) if self.windows == "sliding" else 1
         trial = len(env.labels)
         env.labels.append(r.label)
-        if abstraction.decoupled:
-            _update_decoupled(blocks, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
+        if self._blocks is not None:
+            _update_decoupled(self._blocks, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
         else:
-            _update_coupled(Ad, residual, starts, trial, env)
-        reach = min(steps, len(residual))
+            _update_coupled(self._Ad, residual, starts, trial, env)
+        reach = min(self.steps, len(residual))
         ages = np.arange(1, reach + 1)
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)
         env.count[0] += starts
-    env.hi[0], env.lo[0] = 0.0, 0.0
-    return env
+        env.hi[0], env.lo[0] = 0.0, 0.0
+
+    def of(self, r: Recording, u: Array) -> Envelope:
+        """Envelope of one recording alone."""
+        env = self.empty()
+        self.add(env, r, u)
+        return env

@@ -41,6 +41,7 @@ class Fit:
     V: Box
     cost: float
     active: tuple[ActiveBound, ...]
+    conform: str = "all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +71,12 @@ def age_weights(last: int, dt: float) -> Array:
     return np.asarray(w / w.sum())
 
 
-def _block(env: Envelope, R: Responses, states: list[int], xs: list[int], us: list[int], n: int) -> _Block:
+def _block(
+    env: Envelope, R: Responses, states: list[int], xs: list[int], us: list[int], n: int, paper: bool
+) -> _Block:
     last, m, k = env.steps, len(xs), len(us)
     ages = slice(1, last + 1)
-    importance = age_weights(last, R.dt)
+    importance = np.full(last, 1.0 / last) if paper else age_weights(last, R.dt)
     G, h, age, state, upper = [], [], [], [], []
     cost = np.zeros(4 * m + 2 * k)
     for i in states:
@@ -87,7 +90,7 @@ def _block(env: Envelope, R: Responses, states: list[int], xs: list[int], us: li
         age += [np.arange(1, last + 1)] * 2
         state += [np.full(2 * last, i)]
         upper += [np.full(last, True), np.full(last, False)]
-        weight = 1.0 if i < n else STOP_TIME
+        weight = 1.0 if i < n or paper else STOP_TIME
         start, torque = importance @ np.abs(E), importance @ (P - N)
         cost += weight * np.concatenate([-start, start, -own[0], own[0], -torque, torque])
     return _Block(xs, us, np.vstack(G), np.concatenate(h), cost, np.concatenate(age), np.concatenate(state), np.concatenate(upper))
@@ -101,7 +104,7 @@ def fit_sets(
 
     ``noise`` (2n,): what ``V`` holds at least; ``conform``: ``"all"`` states or ``"position"`` only (then ``V`` is exactly
     ``noise``, since positions alone say nothing of velocity readings); ``capped=False`` is the paper's program: ``V`` is
-    exactly ``noise`` and ``X0`` is free, so stiction may hide in it.
+    exactly ``noise``, ``X0`` is free, so stiction may hide in it, and every edge at every age costs the same (eq. 21).
     Raises `NotConformant` when no such sets exist.
     """
     n = abstraction.n
@@ -113,12 +116,12 @@ def fit_sets(
     active: list[ActiveBound] = []
     for us in blocks:
         xs = [*us, *(n + j for j in us)]
-        block = _block(env, R, [i for i in wanted if i in xs], xs, us, n)
+        block = _block(env, R, [i for i in wanted if i in xs], xs, us, n, not capped)
         z = _solve(block, noise.take(xs), capped, conform == "all", [joints[j] for j in us])
         lo["X0"][xs], hi["X0"][xs], lo["V"][xs], hi["V"][xs], lo["U"][us], hi["U"][us] = block.split(z)
         cost += float(block.cost @ z)
         active += _active(block, z, env, joints)
-    return Fit(Box(lo["X0"], hi["X0"]), Box(lo["U"], hi["U"]), Box(lo["V"], hi["V"]), cost, tuple(active))
+    return Fit(Box(lo["X0"], hi["X0"]), Box(lo["U"], hi["U"]), Box(lo["V"], hi["V"]), cost, tuple(active), conform)
 
 
 def _limits(block: _Block, noise: Box, capped: bool, widen: bool) -> tuple[Array, list[tuple[float, float]]]:

@@ -1,11 +1,9 @@
-"""The measurement noise set ``V_y``: from standstill where there is any, and never below the encoder's resolution.
+"""The measurement noise: from standstill where there is any, and never below the encoder's resolution.
 
 Without it the noise of every restart would be swallowed by ``U`` and integrated (trap P2).
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,42 +15,57 @@ Array = NDArray[np.float64]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
+FLOAT32_STEP = 5e-7  # files hold float32: values up to 2 pi have steps of 4.8e-7 of their own
 
 
 def resolution(x: Array) -> Array:
     """Smallest step each column of ``x`` (N, n) makes, an upper guess of the encoder's quantum; 0 where it never moves."""
     steps = np.abs(np.diff(x, axis=0))
-    # float32 storage of values up to pi has steps of 2.4e-7 of its own
-    steps[steps < 5e-7] = np.inf
+    steps[steps < FLOAT32_STEP] = np.inf
     quantum = steps.min(axis=0, initial=np.inf)
     return np.where(np.isfinite(quantum), quantum, 0.0)
 
 
-def _residual(x: Array) -> Array:
-    """Residual of ``x`` (N, n) at the middle of a sliding parabola of `WINDOW` samples, scaled to unit noise gain."""
+def _parabola_weights() -> Array:
     half = WINDOW // 2
     k = np.arange(-half, half + 1)
     hat = np.vander(k, 3) @ np.linalg.pinv(np.vander(k, 3))
     weights = -hat[half]
     weights[half] += 1.0
-    windows = np.lib.stride_tricks.sliding_window_view(x, WINDOW, axis=0)
-    return np.asarray(windows @ weights / np.sqrt(weights @ weights))
+    return np.asarray(weights / np.sqrt(weights @ weights))
 
 
-def measurement_noise(trials: Iterable[Recording]) -> Box:
-    """``V_y`` (2n,) over (q, dq): symmetric, half-width = max(quantum / 2, 4 robust standard deviations).
+def _residual(x: Array) -> Array:
+    """Residual of ``x`` (N, n) at the middle of a sliding parabola of `WINDOW` samples, scaled to unit noise gain."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(x, WINDOW, axis=0) @ _parabola_weights())
+
+
+class NoiseEstimate:
+    """Running estimate of the noise of (q, dq), fed trial by trial.
 
     The deviation from a parabola over seven samples is noise, not motion; its spread is taken by the median absolute
-    deviation over all trials of at least seven samples, so that a jerk here and there does not count.
+    deviation within a trial and the median over trials, so that a jerk here and there does not count.
     """
-    spread: list[Array] = []
-    quantum: list[Array] = []
-    for r in trials:
+
+    def __init__(self) -> None:
+        self._spread: list[Array] = []
+        self._quantum: Array | None = None
+
+    def add(self, r: Recording) -> None:
+        """Take one trial in."""
         x = np.hstack([r.q, r.dq])
-        quantum.append(resolution(x))
+        quantum = resolution(x)
         if len(x) >= WINDOW:
-            spread.append(1.4826 * np.median(np.abs(_residual(x)), axis=0))
-    half = np.max(quantum, axis=0) / 2.0
-    if spread:
-        half = np.maximum(half, COVERAGE * np.median(spread, axis=0))
-    return Box.symmetric(half)
+            self._spread.append(1.4826 * np.median(np.abs(_residual(x)), axis=0))
+            known = quantum > 0
+            if self._quantum is None:
+                self._quantum = quantum
+            else:
+                both = known & (self._quantum > 0)
+                self._quantum = np.where(both, np.minimum(self._quantum, quantum), np.maximum(self._quantum, quantum))
+
+    def box(self) -> Box:
+        """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations)."""
+        if self._quantum is None:
+            raise ValueError("no trial of seven samples was seen")
+        return Box.symmetric(np.maximum(self._quantum / 2.0, COVERAGE * np.median(self._spread, axis=0)))

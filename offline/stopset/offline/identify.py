@@ -1,0 +1,207 @@
+"""Identify: from recordings to the model file, in the order of the house: nominal model, abstraction, sets, guarantee."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
+from stopset.artifact.inputs import input_map
+from stopset.effects.base import Fitted
+from stopset.errors import RecordingError
+from stopset.offline.conform.sets import Conformance, Options, conform
+from stopset.offline.errors import joint_figures
+from stopset.offline.output_error import fit_output_error
+from stopset.offline.survey import Survey, on_grid, survey
+from stopset.recording import Meta, Recording, read_meta, stream_recordings
+from stopset.robot import Robot
+from stopset.robot.rigid import mass_matrix
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+Tell = Callable[[str], None]
+
+HORIZON = 5.0  # [s] the paper's test suites are "up to 5 seconds long" (sec. V-B)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the user chose; its hash goes into the model file, since the runtime must do the same (trap P18)."""
+
+    model: int = 1
+    order: int | None = None
+    effects: tuple[str, ...] = ()
+    conform: str = "all"
+    windows: str = "sliding"
+    margin: float | None = None
+    horizon: float = HORIZON
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """The model and what was found on the way to it, for the command's printout and the report."""
+
+    model: Model
+    conformance: Conformance
+    survey: Survey
+    settings: Settings
+
+
+@dataclass(frozen=True, slots=True)
+class NominalPart:
+    """Everything that must be known before the sets."""
+
+    robot: Robot
+    rotor: Array
+    effects: tuple[Fitted, ...]
+    abstraction: Abstraction
+    notes: tuple[str, ...]
+
+
+def identify(
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None
+) -> Identification:
+    """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
+
+    ``tell`` is told each step.  Raises `RecordingError`, `NotConformant`.
+    """
+    chosen = settings or Settings()
+    meta = _meta(paths)
+
+    def source() -> Iterator[Recording]:
+        return stream_recordings(paths, robot)
+
+    tell("reading the recordings")
+    found = survey(source)
+    tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
+    nominal = _compensated(robot, found) if meta.effort == "compensated_torque" else _motor(robot, paths, found, chosen)
+    return _with_sets(robot, meta, source, found, nominal, chosen, tell)
+
+
+def _meta(paths: Sequence[str | Path]) -> Meta:
+    metas = [read_meta(p) for p in paths]
+    kinds = {m.effort for m in metas}
+    if len(kinds) != 1:
+        raise RecordingError(f"the recordings hold {' and '.join(sorted(kinds))}; one identification takes one kind of torque")
+    return replace(
+        metas[0], sources=tuple(s for m in metas for s in m.sources), warnings=tuple(w for m in metas for w in m.warnings)
+    )
+
+
+def _compensated(robot: Robot, found: Survey) -> NominalPart:
+    """Torque that already is ``u``: one lag per joint, by output error."""
+    fit = fit_output_error([on_grid(r, found.dt) for r in found.sample], found.dt)
+    abstraction = Abstraction(1, 1, np.diag(1.0 / fit.inertia), fit.damping[:, None].copy(), offset=fit.offset)
+    damping = tuple(
+        Fitted("viscous", j, {"F_v": float(v)}, {"F_v": float(s)})
+        for j, v, s in zip(robot.joints, fit.damping, fit.damping_std, strict=True)
+    )
+    notes = (
+        "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
+        "off before recording and are not known to this model",
+    )
+    return NominalPart(robot, robot.rotor, damping, abstraction, notes)
+
+
+def _motor(robot: Robot, paths: Sequence[str | Path], found: Survey, settings: Settings) -> NominalPart:
+    """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
+    from stopset.offline.nominal import identify_nominal
+
+    effects = ("coulomb", "viscous", *(e for e in settings.effects if e not in ("coulomb", "viscous")))
+    nominal = identify_nominal(robot, stream_recordings(paths, robot), effects)
+    arm = nominal.robot(robot)
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    inertia = np.mean([np.diag(mass_matrix(arm.chain, arm.pi, q)) for q in poses], axis=0) + nominal.rotor
+    damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
+    abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :])
+    notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    return NominalPart(arm, nominal.rotor, nominal.friction, abstraction, notes)
+
+
+def _with_sets(
+    robot: Robot, meta: Meta, source: Callable[[], Iterator[Recording]], found: Survey, nominal: NominalPart,
+    settings: Settings, tell: Tell,
+) -> Identification:  # fmt: skip
+    to_input = input_map(nominal.robot, nominal.effects, meta.effort, nominal.abstraction)
+
+    def pairs() -> Iterator[tuple[int, Recording, Array]]:
+        for r in source():
+            if r.phase == found.phase and len(r.t) >= 3:
+                g = on_grid(r, found.dt)
+                yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+
+    motions = sorted(set(found.motion.values()))
+    horizon = min(settings.horizon, found.longest)
+    tell(f"{len(motions)} independent motions; identifying the sets up to {horizon:.2f} s ahead")
+    options = Options(settings.conform, settings.windows, settings.margin)
+    result = conform(
+        pairs, motions, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
+    )
+    tell("errors per joint")
+    errors, u_hull = joint_figures(pairs, nominal.abstraction, robot.joints, found.dt)
+    total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
+    model = Model(
+        robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
+        abstraction=nominal.abstraction, sets={"powered": result.sets}, brakes=assumed_brakes(robot),
+        domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
+        provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *result.notes),
+    )  # fmt: skip
+    return Identification(model, result, found, settings)
+
+
+def _sums(errors: dict[str, dict[str, Any]]) -> dict[str, float]:
+    keys = ("torque_rmse", "velocity_rmse", "position_rmse")
+    return {f"sum_{k}": float(sum(row[k] for row in errors.values() if row[k] is not None)) for k in keys}
+
+
+def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]:
+    return {
+        "tool": f"stopset {version('stopset')}",
+        "settings": asdict(settings),
+        "settings_sha256": settings.sha256,
+        "data": {name: digest for name, digest in meta.sources},
+        "phase": found.phase,
+        "trials": found.trials,
+        "samples": found.samples,
+        "motions": len(set(found.motion.values())),
+        "session_trials": found.places,
+        "velocity": meta.velocity,
+        "clock": "resampled to the grid" if found.irregular else meta.clock,
+    }
+
+
+def assumed_brakes(robot: Robot) -> Brakes | None:
+    """Brakes from the data sheet, as an assumption until stops were recorded; None where the sheet gives no torque.
+
+    Delay [5, 60] ms and rise [5, 30] ms cover small servo brakes with fast and slow suppression; torque +-30 % covers wear,
+    oil and temperature.
+    """
+    drives = robot.drives
+    nominal = np.array([d.brake_torque for d in drives])
+    if not np.all(np.isfinite(nominal)):
+        return None
+
+    def interval(rows: list[tuple[float, float]], default: tuple[float, float]) -> Box:
+        given = [r if np.isfinite(r).all() else default for r in rows]
+        return Box.of([r[0] for r in given], [r[1] for r in given])
+
+    tolerance = np.array([d.brake_tolerance if np.isfinite(d.brake_tolerance) else 0.3 for d in drives])
+    return Brakes(
+        torque=Box(nominal * (1 - tolerance), nominal * (1 + tolerance)),
+        delay=interval([d.brake_delay for d in drives], (0.005, 0.06)),
+        rise=interval([d.brake_rise for d in drives], (0.005, 0.03)),
+        source="data sheet and assumed tolerances",
+    )
