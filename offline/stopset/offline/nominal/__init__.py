@@ -1,7 +1,7 @@
 """The nominal model from raw recordings: rigid body, rotors, friction, delay, with covariances and what stays unknown."""
 
 from stopset.offline.nominal.gram import NormalEquations, accumulate
-from stopset.offline.nominal.nominal import Nominal, identify_nominal, solve_nominal
+from stopset.offline.nominal.nominal import Nominal, Residual, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.preprocess import Preprocessing
 
-__all__ = ["Nominal", "NormalEquations", "Preprocessing", "accumulate", "identify_nominal", "solve_nominal"]
+__all__ = ["Nominal", "NormalEquations", "Preprocessing", "Residual", "accumulate", "identify_nominal", "residuals", "solve_nominal"]

@@ -16,6 +16,8 @@ from stopset.offline.nominal.gram import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 
+FEW = 3  # with fewer motions none can be left out
+TOGETHER = 30.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
 
 
@@ -71,6 +73,14 @@ def _fine_weights() -> Array:
     return np.array([lag_weights(float(d)) for d in FINE])
 
 
+def _from_curvature(profile: Array, rows: float) -> float:
+    """Standard error from how sharp the lowest point is, for too few motions to leave any out."""
+    k = int(np.clip(np.argmin(profile), 20, len(profile) - 21))
+    bend = (profile[k - 20] - 2 * profile[k] + profile[k + 20]) / (20 * (FINE[1] - FINE[0])) ** 2
+    variance = profile[k] / rows * TOGETHER
+    return float(np.sqrt(2 * variance / bend)) if bend > 0 else float("inf")
+
+
 def _lowest(profile: Array) -> float:
     """Vertex of the parabola through the lowest point; nan at the edge of the search."""
     k = int(np.argmin(profile))
@@ -96,7 +106,10 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
         ridge = _ridge(G.sum(axis=0), prior, data, j)
         best[j] = _lowest(_profile(G.sum(axis=0), ridge))
         groups = [g for g in range(len(G)) if data.rows_moving[g, j] > 0]
-        if len(groups) < 3 or not np.isfinite(best[j]):
+        if not np.isfinite(best[j]):
+            continue
+        if len(groups) < FEW:
+            std[j] = _from_curvature(_profile(G.sum(axis=0), ridge), float(data.rows_moving[:, j].sum()))
             continue
         total = G.sum(axis=0)
         left = np.array([_lowest(_profile(total - G[g], ridge)) for g in groups])

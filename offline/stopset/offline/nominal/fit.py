@@ -17,6 +17,7 @@ ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
 ASSUMED_INFLATION = 30.0  # then a joint's errors are taken to hang together over half a second at 60 rows per second
 MOST_INFLATION = 1000.0
+RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
 
 
@@ -76,9 +77,10 @@ def _assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Arr
         b[at] += G[:-1, -1]
     H[:m, :m] += precision
     b[:m] += precision @ mean
-    # friction has no prior: a ridge of 1e-9 keeps columns that never moved (or move together) regular
-    typical = float(np.median(np.diag(H)[m:])) if size > m else 0.0
-    H[range(m, size), range(m, size)] += 1e-9 * np.diag(H)[m:] + 1e-12 * max(typical, 1e-12)
+    # friction has no prior: a weak pull to zero keeps columns that never moved, or always move together, regular
+    own = np.diag(H)[m:].copy()
+    typical = float(np.median(own[own > 0])) if (own > 0).any() else 1.0
+    H[range(m, size), range(m, size)] += RIDGE * (own + typical)
     return H, b
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -210,7 +210,7 @@ def accumulate(
 def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
     used = 0
     for m in motions(r, out.settings):
-        X, use = _moving_rows(out, robot, m)
+        X, use = moving_rows(out, robot, m)
         g = group_of(r)
         for j in range(robot.n):
             rows = X[j][use[:, j]]
@@ -228,7 +228,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
         out.skipped["too short"] = out.skipped.get("too short", 0) + 1
 
 
-def _moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, Array]:
+def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, Array]:
     """(n, rows, c) regression rows of every joint, and (rows, n) which of them count."""
     k, n = m.kept, robot.n
     Y = regressors(robot.chain, m.q[k], m.dq[k], m.ddq[k])
@@ -238,7 +238,7 @@ def _moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, 
     X = np.zeros((n, len(k), out.moving.shape[-1]))
     X[:, :, : 10 * n] = Y.transpose(1, 0, 2)
     X[:, :, 10 * n] = m.ddq[k].T
-    friction, load = _friction_columns(out.layout, robot, m)
+    friction, load = _friction_columns(out.layout, robot, m, out.settings.still)
     for j in range(n):
         for c, column in enumerate(friction[j]):
             X[j, :, 10 * n + 1 + c] = column
@@ -249,12 +249,14 @@ def _moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, 
     return X, m.moving[k]
 
 
-def _friction_columns(layout: Layout, robot: Robot, m: Motion) -> tuple[list[list[Array]], Array | None]:
+def _friction_columns(layout: Layout, robot: Robot, m: Motion, still: float) -> tuple[list[list[Array]], Array | None]:
     """Each joint's friction columns at the kept rows, through the torque's filter, and the load if it was needed."""
     needs = {s for cs in layout.columns for c in cs for s in c.effect.needs}
     if "temp" in needs and m.temp is None:
         raise RecordingError("an effect needs joint temperatures (temp_<joint>) that this recording does not have; leave it out")
     signals = arm_signals(robot, m.q, m.dq, m.ddq, temp=m.temp, t=m.t, needs=needs or {"dq"})
+    # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
+    signals = tuple(replace(s, way=np.clip(s.dq / still, -1.0, 1.0)) for s in signals)
     out: list[list[Array]] = []
     for j, columns in enumerate(layout.columns):
         mine: list[Array] = []

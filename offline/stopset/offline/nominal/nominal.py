@@ -14,8 +14,8 @@ from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, cross_validated, fit
-from stopset.offline.nominal.gram import NormalEquations, accumulate
-from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.offline.nominal.gram import Column, NormalEquations, accumulate, moving_rows
+from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
 from stopset.offline.nominal.unknown import base_count, undetermined
 from stopset.recording.types import Array, Recording, Recordings
@@ -59,6 +59,16 @@ class Nominal:
     data: NormalEquations
 
     @property
+    def theta(self) -> Array:
+        """All parameters in one vector, in the order of ``names``."""
+        friction = [f.values[c.symbol] for f, c in self._terms()]
+        return np.concatenate([self.pi.ravel(), self.rotor, friction])
+
+    def _terms(self) -> list[tuple[Fitted, Column]]:
+        by = {(f.effect, f.joint): f for f in self.friction}
+        return [(by[c.effect.name, self.joints[j]], c) for j, cs in enumerate(self.data.layout.columns) for c in cs]
+
+    @property
     def std(self) -> dict[str, float]:
         """Standard error of each parameter by name."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
@@ -71,6 +81,41 @@ class Nominal:
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""
         return next((dict(f.values) for f in self.friction if f.effect == effect and f.joint == joint), {})
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Torque left over along one even piece of a trial: ``t`` (N,), ``q, dq, ddq, measured, left`` (N, n), filtered like
+    the fit; ``moving`` (N, n): joint out of the stiction band; ``temp`` (N, n) or None."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    measured: Array
+    left: Array
+    moving: Array
+    temp: Array | None
+
+
+def residuals(nominal: Nominal, robot: Robot, recording: Recording) -> list[Residual]:
+    """What the nominal model leaves of a trial's torque; ``robot`` is the description it was identified with."""
+    data = nominal.data
+    view = robot.with_parameters(data.reference)
+    lags = lag_weights(nominal.delay_applied)
+    out = []
+    for m in motions(recording, data.settings):
+        X, moving = moving_rows(data, view, m)
+        measured = np.einsum("jkd,d->kj", X[:, :, -len(lags) :], lags)
+        head = X.shape[-1] - len(lags)
+        model = np.empty_like(measured)
+        for j in range(robot.n):
+            index = data.layout.index(j)
+            model[:, j] = X[j, :, : min(head, len(index))] @ nominal.theta[index]
+        k = m.kept
+        temp = None if m.temp is None else m.temp[k]
+        out.append(Residual(m.t[k], m.q[k], m.dq[k], m.ddq[k], measured, measured - model, moving, temp))
+    return out
 
 
 def identify_nominal(
@@ -137,10 +182,7 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
         return lag, 0.0, []
     found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
     if not lag.common_std <= DELAY_TRUSTED:
-        return lag, lag.hold, [
-            f"delay of torque against motion undetermined ({found}): the half sample of a held command, "
-            f"{lag.hold * 1e3:.2f} ms, is assumed"
-        ]
+        return lag, 0.0, [f"delay of torque against motion undetermined ({found}): none is assumed"]
     return lag, lag.common, [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
 
 

@@ -6,6 +6,8 @@ identification; the constraint of each link is ``[[trace(I)/2 E - I, h], [h', m]
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from stopset.errors import NotConformant
@@ -66,10 +68,28 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
             constraints.append(As[row] @ x / size <= hi / size)
     y = np.linalg.solve(L, d * b)
     problem = cp.Problem(cp.Minimize(cp.sum_squares(L.T @ x - y)), constraints)
-    problem.solve(solver=cp.CLARABEL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "may be inaccurate" is dealt with below
+        problem.solve(solver=cp.CLARABEL)
     if x.value is None or problem.status not in ("optimal", "optimal_inaccurate"):
         raise NotConformant(
             f"no physically possible link parameters were found (solver: {problem.status}); expected the CAD to be near: "
             "check the URDF's inertias"
         )
-    return np.asarray(d * x.value)
+    theta = np.asarray(d * x.value)
+    theta[: 10 * n] = _repaired(theta[: 10 * n].reshape(n, 10), reference).ravel()
+    return theta
+
+
+def _repaired(pi: Array, reference: Array) -> Array:
+    """Each link moved towards the CAD by the least part that makes it a possible body (what a solver's tolerance left)."""
+    out = pi.copy()
+    for i, (p, r) in enumerate(zip(pi, reference, strict=True)):
+        lo, hi = 0.0, 1.0
+        if consistent(p[None], r[None]):
+            continue
+        for _ in range(40):
+            mid = 0.5 * (lo + hi)
+            lo, hi = (lo, mid) if consistent((p + mid * (r - p))[None], r[None]) else (mid, hi)
+        out[i] = p + hi * (r - p)
+    return out

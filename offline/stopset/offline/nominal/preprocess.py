@@ -23,6 +23,7 @@ from stopset.recording.types import Array, Recording
 ORDER = 4  # of the Butterworth low-pass, run forwards and backwards: no phase, -6 dB at the cut-off
 IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of the period are resampled
 GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be invented across it
+SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are noise above it
 RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
 
 
@@ -30,7 +31,7 @@ RINGING = 0.8  # the filter's step response settles to 2 % within this many peri
 class Preprocessing:
     """How samples are prepared; part of the identification's settings, so that later recordings are treated alike.
 
-    ``cutoff`` [Hz], lowered to a fifth of the sampling rate where that is slow; ``still`` [rad/s]: below it a joint is
+    ``cutoff`` [Hz], lowered to `SLOWEST` of the sampling rate where that is slow; ``still`` [rad/s]: below it a joint is
     taken to stand still; ``rate`` [Hz] of the rows kept for the regression.
     """
 
@@ -119,7 +120,7 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
     """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
-        cutoff = min(settings.cutoff, 0.2 / h)
+        cutoff = min(settings.cutoff, SLOWEST / h)
         sos = butter(ORDER, cutoff, fs=1 / h, output="sos")
         ring = int(np.ceil(RINGING / (cutoff * h)))
         if len(t) < 6 * ring:

@@ -47,11 +47,11 @@ def base_count(robot: Robot) -> int:
     return int(base_directions(robot).shape[1])
 
 
-def told(robot: Robot, prior: Prior, covariance: Array) -> tuple[int, int]:
+def told(robot: Robot, precision: Array, covariance: Array) -> tuple[int, int]:
     """How many base parameters the data told (variance fell by a tenth or more), of how many there are."""
     n = robot.n
     V = base_directions(robot) / parameter_scale(robot)[:, None]  # functionals of pi
-    before = V.T @ np.linalg.inv(prior.precision[: 10 * n, : 10 * n]) @ V
+    before = V.T @ np.linalg.inv(precision[: 10 * n, : 10 * n]) @ V
     after = V.T @ covariance[: 10 * n, : 10 * n] @ V
     L = np.linalg.cholesky(before + 1e-12 * np.trace(before) * np.eye(len(before)))
     W = np.linalg.solve(L, np.linalg.solve(L, after).T)
@@ -66,7 +66,7 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
-    known, count = told(robot, prior, result.covariance)
+    known, count = told(robot, prior.precision / result.prior_scale**2, result.covariance)
     if known < count:
         out.append(f"{count - known} of {count} base parameters of the links stayed at the CAD: these motions do not show them")
     std = np.sqrt(np.diag(result.covariance))
