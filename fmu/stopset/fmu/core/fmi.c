@@ -1,0 +1,287 @@
+/* What FMI 2 and FMI 3 share. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "stopset_fmi.h"
+
+static const char MAGIC[8] = {'s', 't', 'o', 'p', 's', 'e', 't', '1'};
+enum { TOKEN = 64 };
+
+Level stopset_fail(Instance *c, const char *function, const char *what) {
+    char message[512];
+    snprintf(message, sizeof message, "%s: %s", function, what);
+    c->write(c, LEVEL_ERROR, message);
+    return LEVEL_ERROR;
+}
+
+Level stopset_expect(Instance *c, const char *function, unsigned phases) {
+    static const char *const names[] = {"instantiated", "initialization mode", "event mode", "continuous-time mode", "step mode",
+                                        "terminated"};
+    if (phases & IN(c->now.phase)) return LEVEL_OK;
+    char what[160];
+    snprintf(what, sizeof what, "not allowed while the FMU is in state \"%s\"; follow the calling sequence of the standard",
+             names[c->now.phase]);
+    return stopset_fail(c, function, what);
+}
+
+Instance *stopset_create(const char *name, const char *token, int co_simulation, int logging, void *environment, void *callback,
+                         void (*write)(Instance *, Level, const char *)) {
+    Instance *c = calloc(1, sizeof *c);
+    if (!c) return 0;
+    c->co_simulation = co_simulation;
+    c->logging = logging;
+    c->environment = environment;
+    c->callback = callback;
+    c->write = write;
+    snprintf(c->name, sizeof c->name, "%s", name ? name : "");
+    if (!token || strcmp(token, stopset_token) != 0) {
+        stopset_fail(c, "instantiate", "the token (GUID) is not the one of this binary; unpack the FMU again, do not mix FMUs");
+        free(c);
+        return 0;
+    }
+    stopset_reset(c);
+    return c;
+}
+
+void stopset_reset(Instance *c) {
+    stopset_defaults(&c->now.s);
+    c->now.t0 = 0.0;
+    c->now.phase = PHASE_CREATED;
+    c->now.stale = 1;
+}
+
+/* Before and during initialization every value follows from parameters and inputs. */
+static Level refresh(Instance *c) {
+    if (!c->now.stale) return LEVEL_OK;
+    const char *wrong = stopset_setup(&c->now.s, c->now.t0);
+    if (wrong) return stopset_fail(c, "initialization", wrong);
+    c->now.stale = 0;
+    return LEVEL_OK;
+}
+
+Level stopset_enter_initialization(Instance *c, double t0) {
+    if (stopset_expect(c, "enterInitializationMode", IN(PHASE_CREATED))) return LEVEL_ERROR;
+    if (!isfinite(t0)) return stopset_fail(c, "enterInitializationMode", "the start time is not a finite number; give one [s]");
+    c->now.t0 = t0;
+    c->now.stale = 1;
+    c->now.phase = PHASE_INITIALIZATION;
+    return LEVEL_OK;
+}
+
+Level stopset_exit_initialization(Instance *c) {
+    if (stopset_expect(c, "exitInitializationMode", IN(PHASE_INITIALIZATION)) || refresh(c)) return LEVEL_ERROR;
+    stopset_check(&c->now.s);
+    c->now.s.modes_by_events = (uint8_t)!c->co_simulation;
+    if (!c->co_simulation) stopset_update_modes(&c->now.s, 0.0);
+    c->now.phase = c->co_simulation ? PHASE_STEP : PHASE_EVENT;
+    return LEVEL_OK;
+}
+
+static Level unknown(Instance *c, const char *function, unsigned vr, const char *type) {
+    char what[160];
+    snprintf(what, sizeof what, "there is no %s variable with value reference %u; read modelDescription.xml", type, vr);
+    return stopset_fail(c, function, what);
+}
+
+static Level ready(Instance *c) {
+    if (refresh(c)) return LEVEL_ERROR;
+    stopset_outputs(&c->now.s);
+    return LEVEL_OK;
+}
+
+Level stopset_get_real(Instance *c, const unsigned vr[], size_t n, double value[]) {
+    if (ready(c)) return LEVEL_ERROR;
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] >= N_REAL) return unknown(c, "get", vr[k], "floating-point");
+        value[k] = c->now.s.r[vr[k]];
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_get_integer(Instance *c, const unsigned vr[], size_t n, int32_t value[]) {
+    if (ready(c)) return LEVEL_ERROR;
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] < N_REAL || vr[k] >= N_REAL + N_INT) return unknown(c, "get", vr[k], "integer");
+        value[k] = c->now.s.i[vr[k] - N_REAL];
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t value[]) {
+    if (ready(c)) return LEVEL_ERROR;
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "get", vr[k], "boolean");
+        value[k] = c->now.s.b[vr[k] - N_REAL - N_INT];
+    }
+    return LEVEL_OK;
+}
+
+static Level may_set(Instance *c, unsigned vr) {
+    int kind = stopset_model.kind[vr], early = c->now.phase <= PHASE_INITIALIZATION;
+    int allowed = kind == KIND_INPUT || kind == KIND_TUNABLE || (kind == KIND_FIXED && early);
+    if (allowed && c->now.phase != PHASE_TERMINATED) {
+        if (early) c->now.stale = 1;
+        c->now.s.outputs_ready = 0;
+        return LEVEL_OK;
+    }
+    char what[400];
+    snprintf(what, sizeof what, "%s cannot be set now; expected an input, or a parameter before the initialization ends",
+             stopset_model.name[vr]);
+    return stopset_fail(c, "set", what);
+}
+
+Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double value[]) {
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] >= N_REAL) return unknown(c, "set", vr[k], "floating-point");
+        if (may_set(c, vr[k])) return LEVEL_ERROR;
+        c->now.s.r[vr[k]] = value[k];
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_set_integer(Instance *c, const unsigned vr[], size_t n, const int32_t value[]) {
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] < N_REAL || vr[k] >= N_REAL + N_INT) return unknown(c, "set", vr[k], "integer");
+        if (may_set(c, vr[k])) return LEVEL_ERROR;
+        if (vr[k] - N_REAL == IX_STOP && (value[k] < 0 || value[k] > 2)) {
+            char what[120];
+            snprintf(what, sizeof what, "stop is %d; expected 0 (none), 1 (STOP 0) or 2 (STOP 1)", (int)value[k]);
+            return stopset_fail(c, "set", what);
+        }
+        c->now.s.i[vr[k] - N_REAL] = value[k];
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_set_boolean(Instance *c, const unsigned vr[], size_t n, const uint8_t value[]) {
+    for (size_t k = 0; k < n; k++) {
+        if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "set", vr[k], "boolean");
+        if (may_set(c, vr[k])) return LEVEL_ERROR;
+        c->now.s.b[vr[k] - N_REAL - N_INT] = value[k] != 0;
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_do_step(Instance *c, double t, double h) {
+    StopsetState *s = &c->now.s;
+    char what[160];
+    if (stopset_expect(c, "doStep", IN(PHASE_STEP))) return LEVEL_ERROR;
+    if (!(h > 0.0) || !isfinite(h)) return stopset_fail(c, "doStep", "the step size is not positive; expected a finite number > 0 [s]");
+    /* masters add up their step sizes: rounding of some 1e6 steps is no reason to refuse */
+    if (!(fabs(t - s->r[VR_TIME]) <= 1e-9 * (1.0 + fabs(t)) + 1e-6 * h)) {
+        snprintf(what, sizeof what, "the communication point %.9g s is not where the FMU stands, %.9g s; continue there or set a state",
+                 t, s->r[VR_TIME]);
+        return stopset_fail(c, "doStep", what);
+    }
+    s->r[VR_TIME] = t;
+    const char *wrong = stopset_step(s, h);
+    if (wrong) return stopset_fail(c, "doStep", wrong);
+    s->r[VR_TIME] = t + h;
+    s->outputs_ready = 0;
+    return LEVEL_OK;
+}
+
+Level stopset_get_state(Instance *c, void **state) {
+    if (!*state) *state = malloc(sizeof(Saved));
+    if (!*state) return stopset_fail(c, "getFMUState", "no memory left for a state; free states that are no longer needed");
+    memcpy(*state, &c->now, sizeof(Saved));
+    return LEVEL_OK;
+}
+
+Level stopset_set_state(Instance *c, const void *state) {
+    if (!state) return stopset_fail(c, "setFMUState", "the state is a null pointer; give one from getFMUState");
+    memcpy(&c->now, state, sizeof(Saved));
+    return LEVEL_OK;
+}
+
+size_t stopset_serialized_size(void) { return sizeof MAGIC + TOKEN + sizeof(Saved); }
+
+Level stopset_serialize(Instance *c, const void *state, unsigned char *bytes, size_t size) {
+    if (!state || size < stopset_serialized_size())
+        return stopset_fail(c, "serializeFMUState", "no state, or too few bytes; ask for the size first");
+    memset(bytes, 0, size);
+    memcpy(bytes, MAGIC, sizeof MAGIC);
+    snprintf((char *)bytes + sizeof MAGIC, TOKEN, "%s", stopset_token);
+    memcpy(bytes + sizeof MAGIC + TOKEN, state, sizeof(Saved));
+    return LEVEL_OK;
+}
+
+Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, void **state) {
+    char token[TOKEN] = {0};
+    snprintf(token, sizeof token, "%s", stopset_token);
+    if (size < stopset_serialized_size() || memcmp(bytes, MAGIC, sizeof MAGIC) != 0 || memcmp(bytes + sizeof MAGIC, token, TOKEN) != 0)
+        return stopset_fail(c, "deserializeFMUState", "these bytes are not a state of this FMU; use those it wrote itself");
+    if (!*state) *state = malloc(sizeof(Saved));
+    if (!*state) return stopset_fail(c, "deserializeFMUState", "no memory left for a state; free states that are no longer needed");
+    memcpy(*state, bytes + sizeof MAGIC + TOKEN, sizeof(Saved));
+    return LEVEL_OK;
+}
+
+Level stopset_set_time(Instance *c, double t) {
+    if (!isfinite(t)) return stopset_fail(c, "setTime", "the time is not a finite number; give one [s]");
+    c->now.s.r[VR_TIME] = t;
+    c->now.s.outputs_ready = 0;
+    return LEVEL_OK;
+}
+
+static Level right_count(Instance *c, const char *function, size_t n) {
+    if (n == NX) return LEVEL_OK;
+    char what[120];
+    snprintf(what, sizeof what, "%u states; this model has %d", (unsigned)n, (int)NX);
+    return stopset_fail(c, function, what);
+}
+
+Level stopset_set_states(Instance *c, const double x[], size_t n) {
+    if (right_count(c, "setContinuousStates", n)) return LEVEL_ERROR;
+    for (int i = 0; i < NJ; i++) {
+        c->now.s.r[VR_Q + i] = x[i];
+        c->now.s.r[VR_DQ + i] = x[NJ + i];
+    }
+    c->now.s.outputs_ready = 0;
+    return LEVEL_OK;
+}
+
+Level stopset_get_states(Instance *c, double x[], size_t n) {
+    if (right_count(c, "getContinuousStates", n) || refresh(c)) return LEVEL_ERROR;
+    for (int i = 0; i < NJ; i++) {
+        x[i] = c->now.s.r[VR_Q + i];
+        x[NJ + i] = c->now.s.r[VR_DQ + i];
+    }
+    return LEVEL_OK;
+}
+
+Level stopset_get_derivatives(Instance *c, double dx[], size_t n) {
+    if (right_count(c, "getDerivatives", n) || refresh(c)) return LEVEL_ERROR;
+    for (int i = 0; i < NJ; i++) dx[i] = c->now.s.r[VR_DQ + i];
+    stopset_accelerations(&c->now.s, dx + NJ);
+    return LEVEL_OK;
+}
+
+Level stopset_get_indicators(Instance *c, double z[], size_t n) {
+    double all[NJ];
+    if (n != N_INDICATORS) return stopset_fail(c, "getEventIndicators", "the number of event indicators differs from modelDescription.xml");
+    if (!n) return LEVEL_OK;
+    stopset_indicators(&c->now.s, all);
+    memcpy(z, all, n * sizeof *z);
+    return LEVEL_OK;
+}
+
+int stopset_completed_step(Instance *c) {
+    int before = c->now.s.i[IX_VERDICT];
+    stopset_check(&c->now.s);
+    return c->now.s.i[IX_VERDICT] != before;
+}
+
+void stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
+    StopsetState *s = &c->now.s;
+    stopset_check(s);
+    *states_changed = stopset_restart(s, 0.0);
+    /* an importer finds the zero crossing of a velocity within its own tolerance */
+    if (stopset_update_modes(s, 1e-7)) *states_changed = 1;
+    s->outputs_ready = 0;
+    /* the bounds were tested up to the horizon: the flag `covered` changes there */
+    *next = s->tube_start + stopset_model.horizon;
+    *next_defined = *next > s->r[VR_TIME];
+}

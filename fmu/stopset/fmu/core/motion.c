@@ -1,0 +1,312 @@
+/* Motion that has no closed form: friction polynomials, effects at the simulated state, sticking joints.
+ *
+ * Dormand and Prince's pair of order 5(4), local error below TOLERANCE per step. Friction that depends on the direction of
+ * motion is set-valued: each joint slides up, slides down or sticks, and every change is located in time by bisection, so
+ * the order of the method survives it. Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, II.5;
+ * Filippov (1988) for the sticking.
+ */
+#include <math.h>
+#include <string.h>
+
+#include "stopset_core.h"
+
+enum { NY = NV > 1 ? 3 * NX : NX };
+
+static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
+static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
+static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
+
+int stopset_exact(const StopsetState *s) {
+    if (NV > 1 || s->stopping) return 0;
+    return (!stopset_model.motor_torque && !HAS_EFFECTS) || s->b[IX_MEASURED];
+}
+
+/* u of eq. (11) at the state (q, dq): torque without gravity and without the effects that the model compensates. */
+static void input_at(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ], double u[NJ]) {
+    double load[NJ], effect[NJ];
+    memset(load, 0, sizeof load);
+    memset(effect, 0, sizeof effect);
+    if (stopset_model.motor_torque || HAS_LOAD) {
+        double pi[NJ][10];
+        stopset_loaded_links(s, pi);
+        stopset_gravity_torque(pi, stopset_model.gravity, q, load);
+    }
+    if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, effect);
+    for (int i = 0; i < NJ; i++) {
+        u[i] = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - effect[i];
+        if (stopset_model.motor_torque) u[i] -= load[i];
+    }
+}
+
+void stopset_input(const StopsetState *s, double u[NJ]) {
+    double way[NJ];
+    const double *dq = &s->r[VR_DQ_MEASURED];
+    for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
+    input_at(s, &s->r[VR_Q_MEASURED], dq, way, u);
+}
+
+static double viscous(const StopsetState *s, int i, double dq) {
+    double out = 0.0;
+    for (int k = NV - 1; k >= 0; k--) out = (out + s->r[VR_VISCOUS + k * NJ + i]) * dq;
+    return out;
+}
+
+/* Torque left for acceleration on each joint, friction directions as given. */
+static void net_torque(const StopsetState *s, const double q[NJ], const double dq[NJ], const int32_t mode[NJ], double net[NJ]) {
+    double way[NJ];
+    for (int i = 0; i < NJ; i++) way[i] = mode[i];
+    input_at(s, q, dq, way, net);
+    for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, dq[i]);
+}
+
+/* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
+static void accelerate(const StopsetState *s, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
+    int held = 0;
+    if (HAS_DIRECTION)
+        for (int i = 0; i < NJ; i++) held += mode[i] == 0;
+    if (!held || stopset_model.decoupled) {
+        for (int r = 0; r < NJ; r++) {
+            ddq[r] = 0.0;
+            if (held && mode[r] == 0) continue;
+            for (int c = 0; c < NJ; c++) ddq[r] += s->Minv[r][c] * net[c];
+        }
+        return;
+    }
+    double A[NJ][NJ], inverse[NJ][NJ];
+    for (int r = 0; r < NJ; r++)
+        for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? s->M[r][c] : (r == c ? 1.0 : 0.0);
+    memset(inverse, 0, sizeof inverse);
+    stopset_invert(A, inverse); /* a principal block of a positive definite matrix */
+    for (int r = 0; r < NJ; r++) {
+        ddq[r] = 0.0;
+        if (!mode[r]) continue;
+        for (int c = 0; c < NJ; c++)
+            if (mode[c]) ddq[r] += inverse[r][c] * net[c];
+    }
+}
+
+static void derivative(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
+    double net[NJ];
+    const double *q = y, *dq = y + NJ;
+    net_torque(s, q, dq, mode, net);
+    accelerate(s, mode, net, dy + NJ);
+    memcpy(dy, dq, NJ * sizeof *dy);
+#if NV > 1
+    /* decoupled joints are cooperative: the two corners of the sets stay the two corners */
+    for (int side = 0; side < 2; side++) {
+        const double *x = y + (1 + side) * NX, *U = side ? stopset_model.U_hi : stopset_model.U_lo;
+        double *dx = dy + (1 + side) * NX;
+        for (int i = 0; i < NJ; i++) {
+            dx[i] = x[NJ + i];
+            dx[NJ + i] = s->Minv[i][i] * (net[i] + viscous(s, i, dq[i]) + U[i] - viscous(s, i, x[NJ + i]));
+        }
+    }
+#endif
+}
+
+/* One step of length h; returns the error over the tolerance. */
+static double dormand_prince(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double h, double out[NY]) {
+    static const double A[7][6] = {
+        {0},
+        {1.0 / 5},
+        {3.0 / 40, 9.0 / 40},
+        {44.0 / 45, -56.0 / 15, 32.0 / 9},
+        {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729},
+        {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
+        {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84},
+    };
+    static const double E[7] = {71.0 / 57600,      0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
+    double k[7][NY];
+    derivative(s, y, mode, k[0]);
+    for (int stage = 1; stage < 7; stage++) {
+        for (int i = 0; i < NY; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < stage; j++) sum += A[stage][j] * k[j][i];
+            out[i] = y[i] + h * sum;
+        }
+        derivative(s, out, mode, k[stage]);
+    }
+    double worst = 0.0;
+    for (int i = 0; i < NY; i++) {
+        double e = 0.0;
+        for (int j = 0; j < 7; j++) e += E[j] * k[j][i];
+        e = fabs(h * e) / (TOLERANCE * (1.0 + fabs(y[i])));
+        if (!(e <= worst)) worst = e;
+    }
+    return worst;
+}
+
+/* Who of the joints at rest begins to slide, and which way: torque with the friction of either direction decides. */
+static void settle(const StopsetState *s, double y[NY], int32_t mode[NJ]) {
+    double up[NJ], down[NJ], ddq[NJ], net[NJ];
+    int32_t trial[NJ];
+    for (int i = 0; i < NJ; i++) {
+        double dq = y[NJ + i];
+        mode[i] = fabs(dq) <= REST ? 0 : dq > 0.0 ? 1 : -1;
+        if (mode[i] == 0) y[NJ + i] = 0.0;
+    }
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
+    net_torque(s, y, y + NJ, trial, up);
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
+    net_torque(s, y, y + NJ, trial, down);
+    for (int sweep = 0; sweep < 2 * NJ; sweep++) {
+        int changed = 0;
+        for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
+        accelerate(s, mode, net, ddq);
+        for (int i = 0; i < NJ; i++) {
+            if (y[NJ + i] != 0.0) continue;
+            double coupling = 0.0;
+            for (int j = 0; j < NJ; j++)
+                if (j != i) coupling += s->M[i][j] * ddq[j];
+            int32_t next = up[i] - coupling > 0.0 ? 1 : down[i] - coupling < 0.0 ? -1 : 0;
+            if (next != mode[i]) {
+                mode[i] = next;
+                changed = 1;
+                break;
+            }
+        }
+        if (!changed) break;
+    }
+}
+
+/* Whether the state asks for other friction directions than `mode`. */
+static int event(const StopsetState *s, const double y[NY], const int32_t mode[NJ]) {
+    double copy[NY];
+    int32_t next[NJ];
+    int resting = 0;
+    for (int i = 0; i < NJ; i++) {
+        if (mode[i] * y[NJ + i] < -REST) return 1;
+        resting += mode[i] == 0;
+    }
+    if (!resting) return 0;
+    memcpy(copy, y, sizeof copy);
+    settle(s, copy, next);
+    for (int i = 0; i < NJ; i++)
+        if (mode[i] == 0 && next[i] != 0) return 1;
+    return 0;
+}
+
+static void take(const StopsetState *s, double y[NY]) {
+    memcpy(y, &s->r[VR_Q], NJ * sizeof *y);
+    memcpy(y + NJ, &s->r[VR_DQ], NJ * sizeof *y);
+#if NV > 1
+    memcpy(y + NX, s->corner, sizeof s->corner);
+#endif
+}
+
+void stopset_motion_reset(StopsetState *s) {
+    for (int side = 0; side < 2; side++)
+        for (int i = 0; i < NX; i++)
+            s->corner[side][i] = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i] + (side ? stopset_model.X0_hi[i] : stopset_model.X0_lo[i]);
+}
+
+const char *stopset_integrate(StopsetState *s, double h) {
+    double y[NY], next[NY];
+    int32_t mode[NJ];
+    int events = 0;
+    double left = h, step = s->h_try > 0.0 ? s->h_try : h;
+    take(s, y);
+    for (int i = 0; i < NJ; i++) mode[i] = 1;
+    if (HAS_DIRECTION) settle(s, y, mode);
+    while (left > 0.0) {
+        double now = step < left ? step : left;
+        double error = dormand_prince(s, y, mode, now, next);
+        if (!isfinite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
+        double factor = error > 0.0 ? 0.9 * pow(error, -0.2) : 4.0;
+        if (error > 1.0 && now > 1e-12) {
+            step = now * fmax(factor, 0.1);
+            continue;
+        }
+        if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
+        if (HAS_DIRECTION && events < EVENTS && event(s, next, mode)) {
+            double early = 0.0, late = now;
+            for (int k = 0; k < 60 && late - early > 1e-15; k++) {
+                double middle = 0.5 * (early + late);
+                dormand_prince(s, y, mode, middle, next);
+                if (event(s, next, mode))
+                    late = middle;
+                else
+                    early = middle;
+            }
+            now = late;
+            dormand_prince(s, y, mode, now, next);
+            for (int i = 0; i < NJ; i++)
+                if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
+            settle(s, next, mode);
+            events++;
+        }
+        memcpy(y, next, sizeof y);
+        left = left - now > 1e-14 * h ? left - now : 0.0;
+    }
+    s->h_try = step;
+    memcpy(&s->r[VR_Q], y, NJ * sizeof *y);
+    memcpy(&s->r[VR_DQ], y + NJ, NJ * sizeof *y);
+    memcpy(s->mode, mode, sizeof mode);
+#if NV > 1
+    memcpy(s->corner, y + NX, sizeof s->corner);
+#endif
+    return 0;
+}
+
+void stopset_accelerations(const StopsetState *s, double ddq[NJ]) {
+    double y[NY], net[NJ];
+    int32_t mode[NJ];
+    take(s, y);
+    for (int i = 0; i < NJ; i++) mode[i] = 1;
+    if (stopset_exact(s)) {
+        stopset_input(s, net);
+        for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
+    } else {
+        if (s->modes_by_events)
+            memcpy(mode, s->mode, sizeof mode);
+        else if (HAS_DIRECTION)
+            settle(s, y, mode);
+        net_torque(s, y, y + NJ, mode, net);
+    }
+    accelerate(s, mode, net, ddq);
+}
+
+int stopset_update_modes(StopsetState *s, double slack) {
+    double y[NY];
+    int changed = 0;
+    for (int i = 0; i < NJ; i++) s->mode[i] = 1;
+    if (!HAS_DIRECTION || stopset_exact(s)) return 0;
+    take(s, y);
+    for (int i = 0; i < NJ; i++)
+        if (fabs(y[NJ + i]) <= slack && y[NJ + i] != 0.0) {
+            y[NJ + i] = s->r[VR_DQ + i] = 0.0;
+            changed = 1;
+        }
+    settle(s, y, s->mode);
+    return changed;
+}
+
+/* Positive while the friction directions hold: speed of a sliding joint, margin of a sticking one [N m]. */
+void stopset_indicators(const StopsetState *s, double z[NJ]) {
+    double y[NY], up[NJ], down[NJ], net[NJ], ddq[NJ];
+    int32_t trial[NJ];
+    take(s, y);
+    for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : 1;
+    net_torque(s, y, y + NJ, trial, up);
+    for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : -1;
+    net_torque(s, y, y + NJ, trial, down);
+    for (int i = 0; i < NJ; i++) net[i] = s->mode[i] >= 0 ? up[i] : down[i];
+    accelerate(s, s->mode, net, ddq);
+    for (int i = 0; i < NJ; i++) {
+        z[i] = s->mode[i] * y[NJ + i];
+        if (s->mode[i] || stopset_exact(s)) continue;
+        double coupling = 0.0;
+        for (int j = 0; j < NJ; j++)
+            if (j != i) coupling += s->M[i][j] * ddq[j];
+        z[i] = fmin(coupling - up[i], down[i] - coupling);
+    }
+}
+
+void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]) {
+    const StopsetModel *m = &stopset_model;
+    for (int i = 0; i < NX; i++) {
+        double x = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i];
+        lo[i] = s->corner[0][i] + m->V_lo[i] - x;
+        hi[i] = s->corner[1][i] + m->V_hi[i] - x;
+    }
+}

@@ -1,0 +1,107 @@
+/* One instance of an identified arm: state, parameters, prediction, bounds. No FMI in here.
+ *
+ * The header model_config.h and the file model_data.c are written by `stopset export-fmu` for one model: sizes, positions
+ * of the variables, and every number. Nothing is read from disk, nothing is allocated after stopset_setup().
+ */
+#ifndef STOPSET_CORE_H
+#define STOPSET_CORE_H
+
+#include <stdint.h>
+
+#include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, the VR_ and IX_ positions */
+
+enum { NX = 2 * NJ };
+
+/* What may be done with a variable. */
+enum { KIND_TIME, KIND_INPUT, KIND_OUTPUT, KIND_FIXED, KIND_TUNABLE, KIND_LOCAL };
+
+/* Conformance verdict. */
+enum { VERDICT_NONE = 0, VERDICT_CONFORMANT = 1, VERDICT_VIOLATED = 2 };
+
+/* The model as identified, in SI units; same names as the model file. */
+typedef struct {
+    double Minv[NJ][NJ];                           /* inverse inertia, incl. rotors [1/(kg m^2)] */
+    double X0_lo[NX], X0_hi[NX], V_lo[NX], V_hi[NX]; /* start and reading uncertainty over (q, dq) */
+    double U_lo[NJ], U_hi[NJ];                     /* additive torque [N m] */
+    double dt, horizon;                            /* grid and longest age of the prediction [s] */
+    double q_lo[NJ], q_hi[NJ], dq_lo[NJ], dq_hi[NJ], u_lo[NJ], u_hi[NJ]; /* domain of validity */
+    double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
+    double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
+    double q_a[NJ];                                /* posture at which Minv was taken [rad] */
+    int decoupled, signed_response, position_only, motor_torque, has_domain_temp;
+    double start_real[N_REAL];
+    int32_t start_int[N_INT];
+    uint8_t start_bool[N_BOOL];
+    uint8_t kind[N_REAL + N_INT + N_BOOL];
+    const char *name[N_REAL + N_INT + N_BOOL];
+} StopsetModel;
+
+extern const StopsetModel stopset_model;
+extern const char stopset_token[];
+
+/* phi functions of one step h: e^{Ah}, its integral, and the integral of that (velocity part of the linear model). */
+typedef struct {
+    double h, F[NJ][NJ], G[NJ][NJ], H[NJ][NJ];
+} StopsetStep;
+
+/* Plain data: a copy of it is a complete state. */
+typedef struct {
+    double r[N_REAL];
+    int32_t i[N_INT];
+    uint8_t b[N_BOOL];
+    double Minv[NJ][NJ], M[NJ][NJ], Av[NJ][NJ]; /* with payload and parameters as set */
+    double start_time, tube_start, stop_start;
+    StopsetStep step;                /* of the last communication step */
+    StopsetStep grid;                /* of the tube's grid */
+    double growth_q[NJ][NJ], growth_v[NJ][NJ];
+    int64_t tube_k;                  /* grid age of what follows */
+    double tube_F[NJ][NJ], tube_G[NJ][NJ], plus[NX][NJ], minus[NX][NJ];
+    double h_try;                    /* step size that the nonlinear integrator takes up again */
+    double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
+    int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
+    uint8_t as_identified, violated, outputs_ready, stopping;
+    uint8_t modes_by_events; /* model exchange: friction directions change at events only */
+} StopsetState;
+
+void stopset_defaults(StopsetState *s);
+/* Take over start values and parameters at time t0; returns 0 or a sentence what is wrong. */
+const char *stopset_setup(StopsetState *s, double t0);
+/* Advance by h with the inputs held; returns 0 or a sentence. */
+const char *stopset_step(StopsetState *s, double h);
+/* Bounds, flags and accelerations at the present time and state. */
+void stopset_outputs(StopsetState *s);
+/* Hold the measured inputs against the tube of the present time; latches a violation. */
+void stopset_check(StopsetState *s);
+/* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
+int stopset_restart(StopsetState *s, double ahead);
+/* Accelerations at the present state [rad/s^2]. */
+void stopset_accelerations(const StopsetState *s, double ddq[NJ]);
+
+/* linear.c */
+void stopset_phi(double Av[NJ][NJ], double h, StopsetStep *out);
+int stopset_invert(double X[NJ][NJ], double out[NJ][NJ]);
+/* tube.c */
+void stopset_tube_reset(StopsetState *s);
+void stopset_tube(StopsetState *s, double age, double lo[NX], double hi[NX]);
+/* motion.c */
+int stopset_exact(const StopsetState *s); /* whether the next step has a closed form */
+void stopset_input(const StopsetState *s, double u[NJ]);
+void stopset_motion_reset(StopsetState *s);
+/* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
+int stopset_update_modes(StopsetState *s, double slack);
+void stopset_indicators(const StopsetState *s, double z[NJ]);
+const char *stopset_integrate(StopsetState *s, double h);
+void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
+/* stop.c */
+void stopset_stop_bounds(StopsetState *s);
+/* model_data.c: torque of the model's effects beyond the viscous polynomial [N m] */
+void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
+                     const double load[NJ], double tau[NJ]);
+/* rigid.c */
+void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
+void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
+void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]);
+void stopset_gravity_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], double tau[NJ]);
+void stopset_point_mass(double mass, const double com[3], const double q[NJ], double M[NJ][NJ]);
+
+#endif
