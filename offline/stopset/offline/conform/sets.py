@@ -42,6 +42,7 @@ class Conformance:
     """
 
     sets: UncertaintySets
+    other: UncertaintySets  # the other case of Table II: position only, or all states
     guarantee: Guarantee
     margin_found: float
     table: Mapping[str, Fit]
@@ -91,14 +92,20 @@ def conform(
         scenario_bound=g.scenario_bound(len(fit.active), len(division.used)),
     )  # fmt: skip
     promise = replace(promise, text=g.words(promise, trials, len(parts), chosen, 0))
-    sets = UncertaintySets(
-        X0=final.X0, U=final.U, V=final.V, dt=dt, horizon=everything.steps * dt, conform=options.conform,
-        windows=options.windows, margin=chosen, active=fit.active,
-    )  # fmt: skip
+
+    def packed(f: Fit) -> UncertaintySets:
+        return UncertaintySets(
+            X0=f.X0, U=f.U, V=f.V, dt=dt, horizon=everything.steps * dt, conform=f.conform, windows=options.windows,
+            margin=chosen, active=f.active,
+        )  # fmt: skip
+
     other = "position" if options.conform == "all" else "all"
-    table = {options.conform: fit, other: fitted(list(used.values()), other)}
+    second = fitted(list(used.values()), other)
+    table = {options.conform: fit, other: second}
     table |= _variants(pairs, abstraction, joints, dt, steps, motions, noise, R)
-    return Conformance(sets, promise, factor, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
+    grown = g.inflated(second, chosen)
+    companion = packed(_enclosing(grown, g.needed_factor(grown, R, everything), R, everything))
+    return Conformance(packed(final), companion, promise, factor, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
 
 
 def _enclosing(fit: Fit, factor: float, R: Responses, env: Envelope) -> Fit:

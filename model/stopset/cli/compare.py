@@ -1,0 +1,42 @@
+"""``stopset compare``: a model against recordings."""
+
+from __future__ import annotations
+
+import argparse
+
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+
+HELP = "where a model fails on recordings: per joint, per motion, violations, tubes"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("model", metavar="M", help="model file")
+    parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; exit code 1 when a recording leaves the sets."""
+    from stopset.artifact import load_model
+    from stopset.offline.compare import answer, compare
+
+    check_outputs(args.json, args.report)
+    model = load_model(args.model)
+    found = compare(model, args.data)
+    say(f"{'joint':<22}{'torque':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
+    for j, row in found.figures.items():
+        cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])
+        say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
+    for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
+        say(f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} at age {v.age_s:.3f} s (start {v.start_s:.3f} s)")
+    say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
+    say(model.guarantee.text)
+    if args.json:
+        write_json(args.json, answer(model, found))
+    if args.report:
+        from stopset.offline.compare_page import page
+
+        page(model, found, args.data).save(args.report)
+        say(f"report {args.report}")
+    return 1 if found.violations else 0

@@ -1,0 +1,102 @@
+"""``stopset identify``: recordings to a model file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+
+if TYPE_CHECKING:
+    from stopset.offline.identify import Identification
+
+HELP = "recordings of a robot -> a reachset-conformant model file"
+
+
+def margin(text: str) -> float | None:
+    """``auto`` or a factor of at least 1."""
+    if text == "auto":
+        return None
+    try:
+        value = float(text)
+    except ValueError as e:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither 'auto' nor a factor") from e
+    if not 1.0 <= value < 100.0:
+        raise argparse.ArgumentTypeError(f"{text} is no margin; expected 'auto' or a factor from 1 to 100")
+    return value
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--robot", required=True, metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p")
+    parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
+    parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
+    parser.add_argument("--order", type=int, metavar="P", help="polynomial order (default: by held-out error)")
+    parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
+    parser.add_argument("--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)")
+    parser.add_argument(
+        "--windows", choices=("sliding", "start"), default="sliding",
+        help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
+    )  # fmt: skip
+    parser.add_argument("--margin", type=margin, default=None, metavar="auto|FACTOR", help="growth of the sets (default auto)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, write the model file, print what was found."""
+    from stopset.artifact import save_model
+    from stopset.offline.identify import Settings, identify
+    from stopset.robot import load_robot
+
+    check_outputs(args.out, args.json, args.report)
+    robot = load_robot(args.robot)
+    settings = Settings(
+        model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
+        conform=args.conform, windows=args.windows, margin=args.margin,
+    )  # fmt: skip
+    start = time.monotonic()
+    found = identify(robot, args.data, settings, lambda text: sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n"))
+    model = save_model(found.model, args.out)
+    say(summary(found))
+    say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
+    if args.json:
+        from stopset.offline.compare import answer, compare
+
+        write_json(args.json, answer(model, compare(model, args.data)))
+    if args.report:
+        from stopset.offline.compare import compare
+        from stopset.offline.compare_page import page
+
+        page(model, compare(model, args.data), args.data).save(args.report)
+        say(f"report {args.report}")
+    return 0
+
+
+def summary(found: Identification) -> str:
+    """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    m, c = found.model, found.conformance
+    s = m.powered
+    n = m.n
+    lines = [f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {found.survey.trials} trials of "
+             f"{len(set(found.survey.motion.values()))} independent motions, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s", ""]
+    lines.append(f"{'joint':<22}{'U [N m]':>20}{'X0 q [rad]':>22}{'X0 dq [rad/s]':>20}{'q rmse':>9}{'dq rmse':>9}")
+    for k, j in enumerate(m.joints):
+        e = m.errors[j]
+        lines.append(
+            f"{j:<22}{f'[{s.U.lo[k]:.3f}, {s.U.hi[k]:.3f}]':>20}{f'[{s.X0.lo[k]:.1e}, {s.X0.hi[k]:.1e}]':>22}"
+            f"{f'[{s.X0.lo[n + k]:.3f}, {s.X0.hi[n + k]:.3f}]':>20}{e['position_rmse']:9.4f}{e['velocity_rmse']:9.4f}"
+        )
+    lines += ["", f"sum of U widths {s.U.width.sum():.2f} N m (margin {s.margin:.2f}; without margin:"]
+    lines += [f"  {name:<32}{fit.U.width.sum():8.2f} N m" for name, fit in c.table.items()]
+    lines.append("  ) the first is the chosen case; 'start' restarts predictions only at each trial's start, as the paper does")
+    lines += ["", "what fixes the bounds of U:"]
+    lines += [
+        f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"
+        for a in s.active if a.bound.startswith("U")
+    ]  # fmt: skip
+    lines += ["", *(f"note: {x}" for x in m.notes), "", m.guarantee.text]
+    return "\n".join(lines)

@@ -1,0 +1,160 @@
+"""Compare a model with recordings: where it fails, per joint and per motion, and which recordings leave its sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.errors import RecordingError
+from stopset.offline.conform.envelope import Deviations
+from stopset.offline.errors import joint_figures, torque_error
+from stopset.offline.survey import POWERED, Survey, on_grid, survey
+from stopset.reach.flowpipe import Tube, deviation_tube
+from stopset.recording import Recording, read_meta, stream_recordings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One recording that leaves the sets: its worst excess, where and when."""
+
+    recording: str
+    state: str
+    side: str  # "above" | "below"
+    start_s: float
+    age_s: float
+    excess: float  # [rad] or [rad/s]
+    relative: float  # in half-widths of the tube there
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One recording in the comparison; errors are RMS torque [N m] per joint (n,), ``misfit`` their worst against the floor."""
+
+    label: str
+    motion: int
+    place: int
+    torque_rms: Array
+    inside_domain: bool
+    violation: Violation | None
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What `compare` found; ``figures``: joint -> torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse."""
+
+    figures: dict[str, dict[str, Any]]
+    rows: tuple[Row, ...]
+    survey: Survey
+    tube: Tube
+
+    @property
+    def violations(self) -> tuple[Violation, ...]:
+        return tuple(r.violation for r in self.rows if r.violation is not None)
+
+    @property
+    def outside_domain(self) -> int:
+        return sum(not r.inside_domain for r in self.rows)
+
+
+def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) -> Iterator[tuple[int, Recording, Array]]:
+    """Trials of the surveyed phase on the model's grid with their input ``u``, as (motion, trial, u)."""
+    for r in stream_recordings(paths, model.robot):
+        if r.phase == found.phase and len(r.t) >= 3:
+            g = on_grid(r, dt)
+            yield found.motion[r.motion], g, model.input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+
+
+def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
+    """Hold the recordings against the model over all window starts and ages.
+
+    Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
+    """
+    check_effort(model, paths)
+    found = survey(lambda: stream_recordings(paths, model.robot))
+    dt = model.powered.dt
+
+    def pairs() -> Iterator[tuple[int, Recording, Array]]:
+        return inputs(model, paths, found, dt)
+
+    tube = deviation_tube(model.abstraction, model.powered)
+    deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows)
+    rows = []
+    for motion, r, u in pairs():
+        e = torque_error(model.abstraction, dt, r.q, r.dq, u)
+        covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
+        rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
+        rows.append(Row(r.label, motion, r.place, rms, covered, _worst(model, deviations, tube, r, u)))
+    figures, _ = joint_figures(pairs, model.abstraction, model.joints, dt)
+    return Comparison(figures, tuple(rows), found, tube)
+
+
+def check_effort(model: Model, paths: Sequence[str | Path]) -> None:
+    """Refuse recordings of another kind of torque than the model was made from."""
+    for p in paths:
+        effort = read_meta(p).effort
+        kinds = {effort, model.effort}
+        if len(kinds) > 1 and "compensated_torque" in kinds:
+            raise RecordingError(
+                f"{p} holds {effort}, the model was identified from {model.effort}; give recordings of the same kind of torque"
+            )
+
+
+def _worst(model: Model, deviations: Deviations, tube: Tube, r: Recording, u: Array) -> Violation | None:
+    env = deviations.of(r, u)
+    last = env.steps
+    above = env.hi[1 : last + 1] - tube.hi[1 : last + 1]
+    below = tube.lo[1 : last + 1] - env.lo[1 : last + 1]
+    half = np.maximum(0.5 * (tube.hi[1 : last + 1] - tube.lo[1 : last + 1]), 1e-12)
+    excess = np.maximum(above, below)
+    if not (excess > 0).any():
+        return None
+    age, state = np.unravel_index(int(np.argmax(excess / half)), excess.shape)
+    side = "above" if above[age, state] >= below[age, state] else "below"
+    at = env.where("", int(age) + 1, int(state), "hi" if side == "above" else "lo", model.joints)
+    worst = float(excess[age, state])
+    return Violation(r.label, at.state, side, at.start_s, at.age_s, worst, worst / float(half[age, state]))
+
+
+def answer(model: Model, found: Comparison) -> dict[str, Any]:
+    """The machine-readable answer of ``stopset compare``, all SI."""
+    n, s, promise = model.n, model.powered, model.guarantee
+    return {
+        "joints": found.figures,
+        "recordings": len(found.rows),
+        "violations": len(found.violations),
+        "outside_domain": found.outside_domain,
+        "sets": {
+            j: {
+                "U": [float(s.U.lo[k]), float(s.U.hi[k])],
+                "X0_q": [float(s.X0.lo[k]), float(s.X0.hi[k])],
+                "X0_dq": [float(s.X0.lo[n + k]), float(s.X0.hi[n + k])],
+                "V_q": [float(s.V.lo[k]), float(s.V.hi[k])],
+                "V_dq": [float(s.V.lo[n + k]), float(s.V.hi[n + k])],
+            }
+            for k, j in enumerate(model.joints)
+        },
+        "guarantee": {
+            "motions": promise.motions, "violated": promise.violated, "upper_bound": promise.upper_bound,
+            "confidence": promise.confidence, "text": promise.text,
+        },
+        "violating": [
+            {"recording": v.recording, "state": v.state, "side": v.side, "start_s": v.start_s, "age_s": v.age_s, "excess": v.excess}
+            for v in found.violations
+        ],
+        "domain": {
+            j: {
+                "q": [float(model.domain.q.lo[k]), float(model.domain.q.hi[k])],
+                "dq": [float(model.domain.dq.lo[k]), float(model.domain.dq.hi[k])],
+                "u": [float(model.domain.u.lo[k]), float(model.domain.u.hi[k])],
+            }
+            for k, j in enumerate(model.joints)
+        },
+    }  # fmt: skip

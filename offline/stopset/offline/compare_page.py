@@ -1,0 +1,194 @@
+"""The comparison as a page: tubes over measurements (the paper's Fig. 4), Table II, errors, violations, ranked motions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.colors import sample_colorscale
+from plotly.subplots import make_subplots
+
+from stopset.artifact import Model, UncertaintySets
+from stopset.offline.compare import Comparison, inputs
+from stopset.offline.report import Page
+from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.recording import Recording
+
+Array = NDArray[np.float64]
+POINTS = 240  # per drawn line
+TRIALS = 24  # drawn per suite
+SUITES = 4
+SCALE = "RdYlBu_r"  # blue: first or cold, red: last or hot
+
+
+def page(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Page:
+    """The report of ``stopset compare``."""
+    out = Page(f"{model.robot.name}: model and measurements")
+    count = len(found.violations)
+    if count:
+        out.verdict(f"Not conformant: {count} of {len(found.rows)} recordings leave the predicted sets.", "bad")
+    else:
+        out.verdict(f"Conformant: all {len(found.rows)} recordings stay inside the predicted sets.", "good")
+    if found.outside_domain:
+        out.verdict(f"{found.outside_domain} recordings leave the model's domain; there the model promises nothing.", "bad")
+    out.text(model.guarantee.text)
+    _errors(out, found)
+    _tubes(out, model, found, paths)
+    _table2(out, model)
+    _violations(out, found)
+    _ranking(out, model, found)
+    _domain(out, model)
+    return out
+
+
+def _errors(out: Page, found: Comparison) -> None:
+    out.heading("Errors per joint")
+    head = ["joint", "torque RMS [N m]", "repeatability floor [N m]", "velocity RMS [rad/s]", "position RMS [rad]"]
+    keys = ("torque_rmse", "torque_rmse_floor", "velocity_rmse", "position_rmse")
+    out.table(head, [[j, *(row[k] for k in keys)] for j, row in found.figures.items()])
+    out.text(
+        "Torque is averaged over 0.2 s; velocity and position are those of the open-loop prediction from each trial's start. "
+        "The floor is the scatter between repetitions of the same torques: no model without a new variable gets below it."
+    )
+
+
+def _chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> dict[tuple[str, int], list[tuple[Recording, Array]]]:
+    """The longest suites of each motion, at most `SUITES`, at most `TRIALS` trials each."""
+    groups: dict[tuple[str, int], list[tuple[Recording, Array]]] = {}
+    for r in found.survey.sample:
+        groups.setdefault(r.motion, [])
+    longest = {key: max(len(r.t) for r in found.survey.sample if r.motion == key) for key in groups}
+    best: dict[int, tuple[str, int]] = {}
+    for key in sorted(groups, key=lambda k: -longest[k]):
+        best.setdefault(found.survey.motion[key], key)
+    wanted = sorted(best.values(), key=lambda k: -longest[k])[:SUITES]
+    out: dict[tuple[str, int], list[tuple[Recording, Array]]] = {k: [] for k in wanted}
+    for _, r, u in inputs(model, paths, found.survey, model.powered.dt):
+        if r.motion in out and len(out[r.motion]) < TRIALS:
+            out[r.motion].append((r, u))
+    return out
+
+
+def _tubes(out: Page, model: Model, found: Comparison, paths: Sequence[str | Path]) -> None:
+    out.heading("Predicted sets over measurements")
+    for (phase, suite), trials in _chosen(model, found, paths).items():
+        if trials:
+            by = "temperature" if trials[0][0].temp is not None else "order of the trials"
+            caption = (
+                f"{phase} suite {suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). Grey: all "
+                "states conformant; dark: position only."
+            )
+            out.figure(_tube_figure(model, trials), caption)
+
+
+def _band(figure: go.Figure, t: Array, lo: Array, hi: Array, row: int, column: int, colour: str, name: str) -> None:
+    figure.add_trace(
+        go.Scatter(
+            x=np.concatenate([t, t[::-1]]).round(4), y=np.concatenate([hi, lo[::-1]]).round(6), fill="toself", fillcolor=colour,
+            line={"width": 0}, hoverinfo="skip", name=name, showlegend=False,
+        ),
+        row=row, col=column,
+    )  # fmt: skip
+
+
+def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figure:
+    n, dt = model.n, model.powered.dt
+    figure = make_subplots(rows=2, cols=n, shared_xaxes=True, subplot_titles=model.joints, vertical_spacing=0.06)
+    first, u = max(trials, key=lambda p: len(p[0].t))
+    x0 = np.mean([np.concatenate([r.q[0], r.dq[0]]) for r, _ in trials], axis=0)
+    for sets, colour in _cases(model):
+        tube = deviation_tube(model.abstraction, sets)
+        last = min(len(first.t), len(tube.ages))
+        nominal = predict(model.abstraction, dt, x0, u[:last])
+        # each trial is held against the prediction from its own measured start; one picture takes the hull of the starts
+        starts = np.array([predict(model.abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), w[:last])[:last] for r, w in trials if len(w) >= last])
+        lo, hi = (starts.min(0), starts.max(0)) if len(starts) else (nominal, nominal)
+        keep = np.unique(np.linspace(0, last - 1, POINTS).astype(int))
+        for j in range(n):
+            for row, i in ((1, j), (2, n + j)):
+                if np.isfinite(tube.hi[0, i]):
+                    _band(figure, keep * dt, (lo[keep, i] + tube.lo[keep, i]), (hi[keep, i] + tube.hi[keep, i]), row, j + 1, colour, sets.conform)
+    shade = _shades([r for r, _ in trials])
+    for (r, _), colour in zip(trials, shade, strict=True):
+        keep = np.unique(np.linspace(0, len(r.t) - 1, POINTS).astype(int))
+        for j in range(n):
+            for row, y in ((1, r.q[:, j]), (2, r.dq[:, j])):
+                figure.add_trace(
+                    go.Scatter(
+                        x=(r.t[keep] - r.t[0]).round(4), y=y[keep].round(5), mode="lines", line={"width": 1, "color": colour},
+                        name=r.label, showlegend=False,
+                    ),
+                    row=row, col=j + 1,
+                )  # fmt: skip
+    figure.update_yaxes(title_text="q [rad]", row=1, col=1)
+    figure.update_yaxes(title_text="dq [rad/s]", row=2, col=1)
+    figure.update_xaxes(title_text="t [s]", row=2)
+    figure.update_layout(height=520)
+    return figure
+
+
+def _cases(model: Model) -> list[tuple[UncertaintySets, str]]:
+    """All states in light grey, then position only in dark grey."""
+    by_case = {s.conform: s for s in model.sets.values()}
+    shades = (("all", "rgba(150,150,150,0.35)"), ("position", "rgba(80,80,80,0.35)"))
+    return [(by_case[case], colour) for case, colour in shades if case in by_case]
+
+
+def _shades(trials: list[Recording]) -> list[str]:
+    value = np.array([float(r.temp.mean()) if r.temp is not None else float(r.place) for r in trials])
+    span = max(float(np.ptp(value)), 1e-12)
+    return [str(c) for c in sample_colorscale(SCALE, ((value - value.min()) / span).tolist())]
+
+
+def _table2(out: Page, model: Model) -> None:
+    out.heading("Identified sets (the paper's Table II)")
+    n = model.n
+    for name, s in model.sets.items():
+        rows = [
+            [j, *(f"[{b.lo[i]:.4g}, {b.hi[i]:.4g}]" for b, i in ((s.X0, k), (s.X0, n + k), (s.U, k), (s.V, k), (s.V, n + k)))]
+            for k, j in enumerate(model.joints)
+        ]
+        head = ["joint", "X0: q [rad]", "X0: dq [rad/s]", "U [N m]", "V: q [rad]", "V: dq [rad/s]"]
+        out.table(head, rows, f"{name}: {s.conform} states, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m")
+    active = [a for a in model.powered.active if a.bound.startswith("U")]
+    out.table(
+        ["bound", "fixed by", "from [s]", "age [s]", "state"],
+        [[a.bound, a.recording, a.start_s, a.age_s, a.state] for a in active],
+        "Which recording, time and joint fix each bound (before the margin)",
+    )
+
+
+def _violations(out: Page, found: Comparison) -> None:
+    if found.violations:
+        out.heading("Violations")
+        worst = sorted(found.violations, key=lambda v: -v.relative)[:50]
+        out.table(
+            ["recording", "state", "side", "from [s]", "age [s]", "excess", "excess / half-width"],
+            [[v.recording, v.state, v.side, v.start_s, v.age_s, v.excess, v.relative] for v in worst],
+        )
+
+
+def _ranking(out: Page, model: Model, found: Comparison) -> None:
+    out.heading("Motions ranked by misfit")
+    floor = np.array([row["torque_rmse_floor"] or row["torque_rmse"] or 1.0 for row in found.figures.values()])
+    motions: dict[int, list[Array]] = {}
+    for row in found.rows:
+        motions.setdefault(row.motion, []).append(row.torque_rms)
+    mean = {m: np.sqrt(np.nanmean(np.square(v), axis=0)) for m, v in motions.items()}
+    ranked = sorted(mean, key=lambda m: -float(np.nanmax(mean[m] / floor)))
+    rows = [[f"motion {m}", len(motions[m]), model.joints[int(np.nanargmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]]
+    out.table(["", "trials", "worst joint", *(f"{j} [N m]" for j in model.joints)], rows, "RMS torque error per motion, worst against the floor first")
+
+
+def _domain(out: Page, model: Model) -> None:
+    out.heading("Domain of validity")
+    d = model.domain
+    rows = [
+        [j, f"[{d.q.lo[k]:.3f}, {d.q.hi[k]:.3f}]", f"[{d.dq.lo[k]:.3f}, {d.dq.hi[k]:.3f}]", f"[{d.u.lo[k]:.2f}, {d.u.hi[k]:.2f}]",
+         "–" if d.temp is None else f"[{d.temp.lo[k]:.1f}, {d.temp.hi[k]:.1f}]"]
+        for k, j in enumerate(model.joints)
+    ]  # fmt: skip
+    out.table(["joint", "q [rad]", "dq [rad/s]", "u [N m]", "temperature [°C]"], rows, "Hull of what identification saw; outside it: not covered")
