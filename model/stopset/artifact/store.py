@@ -127,13 +127,15 @@ def load_model(path: str | Path) -> Model:
     except FileNotFoundError as e:
         raise ModelFileError(f"{p}: no such file; expected a model file: run `stopset identify` first") from e
     except (OSError, UnicodeDecodeError) as e:
-        raise ModelFileError(f"{p} cannot be read as a model file ({type(e).__name__}); expected JSON from `stopset identify`") from e
+        raise ModelFileError(
+            f"{p} cannot be read as a model file ({type(e).__name__}); expected JSON from `stopset identify`"
+        ) from e
     try:
         body = json.loads(raw)
     except json.JSONDecodeError as e:
         raise ModelFileError(f"{p} is damaged: not JSON at line {e.lineno}; restore it or identify again") from e
     if not isinstance(body, dict) or body.get("format") != FORMAT:
-        raise ModelFileError(f"{p} is not a stopset model file; expected JSON with \"format\": \"{FORMAT}\"")
+        raise ModelFileError(f'{p} is not a stopset model file; expected JSON with "format": "{FORMAT}"')
     if body.get("schema") != SCHEMA_VERSION:
         raise ModelFileError(
             f"{p} has schema {body.get('schema')!r}, this stopset reads {SCHEMA_VERSION}; identify again or use a matching version"

@@ -38,10 +38,8 @@ def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     """Yield the items, telling on stderr how far it is, at most twice a second; silent where nobody watches."""
     shown, start = 0.0, time.monotonic()
     live = sys.stderr.isatty()
-    count = 0
-    for item in items:
+    for count, item in enumerate(items, start=1):
         yield item
-        count += 1
         now = time.monotonic()
         if live and now - shown > 0.5:
             of = f"/{total}" if total else ""

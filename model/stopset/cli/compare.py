@@ -29,7 +29,9 @@ def run(args: argparse.Namespace) -> int:
         cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
     for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
-        say(f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} at age {v.age_s:.3f} s (start {v.start_s:.3f} s)")
+        say(
+            f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} at age {v.age_s:.3f} s (start {v.start_s:.3f} s)"
+        )
     say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
     say(model.guarantee.text)
     if args.json:

@@ -31,13 +31,17 @@ def margin(text: str) -> float | None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("--robot", required=True, metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p")
+    parser.add_argument(
+        "--robot", required=True, metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p"
+    )
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
     parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
     parser.add_argument("--order", type=int, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
-    parser.add_argument("--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)")
+    parser.add_argument(
+        "--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)"
+    )
     parser.add_argument(
         "--windows", choices=("sliding", "start"), default="sliding",
         help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
@@ -59,7 +63,11 @@ def run(args: argparse.Namespace) -> int:
         conform=args.conform, windows=args.windows, margin=args.margin,
     )  # fmt: skip
     start = time.monotonic()
-    found = identify(robot, args.data, settings, lambda text: sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n"))
+
+    def tell(text: str) -> None:
+        sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n")
+
+    found = identify(robot, args.data, settings, tell)
     model = save_model(found.model, args.out)
     say(summary(found))
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
@@ -81,8 +89,11 @@ def summary(found: Identification) -> str:
     m, c = found.model, found.conformance
     s = m.powered
     n = m.n
-    lines = [f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {found.survey.trials} trials of "
-             f"{len(set(found.survey.motion.values()))} independent motions, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s", ""]
+    lines = [
+        f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {found.survey.trials} trials of "
+        f"{len(set(found.survey.motion.values()))} independent motions, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s",
+        "",
+    ]
     lines.append(f"{'joint':<22}{'U [N m]':>20}{'X0 q [rad]':>22}{'X0 dq [rad/s]':>20}{'q rmse':>9}{'dq rmse':>9}")
     for k, j in enumerate(m.joints):
         e = m.errors[j]

@@ -123,7 +123,7 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets) -> Tube:
     # sums of 2n + 2n + 1 products in double precision, rounded outward
     slack = 2.0**-50 * n * np.maximum(np.abs(lo), np.abs(hi))
     slack[~np.isfinite(slack)] = 0.0
-    return Tube(sets.dt * np.arange(steps + 1), lo - slack, hi + slack)
+    return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo - slack, hi + slack)
 
 
 def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +20,7 @@ def write_recordings(path: str | Path, meta: Meta, trials: Iterable[Recording]) 
 
     Raises `OutputError` when the place cannot be written.
     """
-    head = {
+    head: dict[str, Any] = {
         "robot": meta.robot, "joints": list(meta.joints), "effort": meta.effort, "velocity": meta.velocity,
         "clock": meta.clock, "rate_hz": None if np.isnan(meta.rate_hz) else meta.rate_hz,
     }  # fmt: skip

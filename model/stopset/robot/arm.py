@@ -65,7 +65,7 @@ class Robot:
     @property
     def rotor(self) -> Array:
         """(n,) reflected rotor inertia [kg m^2]; 0 where the data sheet gives none."""
-        return np.nan_to_num(np.array([d.rotor_inertia for d in self.drives]), nan=0.0)
+        return np.asarray(np.nan_to_num(np.array([d.rotor_inertia for d in self.drives]), nan=0.0))
 
     @property
     def urdf_sha256(self) -> str:

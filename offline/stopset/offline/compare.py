@@ -14,7 +14,7 @@ from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.errors import joint_figures, torque_error
-from stopset.offline.survey import POWERED, Survey, on_grid, survey
+from stopset.offline.survey import Survey, on_grid, survey
 from stopset.reach.flowpipe import Tube, deviation_tube
 from stopset.recording import Recording, read_meta, stream_recordings
 

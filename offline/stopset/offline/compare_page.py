@@ -104,13 +104,28 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
         last = min(len(first.t), len(tube.ages))
         nominal = predict(model.abstraction, dt, x0, u[:last])
         # each trial is held against the prediction from its own measured start; one picture takes the hull of the starts
-        starts = np.array([predict(model.abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), w[:last])[:last] for r, w in trials if len(w) >= last])
+        starts = np.array(
+            [
+                predict(model.abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), w[:last])[:last]
+                for r, w in trials
+                if len(w) >= last
+            ]
+        )
         lo, hi = (starts.min(0), starts.max(0)) if len(starts) else (nominal, nominal)
         keep = np.unique(np.linspace(0, last - 1, POINTS).astype(int))
         for j in range(n):
             for row, i in ((1, j), (2, n + j)):
                 if np.isfinite(tube.hi[0, i]):
-                    _band(figure, keep * dt, (lo[keep, i] + tube.lo[keep, i]), (hi[keep, i] + tube.hi[keep, i]), row, j + 1, colour, sets.conform)
+                    _band(
+                        figure,
+                        keep * dt,
+                        (lo[keep, i] + tube.lo[keep, i]),
+                        (hi[keep, i] + tube.hi[keep, i]),
+                        row,
+                        j + 1,
+                        colour,
+                        sets.conform,
+                    )
     shade = _shades([r for r, _ in trials])
     for (r, _), colour in zip(trials, shade, strict=True):
         keep = np.unique(np.linspace(0, len(r.t) - 1, POINTS).astype(int))
@@ -152,7 +167,11 @@ def _table2(out: Page, model: Model) -> None:
             for k, j in enumerate(model.joints)
         ]
         head = ["joint", "X0: q [rad]", "X0: dq [rad/s]", "U [N m]", "V: q [rad]", "V: dq [rad/s]"]
-        out.table(head, rows, f"{name}: {s.conform} states, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m")
+        out.table(
+            head,
+            rows,
+            f"{name}: {s.conform} states, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m",
+        )
     active = [a for a in model.powered.active if a.bound.startswith("U")]
     out.table(
         ["bound", "fixed by", "from [s]", "age [s]", "state"],
@@ -179,8 +198,14 @@ def _ranking(out: Page, model: Model, found: Comparison) -> None:
         motions.setdefault(row.motion, []).append(row.torque_rms)
     mean = {m: np.sqrt(np.nanmean(np.square(v), axis=0)) for m, v in motions.items()}
     ranked = sorted(mean, key=lambda m: -float(np.nanmax(mean[m] / floor)))
-    rows = [[f"motion {m}", len(motions[m]), model.joints[int(np.nanargmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]]
-    out.table(["", "trials", "worst joint", *(f"{j} [N m]" for j in model.joints)], rows, "RMS torque error per motion, worst against the floor first")
+    rows = [
+        [f"motion {m}", len(motions[m]), model.joints[int(np.nanargmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]
+    ]
+    out.table(
+        ["", "trials", "worst joint", *(f"{j} [N m]" for j in model.joints)],
+        rows,
+        "RMS torque error per motion, worst against the floor first",
+    )
 
 
 def _domain(out: Page, model: Model) -> None:
@@ -191,4 +216,8 @@ def _domain(out: Page, model: Model) -> None:
          "–" if d.temp is None else f"[{d.temp.lo[k]:.1f}, {d.temp.hi[k]:.1f}]"]
         for k, j in enumerate(model.joints)
     ]  # fmt: skip
-    out.table(["joint", "q [rad]", "dq [rad/s]", "u [N m]", "temperature [°C]"], rows, "Hull of what identification saw; outside it: not covered")
+    out.table(
+        ["joint", "q [rad]", "dq [rad/s]", "u [N m]", "temperature [°C]"],
+        rows,
+        "Hull of what identification saw; outside it: not covered",
+    )

@@ -150,9 +150,7 @@ def _with_sets(
     horizon = min(settings.horizon, found.longest)
     tell(f"{len(motions)} independent motions; identifying the sets up to {horizon:.2f} s ahead")
     options = Options(settings.conform, settings.windows, settings.margin)
-    result = conform(
-        pairs, motions, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
-    )
+    result = conform(pairs, motions, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
     tell("errors per joint")
     errors, u_hull = joint_figures(pairs, nominal.abstraction, robot.joints, found.dt)
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)

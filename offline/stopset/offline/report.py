@@ -71,7 +71,9 @@ class Page:
             template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 50}, font={"family": "system-ui, sans-serif"}
         )
         self._parts.append(
-            figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}", config={"displaylogo": False})
+            figure.to_html(
+                full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}", config={"displaylogo": False}
+            )
         )
         if caption:
             self._parts.append(f"<p><small>{html.escape(caption)}</small></p>")

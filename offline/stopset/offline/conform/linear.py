@@ -71,9 +71,7 @@ def age_weights(last: int, dt: float) -> Array:
     return np.asarray(w / w.sum())
 
 
-def _block(
-    env: Envelope, R: Responses, states: list[int], xs: list[int], us: list[int], n: int, paper: bool
-) -> _Block:
+def _block(env: Envelope, R: Responses, states: list[int], xs: list[int], us: list[int], n: int, paper: bool) -> _Block:
     last, m, k = env.steps, len(xs), len(us)
     ages = slice(1, last + 1)
     importance = np.full(last, 1.0 / last) if paper else age_weights(last, R.dt)
@@ -93,7 +91,9 @@ def _block(
         weight = 1.0 if i < n or paper else STOP_TIME
         start, torque = importance @ np.abs(E), importance @ (P - N)
         cost += weight * np.concatenate([-start, start, -own[0], own[0], -torque, torque])
-    return _Block(xs, us, np.vstack(G), np.concatenate(h), cost, np.concatenate(age), np.concatenate(state), np.concatenate(upper))
+    return _Block(
+        xs, us, np.vstack(G), np.concatenate(h), cost, np.concatenate(age), np.concatenate(state), np.concatenate(upper)
+    )
 
 
 def fit_sets(

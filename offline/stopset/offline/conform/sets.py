@@ -162,9 +162,7 @@ def _variants(
     }
 
 
-def _influence(
-    used: dict[int, Envelope], fitted: Callable[[Sequence[Envelope]], Fit], fit: Fit
-) -> dict[int, tuple[float, ...]]:
+def _influence(used: dict[int, Envelope], fitted: Callable[[Sequence[Envelope]], Fit], fit: Fit) -> dict[int, tuple[float, ...]]:
     """Leave one motion out: relative change of each joint's U width."""
     if not 2 <= len(used) <= 64:
         return {}
