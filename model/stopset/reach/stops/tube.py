@@ -119,12 +119,34 @@ def _pivot(A: Array, k: int, into: bool) -> None:
     A[k, k] = -d
 
 
+class Local(NamedTuple):
+    """Inertia and torques over a box of angles and speeds: ``M +- M_rad`` for the middle payload, ``Mp +- Mp_rad`` for half
+    its range; ``h``: Coriolis and gravity torque; ``e``: ``1/2 v' dM/dq_i v - g_i``, the momentum's rate without input."""
+
+    M: Array
+    M_rad: Array
+    Mp: Array
+    Mp_rad: Array
+    dM: Array  # all uncertainty of M: M_rad + |Mp| + Mp_rad
+    h_lo: Array
+    h_hi: Array
+    e_lo: Array
+    e_hi: Array
+
+
+@njit(cache=True)
+def _local(n: int) -> Local:
+    return Local(
+        np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+    )  # fmt: skip
+
+
 @njit(cache=True)
 def _box_terms(
-    E: Expansion, K: Curvature, x_lo: Array, x_hi: Array, w_lo: Array, w_hi: Array, parts: Parts,
-    M: Array, dM: Array, h_lo: Array, h_hi: Array,
-) -> None:  # fmt: skip
-    """Over angles ``E.q + [x_lo, x_hi]`` and speeds ``[w_lo, w_hi]``: inertia ``M +- dM`` and ``c + g`` in ``[h_lo, h_hi]``."""
+    E: Expansion, K: Curvature, x_lo: Array, x_hi: Array, w_lo: Array, w_hi: Array, parts: Parts, out: Local, turn: Array
+) -> None:
+    """Fill ``out`` for angles ``E.q + [x_lo, x_hi]`` and speeds ``[w_lo, w_hi]``; ``turn`` (n, n, n) is workspace."""
     n = x_lo.shape[0]
     mid, rad, far = np.empty(n), np.empty(n), np.empty(n)
     vc, vr, va = np.empty(n), np.empty(n), np.empty(n)
@@ -135,42 +157,51 @@ def _box_terms(
         va[k] = abs(vc[k]) + vr[k]
     for i in range(n):
         for j in range(i, n):
-            m, r = E.M[i, j], 0.0
-            p = abs(E.Mp[i, j])
+            m, r, p, pr = E.M[i, j], 0.0, E.Mp[i, j], 0.0
             for k in range(i + 1, n):
                 m += E.dM[i, j, k] * mid[k]
                 r += abs(E.dM[i, j, k]) * rad[k]
-                p += abs(E.dMp[i, j, k]) * far[k]
+                p += E.dMp[i, j, k] * mid[k]
+                pr += abs(E.dMp[i, j, k]) * rad[k]
                 second = 0.0
-                for l in range(i + 1, n):
-                    second += K.M[i, j, k, l] * far[l]
+                for o in range(i + 1, n):
+                    second += K.M[i, j, k, o] * far[o]
+                # how much dM_ij/dq_k itself can differ from its value at E.q, payload included
+                turn[i, j, k] = second
+                turn[j, i, k] = second
                 r += 0.5 * second * far[k]
-            M[i, j], dM[i, j] = m, r + p
-            if i != j:
-                M[i, j] *= parts.coupling
-                dM[i, j] *= parts.coupling
-            M[j, i], dM[j, i] = M[i, j], dM[i, j]
+            scale = parts.coupling if i != j else 1.0
+            out.M[i, j], out.M_rad[i, j], out.Mp[i, j], out.Mp_rad[i, j] = scale * m, scale * r, scale * p, scale * pr
+            out.dM[i, j] = scale * (r + abs(p) + pr)
+            out.M[j, i], out.M_rad[j, i], out.Mp[j, i] = out.M[i, j], out.M_rad[i, j], out.Mp[i, j]
+            out.Mp_rad[j, i], out.dM[j, i] = out.Mp_rad[i, j], out.dM[i, j]
     for i in range(n):
         g, r = E.g[i], abs(E.gp[i])
         for k in range(n):
             g += parts.gravity_slope * E.dg[i, k] * mid[k]
             r += parts.gravity_slope * (abs(E.dg[i, k]) * rad[k] + abs(E.dgp[i, k]) * far[k])
             second = 0.0
-            for l in range(n):
-                second += K.g[i, k, l] * far[l]
+            for o in range(n):
+                second += K.g[i, k, o] * far[o]
             r += 0.5 * parts.gravity_slope * second * far[k]
-        c, cr = 0.0, 0.0
+        c, cr, e, er = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
-            for l in range(n):
-                G = E.Gamma[i, k, l]
-                beyond = abs(E.Gammap[i, k, l])
-                for m_ in range(n):
-                    beyond += K.Gamma[i, k, l, m_] * far[m_]
-                c += G * vc[k] * vc[l]
-                cr += abs(G) * (abs(vc[k]) * vr[l] + vr[k] * abs(vc[l]) + vr[k] * vr[l]) + beyond * va[k] * va[l]
-        c *= parts.christoffel
-        cr *= parts.christoffel
-        h_lo[i], h_hi[i] = g + c - r - cr, g + c + r + cr
+            for o in range(k, n):
+                twice = 1.0 if k == o else 2.0
+                product = twice * vc[k] * vc[o]
+                spread = twice * (abs(vc[k]) * vr[o] + vr[k] * abs(vc[o]) + vr[k] * vr[o])
+                largest = twice * va[k] * va[o]
+                G = E.Gamma[i, k, o]
+                beyond = abs(E.Gammap[i, k, o]) + 0.5 * (turn[i, k, o] + turn[i, o, k] + turn[k, o, i])
+                c += G * product
+                cr += abs(G) * spread + beyond * largest
+                if k < i:
+                    d = 0.5 * E.dM[k, o, i]
+                    e += d * product
+                    er += abs(d) * spread + 0.5 * (abs(E.dMp[k, o, i]) + turn[k, o, i]) * largest
+        c, cr, e, er = parts.christoffel * c, parts.christoffel * cr, parts.christoffel * e, parts.christoffel * er
+        out.h_lo[i], out.h_hi[i] = g + c - r - cr, g + c + r + cr
+        out.e_lo[i], out.e_hi[i] = e - g - r - er, e - g + r + er
 
 
 @njit(cache=True)
@@ -266,6 +297,161 @@ def _accelerations(
                 out[row, i] += slack
 
 
+class Momentum(NamedTuple):
+    """What the momenta ``p = M v`` know since the cut: their rates integrated, for joints moving forward or backward.
+
+    ``p_i' = 1/2 v' dM/dq_i v - g_i - D v_i + u_i - f_i`` holds no accelerations, so what joint j can do to joint i is
+    limited by how much its speed can change, not by its deceleration times the time it may last.
+    """
+
+    forward_lo: Array  # (n,) integral of the least rate while moving forward
+    forward_hi: Array
+    backward_lo: Array
+    backward_hi: Array
+    restart_up: Array  # (n,) largest of (sum_j M_ij v_j - forward_hi) at times the joint may rest
+    restart_down: Array
+    sure: Array  # (n,) +1, -1: moved that way all the time since the cut, surely; 0 otherwise
+
+
+@njit(cache=True)
+def _pull(i: int, at: Local, y_lo: Array, y_hi: Array) -> tuple[float, float]:
+    """Interval of ``sum_{j != i} M_ij y_j``."""
+    lo, hi = 0.0, 0.0
+    for j in range(y_lo.shape[0]):
+        if j != i:
+            m, r = at.M[i, j], at.dM[i, j]
+            a, b = (m - r) * y_lo[j], (m + r) * y_lo[j]
+            c, d = (m - r) * y_hi[j], (m + r) * y_hi[j]
+            lo += min(min(a, b), min(c, d))
+            hi += max(max(a, b), max(c, d))
+    return lo, hi
+
+
+@njit(cache=True)
+def _since_cut(
+    i: int, A: Array, group: Array, at: Local, start: Local, v0_lo: Array, v0_hi: Array, y_lo: Array, y_hi: Array,
+    P_lo: Array, P_hi: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Change of joint i's speed since the cut, from the momenta of a ``group`` that contains it (1.0 members).
+
+    ``A``: inertia swept by the group; ``P``: change of each member's momentum; ``y``: change of every joint's speed.
+    With ``c = M_gg^-1 e_i``:  ``y_i = c'P - sum_{l not in g} (c'M)_l y_l - c' (M - M0) v0``, uncertainty of M apart.
+    """
+    n = v0_lo.shape[0]
+    lo, hi = 0.0, 0.0
+    for j in range(n):
+        if group[j] > 0.0:
+            c = -A[i, j]
+            lo += min(c * P_lo[j], c * P_hi[j])
+            hi += max(c * P_lo[j], c * P_hi[j])
+    for o in range(n):
+        change, change_rad, unsure = 0.0, 0.0, 0.0
+        for j in range(n):
+            if group[j] > 0.0:
+                c = -A[i, j]
+                change += c * (at.M[j, o] - start.M[j, o])
+                change_rad += abs(c) * (
+                    at.M_rad[j, o] + start.M_rad[j, o] + abs(at.Mp[j, o] - start.Mp[j, o]) + at.Mp_rad[j, o] + start.Mp_rad[j, o]
+                )
+                unsure += abs(c) * at.dM[j, o]
+        a = unsure * max(abs(y_lo[o]), abs(y_hi[o])) + change_rad * max(abs(v0_lo[o]), abs(v0_hi[o]))
+        lo += min(-change * v0_lo[o], -change * v0_hi[o]) - a
+        hi += max(-change * v0_lo[o], -change * v0_hi[o]) + a
+        if group[o] == 0.0:
+            c = A[o, i]
+            lo += min(-c * y_lo[o], -c * y_hi[o])
+            hi += max(-c * y_lo[o], -c * y_hi[o])
+    return lo, hi
+
+
+@njit(cache=True)
+def _cut_by_momentum(
+    plant: Plant, at: Local, start: Local, s_u: tuple[Array, Array], B_lo: Array, B_hi: Array, w_lo: Array, w_hi: Array,
+    v0_lo: Array, v0_hi: Array, lo: Array, hi: Array, new_lo: Array, new_hi: Array, h: float, m: Momentum, work: Array,
+) -> None:  # fmt: skip
+    """Tighten ``new_lo, new_hi`` (speeds at the end of a step) by the momenta, and carry these on over the step.
+
+    A cut is taken only where it lies inside the bound at the step's beginning: then it holds on the whole step and the
+    straight line between knots stays outside.
+    """
+    n = v0_lo.shape[0]
+    y_lo, y_hi, P_lo, P_hi, group = work[0], work[1], work[2], work[3], work[4]
+    x_lo, x_hi = work[5], work[6]
+    for i in range(n):
+        x_lo[i], x_hi[i] = min(lo[i], new_lo[i]), max(hi[i], new_hi[i])
+        if m.sure[i] > 0.0 and not w_lo[i] > 0.0:
+            m.sure[i] = 0.0
+        if m.sure[i] < 0.0 and not w_hi[i] < 0.0:
+            m.sure[i] = 0.0
+    for i in range(n):
+        D_lo, D_hi = plant.viscous_lo[i], plant.viscous_hi[i]
+        f_lo, f_hi = max(x_lo[i], 0.0), max(x_hi[i], 0.0)
+        b_lo, b_hi = min(x_lo[i], 0.0), min(x_hi[i], 0.0)
+        before = (m.forward_lo[i], m.forward_hi[i], m.backward_lo[i], m.backward_hi[i])
+        m.forward_lo[i] += h * (at.e_lo[i] + s_u[0][i] - D_hi * f_hi - B_hi[i])
+        m.forward_hi[i] += h * (at.e_hi[i] + s_u[1][i] - D_lo * f_lo - B_lo[i])
+        m.backward_lo[i] += h * (at.e_lo[i] + s_u[0][i] - D_lo * b_hi + B_lo[i])
+        m.backward_hi[i] += h * (at.e_hi[i] + s_u[1][i] - D_hi * b_lo + B_hi[i])
+        if m.sure[i] > 0.0:
+            P_lo[i], P_hi[i] = min(before[0], m.forward_lo[i]), max(before[1], m.forward_hi[i])
+        elif m.sure[i] < 0.0:
+            P_lo[i], P_hi[i] = min(before[2], m.backward_lo[i]), max(before[3], m.backward_hi[i])
+        if x_lo[i] <= 0.0 <= x_hi[i]:
+            pull = _pull(i, at, x_lo, x_hi)
+            m.restart_up[i] = max(m.restart_up[i], pull[1] - min(before[1], m.forward_hi[i]))
+            m.restart_down[i] = min(m.restart_down[i], pull[0] - max(before[2], m.backward_lo[i]))
+        work[7, i], work[8, i] = max(before[1], m.forward_hi[i]), min(before[2], m.backward_lo[i])
+    A = at.M.copy()
+    for i in range(n):
+        group[i] = 1.0 if m.sure[i] != 0.0 else 0.0
+        if group[i] > 0.0:
+            _pivot(A, i, True)
+    alone = np.zeros(n)
+    for i in range(n):
+        for j in range(n):
+            y_lo[j], y_hi[j] = x_lo[j] - v0_hi[j], x_hi[j] - v0_lo[j]
+        if m.sure[i] != 0.0:
+            change = _since_cut(i, A, group, at, start, v0_lo, v0_hi, y_lo, y_hi, P_lo, P_hi)
+            up, down = v0_hi[i] + change[1], v0_lo[i] + change[0]
+            if up < hi[i]:
+                new_hi[i] = max(min(new_hi[i], up), new_lo[i])
+            if down > lo[i]:
+                new_lo[i] = min(max(new_lo[i], down), new_hi[i])
+            x_lo[i], x_hi[i] = min(lo[i], new_lo[i]), max(hi[i], new_hi[i])
+            continue
+        pull = _pull(i, at, x_lo, x_hi)
+        least, most = at.M[i, i] - at.dM[i, i], at.M[i, i] + at.dM[i, i]
+        if least <= 0.0:
+            continue
+        if x_hi[i] > 0.0:
+            up = -np.inf
+            if v0_hi[i] > 0.0:
+                P_lo[i], P_hi[i] = min(0.0, m.forward_lo[i]), work[7, i]
+                group[i] = 1.0
+                _pivot(A, i, True)
+                up = v0_hi[i] + _since_cut(i, A, group, at, start, v0_lo, v0_hi, y_lo, y_hi, P_lo, P_hi)[1]
+                _pivot(A, i, False)
+                group[i] = 0.0
+            impulse = m.restart_up[i] + work[7, i] - pull[0]
+            up = max(up, impulse / (least if impulse > 0.0 else most))
+            if up < hi[i]:
+                new_hi[i] = min(new_hi[i], max(up, 0.0))
+        if x_lo[i] < 0.0:
+            down = np.inf
+            if v0_lo[i] < 0.0:
+                P_lo[i], P_hi[i] = work[8, i], max(0.0, m.backward_hi[i])
+                group[i] = 1.0
+                _pivot(A, i, True)
+                down = v0_lo[i] + _since_cut(i, A, group, at, start, v0_lo, v0_hi, y_lo, y_hi, P_lo, P_hi)[0]
+                _pivot(A, i, False)
+                group[i] = 0.0
+            impulse = m.restart_down[i] + work[8, i] - pull[1]
+            down = min(down, impulse / (least if impulse < 0.0 else most))
+            if down > lo[i]:
+                new_lo[i] = max(new_lo[i], min(down, 0.0))
+        x_lo[i], x_hi[i] = min(lo[i], new_lo[i]), max(hi[i], new_hi[i])
+
+
 @njit(cache=True)
 def march(
     plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h: float, steps: int, parts: Parts
@@ -283,13 +469,20 @@ def march(
     out, work = np.zeros((8, n)), np.zeros((6, n))
     w_lo, w_hi = np.zeros(n), np.zeros(n)
     x_lo, x_hi = np.zeros(n), np.zeros(n)
-    M, dM, h_lo, h_hi = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    at, start, turn = _local(n), _local(n), np.zeros((n, n, n))
+    work9 = np.zeros((9, n))
+    inf = np.full(n, np.inf)
+    momentum = Momentum(
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), -inf, inf.copy(),
+        np.where(v0_lo > 0.0, 1.0, np.where(v0_hi < 0.0, -1.0, 0.0)),
+    )  # fmt: skip
     s_lo, s_hi, own_up, own_down = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     plus, minus, zero, a_far = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     B_lo, B_hi = np.zeros(n), np.zeros(n)
     middle = 0.5 * (q_lo + q_hi)
     E = expand(plant.chain, plant.pi, plant.pi_half, plant.rotor, middle)
     K = plant.curvature
+    _box_terms(E, K, q_lo - E.q, q_hi - E.q, v0_lo, v0_hi, parts, start, turn)
     engaged = np.max(plant.delay_hi + plant.rise_hi)
     for k in range(steps):
         now = k * h
@@ -345,13 +538,13 @@ def march(
                     a_far[i] = max(a_far[i], max(abs(claim[0, i]), abs(claim[1, i])))
                 if minus[i] > 0.0:
                     a_far[i] = max(a_far[i], max(abs(claim[2, i]), abs(claim[3, i])))
-            _box_terms(E, K, x_lo, x_hi, w_lo, w_hi, parts, M, dM, h_lo, h_hi)
+            _box_terms(E, K, x_lo, x_hi, w_lo, w_hi, parts, at, turn)
             for i in range(n):
                 D_lo, D_hi = plant.viscous_lo[i], plant.viscous_hi[i]
                 least = min(D_lo * w_lo[i], D_hi * w_lo[i])
                 most = max(D_lo * w_hi[i], D_hi * w_hi[i])
-                s_lo[i] = -h_hi[i] - most + plant.u_lo[i]
-                s_hi[i] = -h_lo[i] - least + plant.u_hi[i]
+                s_lo[i] = -at.h_hi[i] - most + plant.u_lo[i]
+                s_hi[i] = -at.h_lo[i] - least + plant.u_hi[i]
                 # the bound's own rate needs the viscous torque only where the speed is at the bound
                 fast, slow = w_lo[i], w_hi[i]
                 if v_hi[k, i] > 0.0:
@@ -364,7 +557,7 @@ def march(
                     slow = v_lo[k, i] + h * max(0.0, claim[1, i])
                 own_up[i] = max(0.0, min(D_lo * fast, D_hi * fast) - least)
                 own_down[i] = max(0.0, most - max(D_lo * slow, D_hi * slow))
-            _accelerations(M, dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, plus, minus, zero, a_far, out, work)
+            _accelerations(at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, plus, minus, zero, a_far, out, work)
             verified = True
             for i in range(n):
                 for row in range(4):
@@ -414,20 +607,22 @@ def march(
                 new_lo = lo + h * out[5, i]
                 if new_lo <= 0.0:
                     new_lo = h * down
+            v_hi[k + 1, i], v_lo[k + 1, i] = new_hi, new_lo
+            for row in range(4):
+                rates[k, row, i] = out[row, i]
+        _cut_by_momentum(
+            plant, at, start, (plant.u_lo, plant.u_hi), B_lo, B_hi, w_lo, w_hi, v0_lo, v0_hi,
+            v_lo[k], v_hi[k], v_lo[k + 1], v_hi[k + 1], h, momentum, work9,
+        )  # fmt: skip
+        for i in range(n):
+            lo, hi, new_lo, new_hi = v_lo[k, i], v_hi[k, i], v_lo[k + 1, i], v_hi[k + 1, i]
             if parts.whole_step == 0.0:
                 d_hi[k + 1, i], d_lo[k + 1, i] = d_hi[k, i] + h * new_hi, d_lo[k, i] + h * new_lo
             else:
                 # chords: outside the speed's bound where that is convex; where it crosses zero, its larger end
-                d_hi[k + 1, i] = d_hi[k, i] + h * (
-                    max(new_hi, 0.0) if hi < 0.0 and new_hi >= 0.0 else 0.5 * (hi + new_hi)
-                )
-                d_lo[k + 1, i] = d_lo[k, i] + h * (
-                    min(new_lo, 0.0) if lo > 0.0 and new_lo <= 0.0 else 0.5 * (lo + new_lo)
-                )
-            v_hi[k + 1, i], v_lo[k + 1, i] = new_hi, new_lo
+                d_hi[k + 1, i] = d_hi[k, i] + h * (max(new_hi, 0.0) if hi < 0.0 and new_hi >= 0.0 else 0.5 * (hi + new_hi))
+                d_lo[k + 1, i] = d_lo[k, i] + h * (min(new_lo, 0.0) if lo > 0.0 and new_lo <= 0.0 else 0.5 * (lo + new_lo))
             moving = moving or new_hi != 0.0 or new_lo != 0.0
-            for row in range(4):
-                rates[k, row, i] = out[row, i]
         t[k + 1] = now + h
         if not moving and now >= engaged:
             for i in range(n):

@@ -1,0 +1,168 @@
+"""Try to break a stop bound: many stops of the nonlinear coupled arm, parameters where they hurt, every half millisecond held
+against the tube.
+
+The stops are drawn by `stopset.simulation.stop`, which shares no line with the bound.  Besides random corners there are
+directed ones: a joint slow (or fast) in everything of its own, and the others' brakes as the inverse inertia says they
+hurt it most.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from stopset.reach.stops.bounds import stopped_after
+from stopset.reach.stops.tube import Plant, Tube
+from stopset.robot.rigid import Array, link_frames, mass_matrix
+from stopset.simulation.stop import simulate_stop
+
+DT = 0.5e-3  # [s] between checks, and the step of the simulation
+PIECES = 8  # of the horizon, with a constant disturbance each
+# The simulation errs by O(dt^2): against dt / 16 its worst difference over 2000 stops of the reference arm was
+# 1.0e-6 rad and 6e-4 rad/s, the latter at brake onset and rest only (see benchmarks).
+ANGLE_ERROR = 2e-6  # [rad]
+SPEED_ERROR = 1e-3  # [rad/s]
+
+
+class Samples(NamedTuple):
+    """Worst of the sampled stops from one state: escapes, angles both ways [rad], times [s], TCP displacement [m]."""
+
+    stops: int
+    escaped: int
+    forward: Array
+    back: Array
+    time: Array
+    tcp: float
+    excess: float  # largest distance outside the tube, in widths of nothing: [rad] or [rad/s], 0 if none
+
+
+@njit(cache=True)
+def tube_at(tube: Tube, times: Array) -> tuple[Array, Array, Array, Array]:
+    """Bounds of displacement and speed at ``times`` (T,), exactly as the tube means them between its knots."""
+    T, n = times.shape[0], tube.d_lo.shape[1]
+    dl, dh, vl, vh = np.empty((T, n)), np.empty((T, n)), np.empty((T, n)), np.empty((T, n))
+    K = tube.t.shape[0] - 1
+    h = tube.t[1] - tube.t[0]
+    for m in range(T):
+        k = min(int(times[m] / h), K - 1)
+        s = min(max(times[m] - k * h, 0.0), h)
+        for i in range(n):
+            a, b = tube.v_hi[k, i], tube.v_hi[k + 1, i]
+            if a < 0.0 and b >= 0.0:  # the bound may cross zero at once and stay there
+                a = b
+            vh[m, i] = a + (b - a) * s / h
+            dh[m, i] = tube.d_hi[k, i] + s * (a + 0.5 * (b - a) * s / h)
+            a, b = tube.v_lo[k, i], tube.v_lo[k + 1, i]
+            if a > 0.0 and b <= 0.0:
+                a = b
+            vl[m, i] = a + (b - a) * s / h
+            dl[m, i] = tube.d_lo[k, i] + s * (a + 0.5 * (b - a) * s / h)
+    return dl, dh, vl, vh
+
+
+@njit(cache=True)
+def _pick(lo: Array, hi: Array, share: Array) -> Array:
+    return lo + (hi - lo) * share
+
+
+@njit(cache=True)
+def _shares(kind: int, n: int) -> Array:
+    return np.random.randint(0, 2, n).astype(np.float64) if kind == 0 else np.random.random(n)
+
+
+@njit(cache=True)
+def sample_stops(
+    plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, tip: Array, tube: Tube, count: int, seed: int
+) -> Samples:
+    """Simulate ``count`` stops from the box around (q, dq) and hold each against ``tube`` every `DT` seconds."""
+    np.random.seed(seed)
+    n = q.shape[0]
+    steps = int(np.ceil(tube.t[-1] / DT)) + 2
+    times = np.arange(steps + 1) * DT
+    dl, dh, vl, vh = tube_at(tube, times)
+    forward, back, time = np.zeros(n), np.zeros(n), np.zeros(n)
+    tcp, excess, escaped = 0.0, 0.0, 0
+    M = mass_matrix(plant.chain, plant.pi, q)
+    for i in range(n):
+        M[i, i] += plant.rotor[i]
+    W = np.linalg.inv(M)
+    sign = np.where(dq >= 0.0, 1.0, -1.0)
+    for s in range(count):
+        kind = s % 5
+        load = float(np.random.randint(0, 2)) if kind != 1 else np.random.random()
+        pi = plant.pi + (2.0 * load - 1.0) * plant.pi_half
+        if kind <= 1:  # 0: any corner; 1: anywhere inside
+            F = _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n))
+            D = _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n))
+            B = _pick(plant.brake_lo, plant.brake_hi, _shares(kind, n))
+            delay = _pick(plant.delay_lo, plant.delay_hi, _shares(kind, n))
+            rise = _pick(plant.rise_lo, plant.rise_hi, _shares(kind, n))
+            q0 = q + q_radius * (2.0 * _shares(kind, n) - 1.0)
+            v0 = dq + dq_radius * (2.0 * _shares(kind, n) - 1.0)
+            u = np.empty((PIECES, n))
+            for p in range(PIECES):
+                u[p] = _pick(plant.u_lo, plant.u_hi, _shares(kind, n))
+        else:
+            slow = _shares(0, n)
+            if kind == 2:
+                slow[:] = 1.0
+                slow[np.random.randint(n)] = float(np.random.randint(0, 2))
+            elif kind == 4:  # one joint, and the rest as it hurts this one most
+                j = np.random.randint(n)
+                slow[j] = float(np.random.randint(0, 2))
+                along = slow[j] * 2.0 - 1.0
+                for i in range(n):
+                    if i != j:
+                        slow[i] = 1.0 if along * W[j, i] * sign[i] * sign[j] > 0.0 else 0.0
+            F, B = _pick(plant.coulomb_hi, plant.coulomb_lo, slow), _pick(plant.brake_hi, plant.brake_lo, slow)
+            D = _pick(plant.viscous_hi, plant.viscous_lo, slow)
+            delay, rise = _pick(plant.delay_lo, plant.delay_hi, slow), _pick(plant.rise_lo, plant.rise_hi, slow)
+            ahead = sign * (2.0 * slow - 1.0)
+            q0 = q + q_radius * (2.0 * _shares(0, n) - 1.0)
+            v0 = dq + dq_radius * ahead
+            u = np.empty((PIECES, n))
+            for p in range(PIECES):
+                u[p] = np.where(ahead > 0.0, plant.u_hi, plant.u_lo)
+        qs, vs = simulate_stop(
+            plant.chain, pi, plant.rotor, F, D, B, delay, rise, q0, v0, DT, steps, u
+        )  # fmt: skip
+        out = False
+        R, o = link_frames(plant.chain, q0)
+        p0 = o[n - 1] + R[n - 1] @ tip
+        for k in range(steps + 1):
+            for i in range(n):
+                d = qs[k, i] - q0[i]
+                forward[i], back[i] = max(forward[i], d), max(back[i], -d)
+                if abs(vs[k, i]) > SPEED_ERROR:
+                    time[i] = max(time[i], times[k])
+                beyond = max(
+                    max(d - dh[k, i], dl[k, i] - d) - ANGLE_ERROR, max(vs[k, i] - vh[k, i], vl[k, i] - vs[k, i]) - SPEED_ERROR
+                )
+                if not beyond <= 0.0:
+                    out = True
+                    excess = max(excess, beyond)
+            if k % 8 == 0 or k == steps:
+                R, o = link_frames(plant.chain, qs[k])
+                tcp = max(tcp, np.sqrt(np.sum((o[n - 1] + R[n - 1] @ tip - p0) ** 2)))
+        escaped += out
+    return Samples(count, escaped, forward, back, time, tcp, excess)
+
+
+class Tightness(NamedTuple):
+    """Bound over worst sampled stop, of one state: angles of the joints that moved, time, TCP."""
+
+    angle: Array
+    time: float
+    tcp: float
+
+
+def tightness(tube: Tube, tcp: float, samples: Samples, dq: Array, top_speed: Array, share: float = 0.2) -> Tightness:
+    """Ratios for the joints faster than ``share`` of ``top_speed`` (slower ones move by their disturbance only)."""
+    angle = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)) / np.maximum(
+        np.maximum(samples.forward, samples.back), 1e-9
+    )
+    return Tightness(
+        angle[np.abs(dq) > share * top_speed], float(stopped_after(tube).max() / samples.time.max()), tcp / samples.tcp
+    )
