@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -139,7 +140,9 @@ def figaroh(urdf: Path, robot: Robot, fit: Recordings, test: Sequence[Recording]
 
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        run = Identification(load_figaroh(str(urdf), package_dirs=folder, load_by_urdf=True), "unused")
+        bare = Path(folder) / "robot.urdf"  # its loader wants every mesh file; the identification wants none
+        bare.write_text(re.sub(r"<(visual|collision)\b.*?</\1>", "", urdf.read_text(), flags=re.S))
+        run = Identification(load_figaroh(str(bare), package_dirs=folder, load_by_urdf=True), "unused")
         run.initialize()
         run.solve(decimate=False, plotting=False, save_results=False, wls=True)
     seconds = time.perf_counter() - start

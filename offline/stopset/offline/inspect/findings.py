@@ -1,0 +1,234 @@
+"""What is wrong with a recording: each detector one function, each finding what was seen, expected, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stopset.offline.inspect.tally import LAGS, Tally
+from stopset.recording.types import Array, Meta
+
+Severity = Literal["error", "warning", "note"]
+JITTER = 0.02  # relative spread of the period from which on stamps are called irregular
+NOTABLE_GAPS = 1e-4  # share of missing samples
+RATIOS = {  # dq over the derivative of q -> what it means
+    180 / np.pi: "dq is in deg/s, q in rad",
+    np.pi / 180: "q is in degrees, dq in rad/s",
+    1000.0: "dq is in mrad/s or t in ms",
+    0.001: "t is in ms or dq in rad/ms",
+    60 / (2 * np.pi): "dq is in rpm",
+    -1.0: "dq has the wrong sign",
+}
+AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a ratio above is explained
+CORRELATED = 0.9  # below it dq does not follow q at all
+DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong or strange; ``kind`` is the word for programs, the rest for people."""
+
+    kind: str
+    severity: Severity
+    joint: str | None
+    seen: str
+    expected: str
+    do: str
+    value: float | None = None
+
+    @property
+    def says(self) -> str:
+        where = f"{self.joint}: " if self.joint else ""
+        return f"{where}{self.seen}; expected {self.expected}: {self.do}"
+
+
+def clock(t: Tally, meta: Meta) -> list[Finding]:
+    """Irregular stamps, missing, repeated and jumped samples, and a rate that is not the stated one."""
+    out: list[Finding] = []
+    if not t.period:
+        return out
+    period, jitter = float(np.median(t.period)), float(np.max(t.jitter))
+    if jitter > JITTER:
+        out.append(
+            Finding("clock_jitter", "warning", None, f"the period of {period * 1e3:.3g} ms spreads by {100 * jitter:.1f} %",
+                    f"at most {100 * JITTER:.0f} %", "identification resamples; record with the controller's own stamps", jitter)
+        )  # fmt: skip
+    lost = t.missing / max(t.samples + t.missing, 1)
+    if lost > NOTABLE_GAPS:
+        out.append(
+            Finding("dropped_samples", "error" if lost > 0.02 else "warning", None,
+                    f"{t.missing} samples ({100 * lost:.2g} %) missing in {t.gaps} gaps, the longest {t.longest_gap * 1e3:.3g} ms",
+                    "none", "trials are split at long gaps; record again if a motion is lost in them", lost)
+        )  # fmt: skip
+    if t.repeated > max(2, NOTABLE_GAPS * t.samples):
+        out.append(
+            Finding("repeated_samples", "error" if t.repeated > 0.005 * t.samples else "warning", None, f"{t.repeated} samples repeat their predecessor in mid-motion",
+                    "a new sample at every stamp", "the logger filled lost samples: record again or leave gaps", t.repeated)
+        )  # fmt: skip
+    if t.jumps > max(2, NOTABLE_GAPS * t.samples):
+        out.append(
+            Finding("dropped_samples", "error", None, f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
+                    "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
+        )  # fmt: skip
+    if np.isfinite(meta.rate_hz) and abs(period * meta.rate_hz - 1) > 0.2:
+        out.append(
+            Finding("rate", "warning", None, f"stamps come at {1 / period:.4g} Hz", f"{meta.rate_hz:.4g} Hz as the metadata says",
+                    "correct t (is it in ms?) or the metadata", 1 / period)
+        )  # fmt: skip
+    if meta.clock == "assumed":
+        out.append(
+            Finding("clock_assumed", "note", None, "the stamps are assumed, not recorded", "recorded stamps",
+                    "jitter and lost samples can only be seen in the motion itself")
+        )  # fmt: skip
+    return out
+
+
+def saturation(t: Tally, joints: Sequence[str]) -> list[Finding]:
+    """Signals that stop at one value for many samples."""
+    out = []
+    top = {"tau": np.abs(t.range_tau).max(axis=1), "dq": np.abs(t.range_dq).max(axis=1)}
+    seen: dict[tuple[str, int], tuple[float, int]] = {}
+    for name, j, value, run in t.plateaus:
+        if name in top and value < 0.999 * top[name][j]:
+            continue
+        old = seen.get((name, j), (value, 0))
+        seen[name, j] = (max(value, old[0]), old[1] + run)
+    for (name, j), (value, run) in seen.items():
+        what = {"tau": "torque", "dq": "speed", "i": "current"}[name]
+        out.append(
+            Finding("saturated", "error", joints[j], f"the {what} sits at {value:.5g} for {run} samples",
+                    "a signal inside its range", "the drive or the logger clips: lower the demand or widen the range", value)
+        )  # fmt: skip
+    return out
+
+
+def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
+    """dq that is not the derivative of q: unit, sign, lag, unrelated; or derived though called measured."""
+    out: list[Finding] = []
+    aa, ab, bb = t.way
+    moved = aa > (30 * np.where(np.isfinite(t.resolution), t.resolution, 0.0)) ** 2
+    period = float(np.median(t.period)) if t.period else float("nan")
+    for j, joint in enumerate(joints):
+        if not moved[j] or aa[j] <= 0:
+            continue
+        k = ab[j] / aa[j]
+        r = ab[j] / np.sqrt(aa[j] * bb[j]) if bb[j] > 0 else 0.0
+        if abs(r) < CORRELATED:
+            seen = "dq is zero while q moves" if bb[j] == 0 else f"dq follows the motion of q with a correlation of {r:.2f}"
+            out.append(Finding("dq_not_derivative", "error", joint, seen, "dq = dq/dt", "columns may be swapped: mend them", float(r)))
+        elif abs(k - 1) > AGREES:
+            meaning = next((m for ratio, m in RATIOS.items() if abs(k / ratio - 1) < AGREES), None)
+            kind = "wrong_unit" if meaning and k > 0 else "dq_not_derivative"
+            seen = f"dq is {k:.4g} times the derivative of q" + (f" ({meaning})" if meaning else "")
+            out.append(Finding(kind, "error", joint, seen, "1 (rad, rad/s, s)", "convert the columns to SI", float(k)))
+        else:
+            out += _lag(t, j, joint, period)
+    return out + _derived(t, joints, meta, period)
+
+
+def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:
+    c = t.lagged[:, j]
+    k = int(np.argmin(c))
+    bend = c[max(k - 1, 0)] - 2 * c[k] + c[min(k + 1, len(c) - 1)]
+    part = 0.5 * (c[k - 1] - c[k + 1]) / bend if 0 < k < len(c) - 1 and bend > 0 else 0.0
+    lag = (k - LAGS + part) * period
+    # a lag counts when putting it right removes half of the difference
+    if abs(k - LAGS + part) < 0.75 or c[k] > 0.5 * c[LAGS]:
+        return []
+    return [
+        Finding("dq_lags", "warning", joint, f"dq is {abs(lag) * 1e3:.1f} ms {'behind' if lag > 0 else 'ahead of'} the derivative of q",
+                f"less than a sample, {period * 1e3:.3g} ms", "dq is filtered or stamped apart: record it raw", float(lag))
+    ]  # fmt: skip
+
+
+def _derived(t: Tally, joints: Sequence[str], meta: Meta, period: float) -> list[Finding]:
+    """A velocity without noise of its own is a difference of q: dq = dq/dt then holds by construction, not by measurement."""
+    if meta.velocity == "derived" or t.samples == 0:
+        return []
+    names = []
+    for j, joint in enumerate(joints):
+        grain = t.resolution[j] * 0.29 / period  # noise that the encoder's steps leave in a difference of q
+        rms = np.sqrt(t.difference[:, j].min() / t.samples)
+        if np.isfinite(grain) and grain > 1e-4 and rms < 0.1 * grain and t.speed2[j] > 0:
+            names.append(joint)
+    if not names:
+        return []
+    return [
+        Finding("velocity_derived", "warning", None, f"dq of {', '.join(names)} is a difference of neighbouring q",
+                "a measured velocity, as the metadata says", 'set velocity to "derived" in the metadata')
+    ]  # fmt: skip
+
+
+def torque_power(t: Tally, joints: Sequence[str]) -> list[Finding]:
+    """Wrong sign of torque, from energy alone: over a campaign friction takes energy in, it never gives any."""
+    out = []
+    net, gross = t.power
+    for j, joint in enumerate(joints):
+        if gross[j] > 0 and net[j] < -0.15 * gross[j]:
+            out.append(
+                Finding("wrong_sign", "error", joint, f"the torque takes energy out of the motion ({100 * net[j] / gross[j]:.0f} % net power)",
+                        "energy put in, to feed friction", "turn the sign of tau (or of q and dq)", float(net[j] / gross[j]))
+            )  # fmt: skip
+    return out
+
+
+def torque_scale(scale: Array, std: Array, joints: Sequence[str], gear: Array, constant: Array) -> list[Finding]:
+    """Wrong unit or sign of torque against the robot's own model: ``scale`` (n,) measured over modelled rigid-body torque."""
+    out = []
+    for j, joint in enumerate(joints):
+        k = float(scale[j])
+        if not np.isfinite(k) or not np.isfinite(std[j]) or std[j] > 0.1 * abs(k):
+            continue  # the motion does not tell
+        if 0.4 < k < 2.5:
+            continue  # payload, drive gain and CAD errors live here
+        known = {
+            1e3: "it is in mN m", 1e-3: "it is in kN m", 1 / gear[j]: "it is motor side: times the gear ratio",
+            1 / constant[j]: "it is in ampere: times the torque constant", 100.0: "it is in N cm",
+        }  # fmt: skip
+        near = min((abs(np.log(abs(k) / r)), m) for r, m in known.items() if np.isfinite(r) and r > 0)
+        if k < 0 and 0.4 < -k < 2.5:
+            out.append(
+                Finding("wrong_sign", "error", joint, f"the torque is {k:.3g} times what the rigid body needs", "about 1",
+                        "turn the sign of tau", k)
+            )  # fmt: skip
+        else:
+            why = f" ({near[1]})" if near[0] < 0.4 else ""
+            out.append(
+                Finding("wrong_unit", "error", joint, f"the torque is {k:.3g} times what the rigid body needs{why}",
+                        "about 1, N m on the link side", "convert tau, or correct gear ratio and torque constant", k)
+            )  # fmt: skip
+    return out
+
+
+def torque_delay(common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str]) -> list[Finding]:
+    """Torque stamped apart from the motion: all joints alike (clocks), or one apart from the rest (its drive)."""
+    least = max(DELAY, 0.6 * period)
+
+    def told(d: float, s: float) -> bool:
+        return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(least, 3 * s))
+
+    def finding(name: str | None, d: float, s: float, against: str) -> Finding:
+        seen = f"the torque is {abs(d) * 1e3:.1f} +- {s * 1e3:.1f} ms {'late' if d < 0 else 'early'} against {against}"
+        return Finding("torque_delay", "warning", name, seen, f"less than {least * 1e3:.1f} ms",
+                       "identification takes a common delay out; look for different clocks or a filter", d)  # fmt: skip
+
+    out = [finding(None, common, std, "the motion")] if told(common, std) else []
+    for j, name in enumerate(joints):
+        d, s = float(joint[j] - common), float(np.hypot(joint_std[j], std))
+        if told(d, s):
+            out.append(finding(name, d, s, "the other joints'"))
+    return out
+
+
+def torque_limits(t: Tally, joints: Sequence[str], limit: Array) -> list[Finding]:
+    """More torque than the drive has."""
+    top = np.abs(t.range_tau).max(axis=1)
+    return [
+        Finding("wrong_unit", "error", joint, f"the torque reaches {top[j]:.4g}", f"at most the drive's {limit[j]:.4g} N m",
+                "convert tau to N m on the link side, or correct the data sheet", float(top[j]))
+        for j, joint in enumerate(joints)
+        if np.isfinite(limit[j]) and np.isfinite(top[j]) and top[j] > 3 * limit[j]
+    ]  # fmt: skip

@@ -1,0 +1,193 @@
+"""One pass over recordings: what they offer, what is missing for identification, what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stopset.errors import RecordingError
+from stopset.offline.inspect import findings as detect
+from stopset.offline.inspect.findings import Finding
+from stopset.offline.inspect.needs import Need, needs
+from stopset.offline.inspect.tally import MOVING, Tally
+from stopset.offline.nominal.delay import estimate_delay
+from stopset.offline.nominal.gram import NormalEquations, accumulate
+from stopset.offline.nominal.prior import Tolerance, prior_of
+from stopset.offline.nominal.scale import torque_scales
+from stopset.recording import Recording, read_meta, stream_recordings
+from stopset.recording.types import Meta
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """The answer about one file: ``offers`` (plain data), ``missing`` for identification, ``findings``.
+
+    ``refused``: the reader's sentence when the file's content cannot be taken at all.
+    """
+
+    path: str
+    offers: dict[str, Any]
+    missing: tuple[Need, ...]
+    findings: tuple[Finding, ...]
+    refused: str | None = None
+
+    @property
+    def wrong(self) -> bool:
+        """Whether something is wrong that identification should not be run over."""
+        return self.refused is not None or any(f.severity == "error" for f in self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "file": self.path,
+            **self.offers,
+            "missing": [{"part": m.part, "lacking": m.lacking, "do": m.do} for m in self.missing],
+            "findings": [
+                {"kind": f.kind, "severity": f.severity, "joint": f.joint, "seen": f.seen, "expected": f.expected, "do": f.do,
+                 "value": f.value if f.value is None or np.isfinite(f.value) else None}
+                for f in self.findings
+            ],
+            "refused": self.refused,
+            "usable": not self.wrong,
+        }  # fmt: skip
+
+
+@dataclass(slots=True)
+class _Campaign:
+    """Counts by phase, kept while the trials stream by."""
+
+    tally: Tally
+    trials: dict[str, int] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    suites: dict[tuple[str, int], int] = field(default_factory=dict)
+    slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
+    channels: set[str] = field(default_factory=set)
+
+    def add(self, r: Recording) -> None:
+        self.tally.add(r)
+        self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
+        self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
+        self.suites[r.motion] = self.suites.get(r.motion, 0) + 1
+        for name in ("temp", "current", "stop_trigger"):
+            if getattr(r, name) is not None:
+                self.channels.add(name)
+        if r.phase != "static":
+            speed = np.where(np.abs(r.dq) > MOVING, np.abs(r.dq), np.nan)
+            counted = np.isfinite(speed).sum(axis=0) > 20
+            low = np.array([np.nanpercentile(speed[:, j], 10) if counted[j] else np.inf for j in range(speed.shape[1])])
+            self.slowest = np.minimum(self.slowest, low) if len(self.slowest) else low
+
+    def watch(self, stream: Iterator[Recording]) -> Iterator[Recording]:
+        for r in stream:
+            self.add(r)
+            yield r
+
+    def phases(self) -> dict[str, dict[str, Any]]:
+        out: dict[str, dict[str, Any]] = {}
+        for phase, trials in self.trials.items():
+            mine = [count for (p, _), count in self.suites.items() if p == phase]
+            out[phase] = {
+                "trials": trials, "motions": len(mine), "most_trials_per_motion": max(mine),
+                "seconds": round(self.seconds[phase], 3),
+            }  # fmt: skip
+        return out
+
+
+def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) -> list[Inspection]:
+    """Inspect each file; with ``robot`` torque is also held against its rigid-body model (unit, sign, delay).
+
+    Raises `RecordingError` for files that are no recordings at all; content that the reader refuses becomes ``refused``.
+    """
+    return [_inspect(Path(p), robot) for p in paths]
+
+
+def _inspect(path: Path, robot: Robot | None) -> Inspection:
+    meta = read_meta(path)
+    joints = robot.joints if robot is not None else meta.joints
+    campaign = _Campaign(Tally(len(joints)))
+    compensated = meta.effort == "compensated_torque"
+    data: NormalEquations | None = None
+    refused = None
+    try:
+        stream = campaign.watch(stream_recordings(path, robot))
+        if robot is not None:
+            data = accumulate(robot, stream, compensated=compensated)
+        else:
+            for _ in stream:
+                pass
+    except RecordingError as e:
+        refused = " ".join(str(e).split())
+    found = _findings(campaign.tally, joints, meta, robot, data)
+    return Inspection(str(path), _offers(campaign, meta, joints), tuple(_missing(campaign, meta, robot)), tuple(found), refused)
+
+
+def _findings(
+    t: Tally, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None
+) -> list[Finding]:
+    out = [*detect.clock(t, meta), *detect.velocity(t, joints, meta), *detect.saturation(t, joints)]
+    if t.trials == 0:
+        return out
+    sign = detect.torque_power(t, joints)
+    if robot is not None:
+        out += detect.torque_limits(t, joints, robot.torque_limit)
+    if robot is not None and data is not None and meta.effort != "compensated_torque":
+        scale, std = torque_scales(robot, data)
+        gear = np.array([d.gear_ratio for d in robot.drives])
+        constant = _constants(meta, joints)
+        against = detect.torque_scale(scale, std, joints, gear, constant)
+        told = {f.joint for f in against}
+        out += [*against, *(f for f in sign if f.joint not in told)]
+        if not sign and not against:
+            delay = estimate_delay(data, prior_of(robot, Tolerance()))
+            out += detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, joints)
+    else:
+        out += sign
+    return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
+
+
+def _constants(meta: Meta, joints: Sequence[str]) -> np.ndarray:
+    if meta.torque_constant is None:
+        return np.full(len(joints), np.nan)
+    by = dict(zip(meta.joints, meta.torque_constant, strict=True))
+    return np.array([by.get(j, np.nan) for j in joints])
+
+
+def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:
+    paired = sum(1 for (phase, _), count in campaign.suites.items() if phase == "static" and count >= 2)
+    top = np.abs(campaign.tally.range_dq).max(axis=1)
+    n = campaign.tally.n
+    low = campaign.slowest if len(campaign.slowest) == n else np.full(n, np.inf)
+    repeats = max((c for (p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
+    limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
+    speed = np.column_stack([low, top])
+    return needs(campaign.phases(), paired, speed, limit, "temp" in campaign.channels, meta.effort, repeats)
+
+
+def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str, Any]:
+    t = campaign.tally
+
+    def pair(x: np.ndarray) -> list[float] | None:
+        return [float(f"{v:.6g}") for v in x] if np.isfinite(x).all() else None
+
+    def number(x: float) -> float | None:
+        return float(f"{x:.6g}") if np.isfinite(x) else None
+
+    ranges = {
+        joint: {
+            "q": pair(t.range_q[j]), "dq": pair(t.range_dq[j]), "ddq_max": number(t.acceleration[j]), "tau": pair(t.range_tau[j]),
+            "temp": pair(t.range_temp[j]), "resolution_q": number(t.resolution[j]),
+        }
+        for j, joint in enumerate(joints)
+    }  # fmt: skip
+    period = float(np.median(t.period)) if t.period else float("nan")
+    return {
+        "robot": meta.robot, "effort": meta.effort, "velocity": meta.velocity, "clock": meta.clock,
+        "rate_hz": number(1 / period) if period > 0 else None, "jitter": number(max(t.jitter, default=float("nan"))),
+        "trials": t.trials, "samples": t.samples, "seconds": round(t.seconds, 3), "phases": campaign.phases(),
+        "channels": ["q", "dq", "tau", *sorted(campaign.channels)], "joints": ranges,
+    }  # fmt: skip

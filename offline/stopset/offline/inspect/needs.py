@@ -1,0 +1,87 @@
+"""What each part of an identification needs from the recordings, and which of it is not there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from stopset.offline.inspect.tally import MOVING
+from stopset.recording.types import Array
+
+POSES = 20  # static poses from both sides: three times the gravity parameters of a usual arm
+SLOW, FAST = 0.15, 0.6  # of the speed limit: friction wants both ends of its curve
+REPEATS = 3  # trials of one suite, to see what does not repeat
+MOTIONS_1_PERCENT = 299  # clean held-out motions for a bound of 1 % at 95 % confidence
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """Something identification wants that these recordings do not have."""
+
+    part: str
+    lacking: str
+    do: str
+
+    @property
+    def says(self) -> str:
+        return f"{self.part}: {self.lacking}; {self.do}"
+
+
+def upper_bound(motions: int, confidence: float = 0.95) -> float:
+    """Clopper-Pearson bound on the share of violating motions when none of ``motions`` held-out ones violated."""
+    return 1.0 if motions == 0 else 1.0 - (1.0 - confidence) ** (1.0 / motions)
+
+
+def needs(
+    phases: Mapping[str, Mapping[str, int]],
+    paired_poses: int,
+    speed: Array,
+    limit: Array | None,
+    temperature: bool,
+    effort: str,
+    repeats: int,
+) -> list[Need]:
+    """``phases``: phase -> counts; ``paired_poses``: poses from both sides; ``speed`` (n, 2): lowest fast, highest speed
+    of the joints as the campaign has them; ``limit`` (n,) [rad/s] of the robot if known; ``repeats``: most trials of an
+    open-loop suite."""
+    out: list[Need] = []
+    if effort == "compensated_torque":
+        out.append(Need("gravity, Coulomb friction", "the torque is already compensated (u of eq. 11)", "record motor torque to identify them"))
+    elif paired_poses < POSES:
+        seen = f"{paired_poses} static poses approached from both sides, {POSES} wanted"
+        out.append(Need("gravity", seen, "add phase static: each pose once from below, once from above; friction cancels in the mean"))
+    moving = [p for p in ("closed_loop", "open_loop") if p in phases]
+    if not moving or not (speed[:, 1] > MOVING).any():
+        out.append(Need("inertia, friction", "no recording in motion", "add phase closed_loop: excitation and PTP, slow and fast"))
+    elif limit is not None:
+        out += _speeds(speed, limit)
+    motions = phases.get("open_loop", {}).get("motions", 0)
+    if motions == 0:
+        out.append(Need("uncertainty sets X0, U", "no open-loop suite", "add phase open_loop: equal start and torques, several trials per suite"))
+    else:
+        if repeats < REPEATS:
+            seen = f"at most {repeats} trial{'s' if repeats != 1 else ''} per open-loop suite, {REPEATS} wanted"
+            out.append(Need("what does not repeat", seen, "repeat each suite from the same start with the same torques"))
+        if motions < MOTIONS_1_PERCENT:
+            held = max(motions // 2, 1)
+            out.append(
+                Need("guarantee", f"{motions} independent open-loop motions: with half of them held out and none violated, at most "
+                     f"{100 * upper_bound(held):.1f} % may violate (95 %)", f"{MOTIONS_1_PERCENT} clean held-out motions make it 1 %")
+            )  # fmt: skip
+    for phase, what in (("stop0", "brake delay, rise and torque; sets of STOP 0"), ("stop1", "sets of STOP 1")):
+        if phase not in phases:
+            out.append(Need(what, f"no {phase} recording", f"add phase {phase}: stops at several speeds, with stop_trigger"))
+    if not temperature:
+        out.append(Need("thermal friction", "no joint temperatures", "record temp_<joint>; warming then shows only over the trial number"))
+    return out
+
+
+def _speeds(speed: Array, limit: Array) -> list[Need]:
+    slow = [j for j in range(len(limit)) if speed[j, 0] > SLOW * limit[j]]
+    fast = [j for j in range(len(limit)) if speed[j, 1] < FAST * limit[j]]
+    out = []
+    for which, name in ((slow, f"no sample in motion under {100 * SLOW:.0f} %"), (fast, f"no speed above {100 * FAST:.0f} %")):
+        if which:
+            joints = ", ".join(str(j + 1) for j in which)
+            out.append(Need("friction over speed", f"joint {joints}: {name} of the limit", "add PTP motions slow and fast (`stopset plan`)"))
+    return out

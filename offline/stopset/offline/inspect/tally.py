@@ -1,0 +1,139 @@
+"""Sums over the samples of a campaign, in one pass and constant memory, that the detectors judge afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stopset.recording.types import Array, Recording
+
+GAP = 1.6  # periods between stamps from which on a sample is missing
+WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
+LAGS = 6  # samples to each side in which dq is compared with the derivative of q
+MOVING = 0.02  # [rad/s]
+PLATEAU = 5  # equal samples in a row at a signal's largest value
+
+
+@dataclass(slots=True)
+class Tally:
+    """Sums per joint (n,) unless said otherwise; filled by `add`."""
+
+    n: int
+    trials: int = 0
+    samples: int = 0
+    seconds: float = 0.0
+    missing: int = 0  # samples, from gaps in the stamps
+    gaps: int = 0
+    longest_gap: float = 0.0
+    repeated: int = 0  # samples that repeat all signals in the middle of a motion
+    jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample
+    jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
+    period: list[float] = field(default_factory=list)
+    way: Array = field(init=False)  # (3, n) sums of a^2, a b, b^2: way of q, integral of dq
+    lagged: Array = field(init=False)  # (2 LAGS + 1, n) squared difference of dq, shifted, to the derivative of q
+    speed2: Array = field(init=False)
+    difference: Array = field(init=False)  # (3, n) squared difference of dq to backward, central, forward difference
+    power: Array = field(init=False)  # (2, n) sums of tau dq and |tau dq| in motion
+    resolution: Array = field(init=False)  # smallest step of q
+    range_q: Array = field(init=False)  # (n, 2)
+    range_dq: Array = field(init=False)
+    range_tau: Array = field(init=False)
+    range_temp: Array = field(init=False)
+    acceleration: Array = field(init=False)  # largest, smoothed over WINDOW
+    slow: Array = field(init=False)  # samples in motion below a tenth of the largest speed so far ... of dq_limit
+    plateaus: list[tuple[str, int, float, int]] = field(default_factory=list)  # signal, joint, value, samples
+
+    def __post_init__(self) -> None:
+        n = self.n
+        self.way, self.difference, self.power = np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
+        self.lagged, self.speed2 = np.zeros((2 * LAGS + 1, n)), np.zeros(n)
+        self.resolution, self.acceleration, self.slow = np.full(n, np.inf), np.zeros(n), np.zeros(n)
+        for name in ("range_q", "range_dq", "range_tau", "range_temp"):
+            setattr(self, name, np.tile([np.inf, -np.inf], (n, 1)))
+
+    def add(self, r: Recording) -> None:
+        """Fold in one trial."""
+        self.trials += 1
+        self.samples += len(r.t)
+        self.seconds += float(r.t[-1] - r.t[0])
+        for name, x in (("range_q", r.q), ("range_dq", r.dq), ("range_tau", r.tau), ("range_temp", r.temp)):
+            if x is not None:
+                old = getattr(self, name)
+                setattr(self, name, np.column_stack([np.fmin(old[:, 0], x.min(0)), np.fmax(old[:, 1], x.max(0))]))
+        if len(r.t) < 3 * LAGS:
+            return
+        step = np.abs(np.diff(r.q, axis=0))
+        for j in range(self.n):
+            moved = step[step[:, j] > 1e-12, j]
+            # stored as 32-bit: a smaller step than its rounding is no resolution
+            self.resolution[j] = min(self.resolution[j], float(np.percentile(moved, 1)) if len(moved) else np.inf)
+        h = self._clock(r)
+        self._velocity(r, h)
+        self._plateaus(r)
+        moving = np.abs(r.dq) > MOVING
+        power = np.where(moving, r.tau * r.dq, 0.0)
+        self.power += np.array([power.sum(axis=0), np.abs(power).sum(axis=0)])
+
+    def _clock(self, r: Recording) -> float:
+        dt = np.diff(r.t)
+        h = float(np.median(dt))
+        gap = dt > GAP * h
+        self.period.append(h)
+        self.jitter.append(float(np.std(dt[~gap]) / h) if (~gap).any() else 0.0)
+        self.gaps += int(gap.sum())
+        self.missing += int(np.round(dt[gap] / h - 1).sum())
+        self.longest_gap = max(self.longest_gap, float(dt.max()) if gap.any() else 0.0)
+        fast = np.abs(r.dq[1:]) > MOVING
+        way = np.abs(0.5 * (r.dq[1:] + r.dq[:-1]) * dt[:, None])
+        expected = way.max(axis=1)
+        visible = expected > 4 * np.where(np.isfinite(self.resolution), self.resolution, 0.0).max()
+        same = np.all(np.diff(r.q, axis=0) == 0, axis=1) & np.all(np.diff(r.tau, axis=0) == 0, axis=1)
+        self.repeated += int(np.sum(same & visible & fast.any(axis=1)))
+        step = np.abs(np.diff(r.q, axis=0))
+        ratio = step[np.arange(len(step)), way.argmax(axis=1)] / np.maximum(expected, 1e-12)
+        self.jumps += int(np.sum(visible & ~gap & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
+        return h
+
+    def _velocity(self, r: Recording, h: float) -> None:
+        w = max(3, round(WINDOW / h))
+        if len(r.t) > 2 * w:
+            integral = np.zeros_like(r.q)
+            np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
+            a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
+            self.way += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
+            mean = np.diff(b, axis=0) / (w * h) ** 2
+            if len(mean):
+                self.acceleration = np.maximum(self.acceleration, np.abs(mean).max(axis=0))
+        dt = np.diff(r.t)[:, None]
+        backward = np.diff(r.q, axis=0) / dt
+        central = (r.q[2:] - r.q[:-2]) / (dt[1:] + dt[:-1])
+        inner = slice(LAGS, len(r.t) - LAGS)
+        smooth = np.empty_like(r.q)
+        smooth[1:-1], smooth[0], smooth[-1] = central, backward[0], backward[-1]
+        for k in range(-LAGS, LAGS + 1):
+            shifted = r.dq[LAGS + k : len(r.t) - LAGS + k]
+            self.lagged[k + LAGS] += ((shifted - smooth[inner]) ** 2).sum(axis=0)
+        self.speed2 += (smooth[inner] ** 2).sum(axis=0)
+        dq = r.dq[1:-1]
+        self.difference += np.array([((dq - d) ** 2).sum(axis=0) for d in (backward[:-1], central, backward[1:])])
+
+    def _plateaus(self, r: Recording) -> None:
+        for name, x in (("tau", r.tau), ("dq", r.dq), ("i", r.current)):
+            if x is None:
+                continue
+            size = np.abs(x)
+            for j in range(self.n):
+                top = float(size[:, j].max())
+                if top <= 0 or (name == "dq" and top < MOVING):
+                    continue
+                run = _longest(size[:, j] >= top * (1 - 1e-6))
+                usual = _longest((np.diff(x[:, j]) == 0) & (size[1:, j] < 0.95 * top)) + 1
+                if run >= PLATEAU and run > 2 * usual:
+                    self.plateaus.append((name, j, top, run))
+
+
+def _longest(mask: Array) -> int:
+    """Longest run of True."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,48 @@
+"""How large the measured torque is against the robot's own model: the question before any identification."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.offline.nominal.delay import joint_reduced, lag_weights
+from stopset.offline.nominal.gram import NormalEquations
+from stopset.recording.types import Array
+from stopset.robot import Robot
+
+TOGETHER = 30.0  # rows whose errors count as one: half a second
+SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
+
+
+def torque_scales(robot: Robot, data: NormalEquations) -> tuple[Array, Array]:
+    """(n,), (n,): measured over modelled rigid-body torque (CAD, data sheet), and its standard error.
+
+    Friction is fitted beside it.  ``nan`` where a joint feels no load or did not move.
+    """
+    n = robot.n
+    theta = np.concatenate([robot.pi.ravel(), robot.rotor])
+    scale, std = np.full(n, np.nan), np.full(n, np.inf)
+    lags = lag_weights(0.0)
+    for j in range(n):
+        G = joint_reduced(data.moving[:, j].sum(axis=0), lags) + joint_reduced(data.still[j], lags)
+        rows = float(data.rows_moving[:, j].sum() + data.rows_still[j])
+        index = data.layout.index(j)
+        head, own = 10 * n + 1, len(index)
+        known = bool(np.isfinite(robot.drives[j].rotor_inertia))
+        T = np.zeros((len(G), 1 + own - head + 1 + (not known)))
+        T[:head, 0] = theta[index[:head]]
+        if not known:  # no data sheet: acceleration may cost anything, the scale is gravity's and the links'
+            T[head - 1, -2] = 1.0
+        T[head:own, 1 : 1 + own - head] = np.eye(own - head)
+        T[-1, -1] = 1.0
+        S = T.T @ G @ T
+        if rows < 50 or S[0, 0] <= 0:
+            continue
+        d = 1 / np.sqrt(np.maximum(np.diag(S)[:-1], 1e-12 * np.trace(S)))
+        A = d[:, None] * S[:-1, :-1] * d + 1e-9 * np.eye(len(S) - 1)
+        x = d * np.linalg.solve(A, d * S[:-1, -1])
+        if x[0] ** 2 * S[0, 0] < SHARE**2 * S[-1, -1]:
+            continue  # friction is all there is: a gravity-free joint tells nothing of units
+        v = np.append(x, -1.0)
+        variance = max(float(v @ S @ v), 0.0) / rows * TOGETHER
+        scale[j], std[j] = x[0], np.sqrt(variance * np.linalg.inv(A)[0, 0]) * d[0]
+    return scale, std
