@@ -156,6 +156,17 @@ class Algebra:
         keep = value != 0.0
         return Taylor(self, key[keep], value[keep])
 
+    def from_exponents(self, exponent: Keys, value: Array) -> Taylor:
+        """A form from monomials in any order, equal ones added up and those above the order cut; ``exponent``: (m, d)."""
+        degree = exponent.sum(axis=1)
+        keep = degree <= self.order
+        fields = np.arange(self.variables, dtype=np.int64) * self.bits
+        key = (degree[keep] << self._shift) | (exponent[keep] << fields).sum(axis=1)
+        distinct, where = np.unique(key, return_inverse=True)
+        total = np.zeros(distinct.size)
+        np.add.at(total, where.ravel(), value[keep])
+        return self.from_terms(distinct, total)
+
     @property
     def _shift(self) -> int:
         return self.bits * self.variables
@@ -223,9 +234,7 @@ class Taylor:
         if other.algebra != self.algebra:
             raise ValueError(f"Taylor forms of different kinds: {self.algebra} and {other.algebra}; expected one")
         room = max(1, min(self.key.size * other.key.size, monomials(self.algebra.variables, self.algebra.order)))
-        key, value = _multiply(
-            self.key, self.value, other.key, other.value, self.algebra.order, self.algebra._shift, room
-        )
+        key, value = _multiply(self.key, self.value, other.key, other.value, self.algebra.order, self.algebra._shift, room)
         rank = np.argsort(key)
         return self.algebra.from_terms(key[rank], value[rank])
 
@@ -257,9 +266,7 @@ class Taylor:
         """``1 / x``."""
         a = self.constant
         if a == 0.0:
-            raise TaylorError(
-                "division by a Taylor form that is 0 at the expansion point; choose another expansion point"
-            )
+            raise TaylorError("division by a Taylor form that is 0 at the expansion point; choose another expansion point")
         return self._compose([(-1.0) ** k / a ** (k + 1) for k in range(self.algebra.order + 1)])
 
     def exp(self) -> Taylor:
@@ -287,9 +294,7 @@ class Taylor:
         """Square root at a positive expansion point."""
         a = self.constant
         if a <= 0.0:
-            raise TaylorError(
-                f"square root of a Taylor form that is {a:g} at the expansion point; expected a positive number"
-            )
+            raise TaylorError(f"square root of a Taylor form that is {a:g} at the expansion point; expected a positive number")
         c = [math.sqrt(a)]
         for k in range(self.algebra.order):
             c.append(c[-1] * (0.5 - k) / ((k + 1) * a))

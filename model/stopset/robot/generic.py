@@ -100,10 +100,7 @@ def _transforms(chain: Chain, s: Sequence[Number], c: Sequence[Number]) -> list[
         with_c = _exact(R @ (np.eye(3) - np.outer(axis, axis)))
         with_s = _exact(R @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
         rotation = [
-            [
-                _plus(_plus(float(fixed[r, k]), _times(float(with_c[r, k]), ci)), _times(float(with_s[r, k]), si))
-                for k in range(3)
-            ]
+            [_plus(_plus(float(fixed[r, k]), _times(float(with_c[r, k]), ci)), _times(float(with_s[r, k]), si)) for k in range(3)]
             for r in range(3)
         ]
         E = _transposed(rotation)

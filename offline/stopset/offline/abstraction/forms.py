@@ -4,6 +4,12 @@ angles.
 Nothing depends on the first joint's angle (gravity is in the input), so an arm of ``n`` joints needs ``2 (n - 1)``
 variables, and the velocities and torques, in which the dynamics are quadratic and linear, need none at all.
 
+M and C are polynomials that end by themselves, so they are composed exactly, and expanded about ``q_a`` and cut
+afterwards. In between, ``cos^2`` is replaced by ``1 - sin^2``.  With sine and cosine as free variables (property A) one
+function has many polynomials, and what an algorithm happens to write down as ``sin^2 + cos^2`` is no longer 1 after the
+cut (trap P20); of all the ways to write it, this one is unique, and its error at a given order was the smallest
+(docs/table1.md).
+
 Source: Liu & Althoff (2018), Sec. IV-B, eq. (12) and property A.
 """
 
@@ -13,39 +19,47 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stopset.artifact.polynomial import Polynomial, collected
 from stopset.ring.taylor import Algebra, Taylor
 from stopset.robot import Robot
 from stopset.robot.generic import mass_matrix
 from stopset.robot.rigid import Array
 
 Matrix = list[list[Taylor]]
+# relative size of what is left where terms cancel exactly in real numbers
+ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
-class Angles:
-    """The variables: sine and cosine of joints 2 .. n about their values at the expansion point ``q_a`` (n,) [rad]."""
+class Dynamics:
+    """``M_m`` (n x n) and ``C[i][j][k]``, j <= k, the coefficient of ``dq_j dq_k`` in the Coriolis torque of joint i.
 
-    algebra: Algebra
-    sine: tuple[Taylor, ...]
-    cosine: tuple[Taylor, ...]
-    centre: Array  # (2 (n - 1),) values of the variables at the expansion point: sines, then cosines
+    Taylor forms in ``2 (n - 1)`` variables: deviations of the sines, then of the cosines, of joints 2 .. n from
+    ``centre``.
+    """
 
-    @classmethod
-    def at(cls, sine: Array, cosine: Array, order: int, inverse: bool = True) -> Angles:
-        """Variables about ``sine, cosine`` (n,); ``inverse``: are quotients needed too (for the memory guard)?"""
-        n = sine.size
+    M: Matrix
+    C: list[Matrix]
+    centre: Array
+
+    @property
+    def algebra(self) -> Algebra:
+        return self.M[0][0].algebra
+
+    def expanded(self, q_a: Array, order: int, inverse: bool) -> Dynamics:
+        """Taylor polynomials about ``q_a`` (n,): M to ``order``, C to one less; ``inverse``: are quotients to follow?"""
+        n = len(self.M)
+        centre = np.concatenate([np.sin(q_a[1:]), np.cos(q_a[1:])])
         algebra = Algebra(2 * (n - 1), order, live=n**3, sparse=None if inverse else terms(n))
-        first = (algebra.constant(0.0),), (algebra.constant(1.0),)  # any angle does for the first joint
-        s = (algebra.variable(i, float(sine[i + 1])) for i in range(n - 1))
-        c = (algebra.variable(n - 1 + i, float(cosine[i + 1])) for i in range(n - 1))
-        return cls(algebra, (*first[0], *s), (*first[1], *c), np.concatenate([sine[1:], cosine[1:]]))
 
-    def by_angle(self, x: Taylor, k: int) -> Taylor:
-        """``dx / dq_k``, exact to one order less than ``x``: the angle moves its sine by its cosine and back."""
-        if k == 0:
-            return self.algebra.constant(0.0)
-        n = len(self.sine)
-        return self.cosine[k] * x.derivative(k - 1) - self.sine[k] * x.derivative(n - 2 + k)
+        def about(x: Taylor, cut: int) -> Taylor:
+            local = Polynomial(x.exponents, x.value).recentred(centre - self.centre)
+            low = local.exponent.sum(axis=1) <= cut
+            return algebra.from_exponents(local.exponent[low], local.coefficient[low])
+
+        M = [[about(self.M[i][j], order) if j <= i else self.M[i][j] for j in range(n)] for i in range(n)]
+        M = [[M[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+        return Dynamics(M, [[[about(x, order - 1) for x in row] for row in C] for C in self.C], centre)
 
 
 def terms(n: int) -> int:
@@ -53,38 +67,59 @@ def terms(n: int) -> int:
     return int(6 ** (n - 1))
 
 
-def inertia(robot: Robot, rotor: Array, angles: Angles) -> Matrix:
-    """``M_m = M(q) + diag(rotor)`` [kg m^2]."""
-    n, zero = robot.n, angles.algebra.constant(0.0)
-    M = mass_matrix(robot.chain, robot.pi, angles.sine, angles.cosine)
-    # exact zeros of the geometry come as plain numbers; both halves are computed and one is kept, so M is symmetric to
-    # the bit
-    return [[zero + M[max(i, j)][min(i, j)] + (float(rotor[i]) if i == j else 0.0) for j in range(n)] for i in range(n)]
+def dynamics(robot: Robot, rotor: Array, as_composed: bool = False) -> Dynamics:
+    """The exact polynomials of an arm, about ``sin = cos = 0``, by operator overloading through the recursive
+    algorithm.
 
-
-def coriolis(M: Matrix, angles: Angles, order: int) -> list[list[list[Taylor]]]:
-    """``C[i][j][k]`` for j <= k: the coefficient of ``dq_j dq_k`` in the Coriolis torque of joint i, cut at ``order``.
+    ``as_composed``: leave ``sin^2 + cos^2`` where the algorithm writes it (the paper's way).
 
     Source: Liu & Althoff (2018), after eq. (12): ``c_ijk = dM_ij/dq_k - 1/2 dM_jk/dq_i``.
     """
-    n = len(M)
-    slope = [[[angles.by_angle(M[i][j], k) for k in range(n)] for j in range(i + 1)] for i in range(n)]
+    n = robot.n
+    algebra = Algebra(2 * (n - 1), max(1, 2 * (n - 1)), live=n**3, sparse=terms(n))
+    zero = algebra.constant(0.0)
+    s = [zero, *(algebra.variable(i) for i in range(n - 1))]
+    c = [algebra.constant(1.0), *(algebra.variable(n - 1 + i) for i in range(n - 1))]  # any angle does for the first joint
 
-    def d(i: int, j: int, k: int) -> Taylor:
-        return slope[max(i, j)][min(i, j)][k]
+    def reduced(x: Taylor) -> Taylor:
+        return x if as_composed else _reduced(x, n - 1)
 
-    return [
-        [
-            [
-                ((d(i, j, k) + d(i, k, j) - d(j, k, i)) if k > j else (d(i, j, j) - 0.5 * d(j, j, i))).cut(order)
-                if k >= j
-                else angles.algebra.constant(0.0)
-                for k in range(n)
-            ]
-            for j in range(n)
-        ]
-        for i in range(n)
-    ]
+    raw = mass_matrix(robot.chain, robot.pi, s, c)
+    # exact zeros of the geometry come as plain numbers; both halves are computed and one is kept: symmetric to the bit
+    half = [[reduced(zero + raw[i][j]) for j in range(i + 1)] for i in range(n)]
+    M = [[half[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+
+    def by_angle(x: Taylor, k: int) -> Taylor:
+        """``dx / dq_k``: the angle moves its sine by its cosine and back."""
+        return c[k] * x.derivative(k - 1) - s[k] * x.derivative(n - 2 + k) if k > 0 else zero
+
+    slope = [[[by_angle(M[i][j], k) for k in range(n)] for j in range(n)] for i in range(n)]
+
+    def coriolis(i: int, j: int, k: int) -> Taylor:
+        if j > k:
+            return zero
+        if j == k:
+            return reduced(slope[i][j][j] - 0.5 * slope[j][j][i])
+        return reduced(slope[i][j][k] + slope[i][k][j] - slope[j][k][i])
+
+    C = [[[coriolis(i, j, k) for k in range(n)] for j in range(n)] for i in range(n)]
+    with_rotor = [[M[i][j] + (float(rotor[i]) if i == j else 0.0) for j in range(n)] for i in range(n)]
+    return Dynamics(with_rotor, C, np.zeros(2 * (n - 1)))
+
+
+def _reduced(x: Taylor, m: int) -> Taylor:
+    """The same function with ``cos^2`` written as ``1 - sin^2``; ``m``: number of sines, the first half of the variables."""
+    e, c = x.exponents, x.value
+    for k in range(m):
+        hit = e[:, m + k] >= 2
+        if hit.any():
+            one = e[hit].copy()
+            one[:, m + k] -= 2
+            squared = one.copy()
+            squared[:, k] += 2
+            e, c = collected(np.vstack([e[~hit], one, squared]), np.concatenate([c[~hit], c[hit], -c[hit]]))
+    keep = np.abs(c) > ROUNDING * np.abs(x.value).max(initial=0.0)
+    return x.algebra.from_exponents(e[keep], c[keep])
 
 
 def inverse(M: Matrix) -> Matrix:
@@ -124,16 +159,8 @@ def inverse(M: Matrix) -> Matrix:
     return out
 
 
-def coriolis_degree(robot: Robot) -> int:
-    """Highest total degree of the Coriolis torques as polynomials in velocities, sines and cosines (12 for six generic
-    joints).
-
-    Exact: with the variables themselves instead of deviations the polynomials end by themselves, at twice per moving
-    angle.
-    """
-    angles = Angles.at(np.zeros(robot.n), np.zeros(robot.n), max(1, 2 * (robot.n - 1)), inverse=False)
-    M = inertia(robot, np.zeros(robot.n), angles)
-    terms = [x for rows in coriolis(M, angles, angles.algebra.order) for row in rows for x in row]
-    largest = max(float(np.abs(x.value).max(initial=0.0)) for x in terms)
-    degrees = [int(x.degrees[np.abs(x.value) > 1e-12 * largest].max(initial=-2)) for x in terms]
-    return max(degrees) + 2
+def coriolis_degree(exact: Dynamics) -> int:
+    """Highest total degree of the Coriolis torques in velocities, sines and cosines (12 for a general arm of six joints)."""
+    forms = [x for C in exact.C for row in C for x in row]
+    largest = max(float(np.abs(x.value).max(initial=0.0)) for x in forms)
+    return 2 + max(int(x.degrees[np.abs(x.value) > 1e-12 * largest].max(initial=-2)) for x in forms)

@@ -13,7 +13,7 @@ Source: Liu & Althoff (2018), Sec. IV-B.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected
 from stopset.errors import StopsetError
-from stopset.offline.abstraction.forms import Angles, Matrix, coriolis, coriolis_degree, inertia, inverse, terms
+from stopset.offline.abstraction.forms import Dynamics, Matrix, coriolis_degree, dynamics, inverse, terms
 from stopset.ring.taylor import MEMORY_LIMIT, Taylor, TaylorError, monomials
 from stopset.robot import Robot
 from stopset.robot.rigid import Array, mass_matrix
@@ -45,31 +45,34 @@ def build(kind: int, order: int, robot: Robot, rotor: Array, viscous: Array, q_a
         raise StopsetError(f"model {kind} of order {order}: expected model 1, 2 or 3 and an order of at least 1")
     rotor, viscous = np.asarray(rotor, float), np.asarray(viscous, float).reshape(n, -1)
     at = np.zeros(n) if q_a is None else np.asarray(q_a, float)
-    exact = kind == 2 and order >= coriolis_degree(robot)
-    if not exact:
-        _guard(kind, order, n, viscous.shape[1])
-    M_a = mass_matrix(robot.chain, robot.pi, at) + np.diag(rotor)
-    Minv = np.linalg.inv(M_a)
-    tau_nu = viscous[:, :order].copy()  # T^p of a polynomial
+    Minv = np.linalg.inv(mass_matrix(robot.chain, robot.pi, at) + np.diag(rotor))
     Minv = 0.5 * (Minv + Minv.T)
+    tau_nu = viscous[:, :order].copy()  # T^p of a polynomial
     if kind == 1 or (kind == 2 and order < 2):
         return Abstraction(kind, order, Minv, tau_nu)
-    if exact:  # the polynomials end by themselves; written about zero instead of q_a they are the same and far shorter
-        angles = Angles.at(np.zeros(n), np.zeros(n), max(1, 2 * (n - 1)), inverse=False)
-    else:
-        angles = Angles.at(np.sin(at), np.cos(at), order - 1, inverse=kind == 3)
-    M = inertia(robot, rotor, angles)
-    if kind == 2:
-        C = coriolis(M, angles, min(order - 2, angles.algebra.order))
-        return Abstraction(2, order, Minv, tau_nu, coriolis=tuple(_quadratic(C[i], angles, 3 * n) for i in range(n)))
-    return Abstraction(3, order, Minv, tau_nu, acceleration=_acceleration(M, tau_nu, angles, order))
+    _guard(kind, order, n, viscous.shape[1])
+    forms = dynamics(robot, rotor)
+    if kind == 3:
+        return Abstraction(3, order, Minv, tau_nu, acceleration=_acceleration(forms.expanded(at, order - 1, True), tau_nu, order))
+    if order < coriolis_degree(forms):  # else the polynomials are exact, and written about zero they are far shorter
+        forms = forms.expanded(at, order - 1, False)
+    return Abstraction(2, order, Minv, tau_nu, coriolis=tuple(_quadratic(C, forms) for C in forms.C))
 
 
-def degrees(robot: Robot, viscous: Array) -> tuple[int, int]:
-    """Orders from which models 1 and 2 are exact in friction and Coriolis torques (3 and 12 for the paper's arm)."""
+class Degrees(NamedTuple):
+    """Maximal polynomial degrees: from which order on a model no longer changes."""
+
+    model_1: int  # of the viscous friction
+    model_2: int  # of the Coriolis torques as the algorithm composes them (the paper's 12)
+    model_2_reduced: int  # the same after sin^2 + cos^2 = 1, as `build` uses them
+
+
+def degrees(robot: Robot, viscous: Array) -> Degrees:
+    """Maximal degrees of models 1 and 2 (the paper: 3 and 12); model 3 has none, its dynamics are rational."""
     used = np.flatnonzero(np.any(np.asarray(viscous).reshape(robot.n, -1) != 0.0, axis=0))
     friction = int(used.max(initial=0)) + 1
-    return friction, max(friction, coriolis_degree(robot))
+    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), plain)) for plain in (True, False))
+    return Degrees(friction, max(friction, composed), max(friction, reduced))
 
 
 def predicted_bytes(kind: int, order: int, n: int, friction_degree: int = 3) -> int:
@@ -101,8 +104,8 @@ def _guard(kind: int, order: int, n: int, friction_degree: int) -> None:
 class _Rows:
     """Monomials in (dq, sin q, cos q[, u]) being put together for one joint."""
 
-    def __init__(self, angles: Angles, width: int) -> None:
-        self.angles, self.width, self.n = angles, width, len(angles.sine)
+    def __init__(self, forms: Dynamics, width: int) -> None:
+        self.centre, self.width, self.n = forms.centre, width, len(forms.M)
         self.exponent: list[NDArray[np.int64]] = []
         self.coefficient: list[Array] = []
 
@@ -110,7 +113,7 @@ class _Rows:
         """Add ``x`` times the variables in ``columns`` (dq_j is column j, u_j column 3n + j)."""
         if not x.value.size:
             return
-        local = Polynomial(x.exponents, x.value).recentred(-self.angles.centre)
+        local = Polynomial(x.exponents, x.value).recentred(-self.centre)
         e = np.zeros((local.coefficient.size, self.width), np.int64)
         m = self.n - 1
         e[:, self.n + 1 : 2 * self.n] = local.exponent[:, :m]
@@ -131,35 +134,33 @@ class _Rows:
         return Polynomial(e[keep], c[keep]) if keep.any() else Polynomial(e[:1] * 0, np.zeros(1))
 
 
-def _pairs(n: int) -> Iterator[tuple[int, int]]:
-    return ((j, k) for j in range(n) for k in range(j, n))
+def _pairs(n: int) -> list[tuple[int, int]]:
+    return [(j, k) for j in range(n) for k in range(j, n)]
 
 
-def _quadratic(C: list[list[Taylor]], angles: Angles, width: int) -> Polynomial:
+def _quadratic(C: Matrix, forms: Dynamics) -> Polynomial:
     """``sum_{j<=k} C_jk dq_j dq_k`` of one joint."""
-    rows = _Rows(angles, width)
+    rows = _Rows(forms, 3 * len(C))
     for j, k in _pairs(len(C)):
         rows.add(C[j][k], j, k)
     return rows.polynomial()
 
 
-def _acceleration(M: Matrix, tau_nu: Array, angles: Angles, order: int) -> tuple[Polynomial, ...]:
+def _acceleration(forms: Dynamics, tau_nu: Array, order: int) -> tuple[Polynomial, ...]:
     """Taylor polynomials of the accelerations in (dq, sin q, cos q, u)."""
-    n = len(M)
-    Minv = inverse(M)
-    C = coriolis(M, angles, order - 2) if order >= 2 else None
+    n = len(forms.M)
+    Minv = inverse(forms.M)
     out = []
     for i in range(n):
-        rows = _Rows(angles, 4 * n)
+        rows = _Rows(forms, 4 * n)
         for j in range(n):
             rows.add(Minv[i][j], 3 * n + j)
             for k in range(min(order, tau_nu.shape[1])):
                 rows.add(-tau_nu[j, k] * Minv[i][j].cut(order - 1 - k), *([j] * (k + 1)))
-        for j, k in _pairs(n) if C is not None else ():
-            assert C is not None
-            total = Minv[i][0] * C[0][j][k]
+        for j, k in _pairs(n) if order >= 2 else []:
+            total = Minv[i][0] * forms.C[0][j][k]
             for a in range(1, n):
-                total = total + Minv[i][a] * C[a][j][k]
+                total = total + Minv[i][a] * forms.C[a][j][k]
             rows.add(-total.cut(order - 2), j, k)
         out.append(rows.polynomial())
     return tuple(out)
