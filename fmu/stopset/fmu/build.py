@@ -41,6 +41,16 @@ PLATFORMS = {
         Platform("aarch64-darwin", "aarch64-macos.11.0", ".dylib", "darwin64"),
     )
 }
+
+def chosen(platforms: Sequence[str] | None) -> list[Platform]:
+    """Platforms by name, all if none is named; raises `OutputError` for an unknown one."""
+    names = list(dict.fromkeys(platforms)) if platforms else list(PLATFORMS)
+    unknown = [p for p in names if p not in PLATFORMS]
+    if unknown:
+        raise OutputError(f"platform {', '.join(unknown)} is not known; expected {', '.join(PLATFORMS)}")
+    return [PLATFORMS[p] for p in names]
+
+
 # no contraction to fused multiply-add: every platform rounds alike, and like Python
 FLAGS = (
     "-std=c99", "-O2", "-g0", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",

@@ -11,7 +11,7 @@ from pathlib import Path
 from stopset.artifact import Model
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
-from stopset.fmu.build import PLATFORMS, Platform, binaries, universal
+from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.variables import variables
@@ -22,15 +22,6 @@ EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model 
 def identifier(model: Model) -> str:
     """The model identifier: a C name, also the binaries' file name."""
     return "stopset_" + re.sub(r"\W", "_", model.robot.name, flags=re.ASCII)
-
-
-def chosen(platforms: Sequence[str] | None) -> list[Platform]:
-    """Platforms by name, all if none is named; raises `OutputError` for an unknown one."""
-    names = list(dict.fromkeys(platforms)) if platforms else list(PLATFORMS)
-    unknown = [p for p in names if p not in PLATFORMS]
-    if unknown:
-        raise OutputError(f"platform {', '.join(unknown)} is not known; expected {', '.join(PLATFORMS)}")
-    return [PLATFORMS[p] for p in names]
 
 
 def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]:

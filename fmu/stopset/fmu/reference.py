@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 
 from stopset.artifact import Model
 from stopset.files import write_text
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import deviation_tube, discretise
 
 Array = NDArray[np.float64]
 DURATION = 10.0  # [s]
@@ -39,29 +39,21 @@ class Reference:
     temp: Array
 
 
-def simulate(model: Model, x0: Array, u: Array) -> Array:
-    """Motion (N, 2n) of the abstraction under inputs ``u`` (N, n) held over each grid step."""
+def stepper(model: Model) -> Callable[[Array, Array], Array]:
+    """The abstraction's motion over one grid step: state (2n,), held input (n,) -> state."""
     a, dt, n = model.abstraction, model.powered.dt, model.n
     if a.linear:
-        return predict(a, dt, x0, u)
-    out = np.empty((u.shape[0], 2 * n))
-    out[0] = x0
-    for k in range(u.shape[0] - 1):
+        Ad, Bd = discretise(a, dt)
+        return lambda x, u: Ad @ x + Bd @ u
 
-        def flow(_: float, x: Array, held: Array = u[k : k + 1]) -> Array:
-            return np.concatenate([x[n:], a.ddq(x[None, :n], x[None, n:], held)[0]])
+    def step(x: Array, u: Array) -> Array:
+        def flow(_: float, y: Array) -> Array:
+            return np.concatenate([y[n:], a.ddq(y[None, :n], y[None, n:], u[None, :])[0]])
 
         # three digits below the 1e-9 that the FMU has to meet over some thousand steps
-        out[k + 1] = solve_ivp(flow, (0.0, dt), out[k], method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
-    return out
+        return np.asarray(solve_ivp(flow, (0.0, dt), x, method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1])
 
-
-def _corners(model: Model, x: Array, u: Array) -> tuple[Array, Array]:
-    """Lower and upper bounds of the measured state: two simulations, because decoupled joints are cooperative."""
-    s = model.powered
-    lo = simulate(model, x[0] + s.X0.lo, u + s.U.lo) + s.V.lo
-    hi = simulate(model, x[0] + s.X0.hi, u + s.U.hi) + s.V.hi
-    return lo, hi
+    return step
 
 
 def reference(model: Model) -> Reference:
@@ -70,19 +62,26 @@ def reference(model: Model) -> Reference:
     rows = round(min(DURATION, s.horizon) / s.dt) + 1
     rng = np.random.default_rng(SEED)
     changes = rng.uniform(-0.1, 0.1, (rows // HOLD + 1, n)) * np.minimum(np.abs(d.u.lo), np.abs(d.u.hi))
-    u = np.repeat(changes, HOLD, axis=0)[:rows]
-    start = np.clip(np.zeros(n), d.q.lo, d.q.hi)
-    x = simulate(model, np.concatenate([start, np.zeros(n)]), u)
-    temp = d.temp.centre if d.temp is not None else np.full(n, 30.0)
-    temps = np.tile(temp, (rows, 1))
+    wanted = np.repeat(changes, HOLD, axis=0)[:rows]
     t = s.dt * np.arange(rows)
-    taken_off = model.input(x[:, :n], x[:, n:], np.zeros_like(u), temp=temps, warm=0.0, t=t)
+    temp = np.tile(d.temp.centre if d.temp is not None else np.full(n, 30.0), (rows, 1))
+    step = stepper(model)
+    x, lo, hi, tau = (np.empty((rows, w)) for w in (2 * n, 2 * n, 2 * n, n))
+    x[0] = np.concatenate([np.clip(np.zeros(n), d.q.lo, d.q.hi), np.zeros(n)])
+    lo[0], hi[0] = x[0] + s.X0.lo, x[0] + s.X0.hi
+    for k in range(rows):
+        more = {"temp": temp[k : k + 1], "t": t[k : k + 1]}
+        q, dq = x[k : k + 1, :n], x[k : k + 1, n:]
+        tau[k] = wanted[k] - model.input(q, dq, np.zeros((1, n)), **more)[0]
+        u = model.input(q, dq, tau[k : k + 1], **more)[0]
+        if k + 1 < rows:
+            x[k + 1] = step(x[k], u)
+            if not model.abstraction.linear:  # decoupled joints are cooperative: the corners stay the corners
+                lo[k + 1], hi[k + 1] = step(lo[k], u + s.U.lo), step(hi[k], u + s.U.hi)
     if model.abstraction.linear:
         tube = deviation_tube(model.abstraction, s)
-        lo, hi = x + tube.lo[:rows], x + tube.hi[:rows]
-    else:
-        lo, hi = _corners(model, x, u)
-    return Reference(t, u - taken_off, x, lo, hi, temps)
+        return Reference(t, tau, x, x + tube.lo[:rows], x + tube.hi[:rows], temp)
+    return Reference(t, tau, x, lo + s.V.lo, hi + s.V.hi, temp)
 
 
 def _csv(columns: Sequence[tuple[str, Array]]) -> str:

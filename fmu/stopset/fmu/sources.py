@@ -83,7 +83,7 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
         "q_lo": d.q.lo, "q_hi": d.q.hi, "dq_lo": d.dq.lo, "dq_hi": d.dq.hi, "u_lo": d.u.lo, "u_hi": d.u.hi,
         "temp_lo": temp_lo, "temp_hi": temp_hi, "payload_lo": d.payload[0], "payload_hi": d.payload[1],
         "R": chain.R, "p": chain.p, "axis": chain.axis, "gravity": chain.gravity, "pi": model.robot.pi,
-        "tip": model.robot.tip, "q_a": model.provenance.get("q_a", np.zeros(n)),
+        "tip": model.robot.tip, "standstill": model.input.standstill, "q_a": model.provenance.get("q_a", np.zeros(n)),
     }  # fmt: skip
     whole = {
         "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",

@@ -38,11 +38,28 @@ static void input_at(const StopsetState *s, const double q[NJ], const double dq[
     }
 }
 
+/* u at the measured state, as stopset.artifact.inputs: at standstill friction balances what it can. */
 void stopset_input(const StopsetState *s, double u[NJ]) {
     double way[NJ];
-    const double *dq = &s->r[VR_DQ_MEASURED];
+    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED];
     for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
-    input_at(s, &s->r[VR_Q_MEASURED], dq, way, u);
+    input_at(s, q, dq, way, u);
+#if HAS_EFFECTS
+    if (!stopset_model.motor_torque) return;
+    double rest[NJ], load[NJ], ahead[NJ], back[NJ], pi[NJ][10];
+    memset(rest, 0, sizeof rest);
+    stopset_loaded_links(s, pi);
+    stopset_gravity_torque(pi, stopset_model.gravity, q, load);
+    for (int i = 0; i < NJ; i++) way[i] = 1.0;
+    stopset_effects(s, q, rest, way, load, ahead);
+    for (int i = 0; i < NJ; i++) way[i] = -1.0;
+    stopset_effects(s, q, rest, way, load, back);
+    for (int i = 0; i < NJ; i++) {
+        if (fabs(dq[i]) > stopset_model.standstill[i]) continue;
+        double whole = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - load[i];
+        u[i] = whole - fmin(fmax(whole, fmin(ahead[i], back[i])), fmax(ahead[i], back[i]));
+    }
+#endif
 }
 
 static double viscous(const StopsetState *s, int i, double dq) {

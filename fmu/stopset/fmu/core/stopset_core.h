@@ -27,6 +27,7 @@ typedef struct {
     double q_lo[NJ], q_hi[NJ], dq_lo[NJ], dq_hi[NJ], u_lo[NJ], u_hi[NJ]; /* domain of validity */
     double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
+    double standstill[NJ];                         /* speed below which a joint counts as still [rad/s] */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     int decoupled, signed_response, position_only, motor_torque, has_domain_temp;
     double start_real[N_REAL];
