@@ -1,5 +1,11 @@
-"""The simulated arm: full nonlinear dynamics with dry friction and brakes as sets, and the campaigns measured on it."""
+"""The simulated arm: full nonlinear dynamics with dry friction and brakes as sets, and the campaigns measured on it.
 
+`simulate_stop` is the compiled stop that bounds are tested on; `prepare` gives a measuring campaign with effects hidden.
+"""
+
+from stopset.simulation.campaign import PLANS, Plan
+from stopset.simulation.hidden import KINDS
+from stopset.simulation.scenario import Scenario, prepare
 from stopset.simulation.stop import simulate_stop
 
-__all__ = ["simulate_stop"]
+__all__ = ["KINDS", "PLANS", "Plan", "Scenario", "prepare", "simulate_stop"]

@@ -1,4 +1,4 @@
-"""The simulated arm in motion: full coupled dynamics, dry friction and brakes as sets, elastic gears, one compiled loop.
+"""The simulated arm in motion: coupled dynamics, dry friction and brakes as sets, elastic gears, one compiled loop.
 
 Coordinates are the ``n`` link angles followed by one motor angle per elastic joint; friction, brake and encoder of an
 elastic joint sit on its motor.  Time stepping as in `stopset.simulation.stop`: midpoint for rigid body and springs,
@@ -195,7 +195,7 @@ def assemble(body: Body, s: State, c: Scratch, tau: Array, walk: Array, since: f
 
 @njit(cache=True)
 def slipped(force: float, displacement: float, limit: float, reach: float) -> float:
-    """Force [N m] of a spring-slider element after a displacement [rad]; it slides at ``limit``, reached over ``reach``."""
+    """Force [N m] of a spring-slider element after a displacement [rad]; it slides at ``limit``, after ``reach``."""
     return min(max(force + displacement * limit / reach, -limit), limit)
 
 

@@ -1,4 +1,4 @@
-"""Reference motions for a campaign: point to point, Fourier, straight runs before a stop, creeping into a static pose."""
+"""Reference motions for a campaign: point to point, Fourier, straight runs before a stop, creeping into a pose."""
 
 from __future__ import annotations
 
@@ -50,16 +50,17 @@ def pose(space: Space, rng: np.random.Generator, share: float = 1.0) -> Array:
 
 
 def point_to_point(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Motion:
-    """Trapezoidal moves of all joints at their own pace between random poses, with dwells; ``speed``: share of the top."""
+    """Trapezoidal moves of all joints at their own pace between random poses; ``speed``: share of the top speed."""
     K, n = round(duration / period), len(space.speed)
     rates = np.zeros((K, n))
     q0 = pose(space, rng)
     here, k = q0.copy(), round(0.1 / period)
     while k < K:
-        there = pose(space, rng)
-        if speed < 0.6:  # slow moves stay near, so that a recording holds several reversals
-            there = np.clip(here + rng.uniform(-0.7, 0.7, n), space.box[:, 0], space.box[:, 1])
-        top = space.speed * speed * rng.uniform(0.75, 1.0, n)
+        there, slowest = pose(space, rng), 0.75
+        if speed < 0.6:  # slow moves stay near, so that a recording holds several reversals, and cover a decade of speed
+            there = np.clip(here + rng.uniform(-0.5, 0.5, n), space.box[:, 0], space.box[:, 1])
+            slowest = 0.15
+        top = space.speed * speed * rng.uniform(slowest, 1.0, n)
         ramp = np.maximum(top / space.acceleration, 0.08)
         way = np.abs(there - here)
         top = np.minimum(top, way / ramp)
@@ -111,7 +112,7 @@ def run_up(space: Space, duration: float, period: float, rng: np.random.Generato
 
 
 def ramp_down(motion: Motion, tick: int, ramp: float, hold: float, period: float) -> Motion:
-    """``motion`` up to ``tick``, then all joints to rest in ``ramp`` seconds (fixed time), then ``hold`` seconds still."""
+    """``motion`` up to ``tick``, then all joints to rest in ``ramp`` seconds (fixed time), then ``hold`` seconds."""
     t = np.arange(round((ramp + hold) / period)) * period
     q0, v0 = motion.q[tick], motion.dq[tick]
     s = np.clip(t, 0.0, ramp)[:, None]

@@ -106,7 +106,7 @@ def _inside(interval: Array, rng: np.random.Generator) -> Array:
 def largest_gravity(robot: Robot) -> Array:
     """(n,) largest gravity torque [N m] over a fixed set of poses."""
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (400, robot.n))
-    return np.abs(gravity_torques(robot.chain, robot.pi, poses)).max(axis=0)
+    return np.asarray(np.abs(gravity_torques(robot.chain, robot.pi, poses)).max(axis=0))
 
 
 def rotor_inertia(robot: Robot) -> Array:
@@ -156,7 +156,7 @@ def coulomb(T: Array, i: int, temp: float, speed: float, load: float, walk: floa
     if T[i, RESONANCE] != 0.0:
         f += T[i, RESONANCE] / (1.0 + ((abs(speed) - T[i, RESONANCE_SPEED]) / RESONANCE_WIDTH) ** 2)
     f += T[i, TOOTH] * abs(load) + walk
-    return max(f, 0.0)
+    return float(max(f, 0.0))
 
 
 @njit(cache=True)

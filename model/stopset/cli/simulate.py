@@ -1,0 +1,71 @@
+"""``stopset simulate``: recordings of the simulated arm, with effects hidden in it on request."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stopset.cli.common import add_output_options, check_outputs, progress, say, write_json
+
+if TYPE_CHECKING:
+    from stopset.recording import Recording
+
+HELP = "recordings from the simulated arm, effects hidden on request"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", default="lwa4p", metavar="R", help="URDF file or a shipped arm (default lwa4p)")
+    parser.add_argument(
+        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]",
+        help="hide this effect, at this joint (else one is drawn); may be repeated; 'none' for a healthy arm",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory for the files")
+    parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same recordings (default 1)")
+    parser.add_argument("--plan", choices=("compact", "full"), default="compact", help="about 50,000 or 160,000 rows")
+    parser.add_argument(
+        "--size", choices=("easy", "hard"), default="easy",
+        help="how much the effect raises the torque residual of its joint: about 3.2 or 1.4 times",
+    )  # fmt: skip
+    parser.add_argument("--cad", choices=("exact", "wrong"), default="exact", help="masses of the URDF: true, or 2-5 %% off")
+    add_output_options(parser, report=False)
+
+
+def run(args: argparse.Namespace) -> int:
+    from stopset.errors import EffectError, OutputError
+    from stopset.files import write_text
+    from stopset.recording import write_recordings
+    from stopset.robot import load_robot
+    from stopset.simulation import prepare
+
+    if args.seed < 0:
+        raise EffectError(f"--seed {args.seed} is negative; give a whole number from 0 on")
+    check_outputs(args.json)
+    out: Path = args.out
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"--out {out} is a file; expected a directory: choose another name")
+    check_outputs(out / "recording.parquet" if out.is_dir() else out)
+    robot = load_robot(args.robot)
+    scenario = prepare(robot, args.hide, args.seed, args.plan, args.size, args.cad)
+    out.mkdir(exist_ok=True)
+    lengths: list[int] = []
+
+    def counted() -> Iterator[Recording]:
+        for r in progress(scenario.recordings(), scenario.count, "recording"):
+            lengths.append(len(r.t))
+            yield r
+
+    write_recordings(out / "recording.parquet", scenario.meta, counted())
+    rows = sum(lengths)
+    write_text(out / "robot.urdf", scenario.robot.urdf)
+    write_text(out / "robot.json", scenario.datasheet)
+    write_json(out / "truth.json", {**scenario.truth, "rows": rows})
+    if args.json:
+        write_json(args.json, {**scenario.truth, "rows": rows})
+    say(f"{out}: {scenario.count} recordings, {rows} rows of {robot.name}; recording.parquet, robot.urdf, robot.json")
+    for e in scenario.truth["effects"]:
+        where = f" at {e['joint']}" if e["joint"] else ""
+        say(f"hidden: {e['effect']}{where}, residual {e['ratio_achieved']:.2f} times its floor {e['note']}".rstrip())
+    say("nothing is hidden" if not scenario.truth["effects"] else f"do not look before you have diagnosed: {out}/truth.json")
+    return 0

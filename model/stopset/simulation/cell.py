@@ -1,0 +1,220 @@
+"""The simulated arm in its cell: controller, instruments, warming, and how one recording is made there.
+
+Instruments: encoder of 2^-14 rad, velocity 0.003 rad/s, torque noise growing with the rated torque (0.07 to 0.3 N m),
+thermometer 0.1 K in steps of 0.25 K; control and recording at 250 Hz, the torque held in between.  Dry and viscous
+friction of every joint differ by 2 % from trial to trial.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.recording import Meta, Recording
+from stopset.robot import Robot
+from stopset.robot.arm import standard_parameters
+from stopset.robot.rigid import Array, mass_matrix, torques
+from stopset.simulation.arm import Script, run, start
+from stopset.simulation.hidden import Truth
+from stopset.simulation.motions import Motion, Space, space_of
+from stopset.simulation.plant import Plant
+
+PERIOD = 0.004  # [s]
+STEPS_PER_TICK = 8  # of 0.5 ms
+RESOLUTION = 2.0**-14  # [rad]
+SPEED_NOISE = 0.003  # [rad/s]
+SPEED_STEP, TORQUE_STEP, TEMP_STEP = 2.0**-11, 2.0**-6, 0.25  # [rad/s], [N m], [K] of what goes over the bus
+FRICTION_SPREAD = 0.02
+AMBIENT = 23.0  # [degC]
+RISE = 22.0  # [K] over ambient in the end
+COOLING = 1.0 / 900.0  # [1/s] of a joint's housing
+WORK_BETWEEN = 1800.0  # [s] of work between the recordings, in all
+STATIC_WORK = 0.1  # of it before a static pose, compared with other recordings
+RUN_UP_TICKS = 25
+RAMP = 0.35  # [s] of a nominal STOP 1
+HOLD = 0.2  # [s] after it: the brakes close after 0.06 s, power goes off 0.07 s later, the recording ends
+BRAKES_AFTER, CUT_AFTER = 0.06, 0.13
+BANDWIDTH, DAMPING = 15.0, 0.9  # [rad/s], [-] of the joint controllers
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording to be made; ``progress`` its place in the campaign, 0 first, 1 last."""
+
+    phase: str
+    suite: int
+    trial: int
+    motion: Motion
+    progress: float = 0.0
+    feedforward: Array | None = None  # open loop: the torques to replay
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What is true, what the controller believes, and the seed of everything random; see `build_cell`."""
+
+    cad: Robot
+    truth: Truth
+    seed: int
+    space: Space  # where campaigns move
+    kp: Array  # (n,) [N m/rad]
+    kd: Array  # (n,) [N m s/rad]
+    warmth: Array  # (n,) rise over ambient under steady work [K]
+
+    def random(self, *what: object) -> np.random.Generator:
+        """Random numbers of their own for every purpose, so that one more draw here changes nothing there."""
+        return np.random.default_rng([self.seed, zlib.crc32(repr(what).encode())])
+
+    @property
+    def torque_noise(self) -> Array:
+        """(n,) standard deviation [N m]."""
+        return 0.015 * np.sqrt(self.truth.plant.limit)
+
+    @property
+    def meta(self) -> Meta:
+        return Meta(self.cad.joints, robot=self.cad.name, effort="motor_torque", rate_hz=1.0 / PERIOD)
+
+
+def build_cell(cad: Robot, truth: Truth, seed: int) -> Cell:
+    """A cell around ``cad`` (with complete drive data): controllers tuned to the mean inertia of each joint."""
+    space = space_of(cad)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(space.box[:, 0], space.box[:, 1], (30, cad.n))
+    inertia = np.mean([np.diag(mass_matrix(cad.chain, cad.pi, q)) for q in poses], axis=0) + cad.rotor
+    warmth = RISE * np.random.default_rng([seed, 0]).uniform(0.8, 1.2, cad.n)
+    return Cell(cad, truth, seed, space, inertia * BANDWIDTH**2, 2 * DAMPING * BANDWIDTH * inertia, warmth)
+
+
+def temperatures(cell: Cell, progress: float) -> Array:
+    """(n,) true temperatures [degC] at a place of the campaign: first order from ambient under the work in between."""
+    share = 1.0 - np.exp(-COOLING * WORK_BETWEEN * progress)
+    return np.asarray(AMBIENT + cell.warmth * share)
+
+
+def feedforward(cell: Cell, job: Job) -> Array:
+    """(K, n) torque [N m] the controller's own model asks for: CAD, data sheet, and about the right friction."""
+    plant, cad = cell.truth.plant, cell.cad
+    q, dq, ddq = job.motion
+    out = torques(cad.chain, cad.pi, q, dq, ddq) + cad.rotor * ddq
+    if job.phase != "static":  # creeping into a pose, the controller's error alone builds up the friction
+        out += 0.9 * (plant.fc * np.tanh(dq / 0.05) + plant.fv * dq)
+    return out
+
+
+def _today(cell: Cell, job: Job, rng: np.random.Generator) -> Plant:
+    """The plant of one trial: friction differs between trials, brakes between stops, and run-in goes on."""
+    p, n = cell.truth.plant, cell.cad.n
+    varied = job.phase in ("stop0", "stop1") and job.suite == 1
+    spread = FRICTION_SPREAD * (3.0 if varied else 1.0)
+    lost = cell.truth.run_in * (1 - np.exp(-3 * job.progress)) / (1 - np.exp(-3.0))
+    friction = (1 + spread * rng.standard_normal((2, n))) * (1 - lost)
+    brake = rng.uniform(0.85, 1.1, n) if varied else 1 + 0.02 * rng.standard_normal(n)
+    late = 1 + 0.03 * rng.standard_normal(n)
+    if job.trial < 0:  # the master run of an open-loop suite
+        friction = np.tile(1 - lost, (2, 1))
+    return p._replace(
+        fc=p.fc * friction[0],
+        fv=p.fv * friction[1],
+        brake_torque=p.brake_torque * brake,
+        brake_delay=p.brake_delay * late,
+    )
+
+
+def _wander(cell: Cell, ticks: int, rng: np.random.Generator) -> Array:
+    """(ticks, n) slow random wander of dry friction [N m]: an Ornstein-Uhlenbeck path, stationary from the start."""
+    a = np.exp(-PERIOD / cell.truth.wander_time)
+    kick = rng.standard_normal((ticks, cell.cad.n))
+    if not cell.truth.wander.any():
+        return np.zeros_like(kick)
+    out = np.empty_like(kick)
+    out[0] = kick[0]
+    for k in range(1, ticks):
+        out[k] = a * out[k - 1] + np.sqrt(1 - a * a) * kick[k]
+    return out * cell.truth.wander
+
+
+def record(cell: Cell, job: Job, temp: Array) -> Recording:
+    """Make one recording, starting at joint temperatures ``temp`` [degC]."""
+    rng = cell.random("trial", job.phase, job.suite, job.trial)
+    n, K = cell.cad.n, len(job.motion.q)
+    plant = _today(cell, job, rng)
+    kp, kd = cell.kp, cell.kd
+    q0, v0 = job.motion.q[0], job.motion.dq[0]
+    torque = feedforward(cell, job) if job.feedforward is None else job.feedforward
+    noise = rng.normal(0, SPEED_NOISE, (K, n)) * (job.trial >= 0)
+    if job.feedforward is not None:
+        kp, kd, q0 = np.zeros(n), np.zeros(n), q0 + rng.normal(0, 0.0005, n)
+    if job.phase == "static":  # already under way, friction fully built up
+        q0 = q0 - np.sign(v0) * plant.fc / kp
+    brake_at = cut_at = K
+    trigger = RUN_UP_TICKS if job.phase in ("stop0", "stop1") else K
+    if job.phase == "stop0":
+        brake_at = cut_at = trigger
+    elif job.phase == "stop1":
+        brake_at, cut_at = K - round((HOLD - BRAKES_AFTER) / PERIOD), K - round((HOLD - CUT_AFTER) / PERIOD)
+    script = Script(
+        PERIOD, torque, job.motion.q, job.motion.dq, kp, kd, brake_at, cut_at,
+        np.zeros((K, n)), noise, RESOLUTION, _wander(cell, K, rng),
+    )  # fmt: skip
+    state = start(plant, _motor_angle(plant, q0), v0, temp)
+    # the friction power of steady work at half speed heats by `Cell.warmth` in the end
+    half = 0.5 * cell.space.speed
+    heating = COOLING * cell.warmth / (half * (plant.fc + plant.fv * half))
+    q, dq, tau, warm, link, speed = run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK)
+    if job.trial >= 0:
+        tau = reported(cell, tau, link, speed) + rng.normal(0, 1, (K, n)) * cell.torque_noise
+    dq, tau = np.round(dq / SPEED_STEP) * SPEED_STEP, np.round(tau / TORQUE_STEP) * TORQUE_STEP
+    keep = _extent(job, dq, K)
+    thermometer = np.round((warm + rng.normal(0, 0.1, (K, n))) / TEMP_STEP) * TEMP_STEP
+    triggered = np.arange(K) >= trigger
+    return Recording(
+        job.phase, job.suite, max(job.trial, 0), 0, PERIOD * np.arange(len(q[keep]), dtype=np.float64),
+        q[keep], dq[keep], tau[keep],
+        temp=thermometer[keep] if cell.truth.thermometer else None,
+        stop_trigger=triggered[keep],
+    )  # fmt: skip
+
+
+def _motor_angle(plant: Plant, reading: Array) -> Array:
+    """(n,) where the motors are when the encoders say ``reading`` [rad]; the eccentricity is a mild contraction."""
+    x = reading - plant.encoder_offset
+    for _ in range(30):
+        x = reading - plant.encoder_offset - plant.eccentricity * np.sin(x + plant.eccentricity_phase)
+    return np.asarray(x)
+
+
+def reported(cell: Cell, tau: Array, q: Array, dq: Array) -> Array:
+    """The motor torque as the drive reports it: late by its delay, without what its own Coriolis compensation adds."""
+    t, p = cell.truth, cell.truth.plant
+    out = tau.copy()
+    if t.unlogged_coriolis.any():
+        zero = np.zeros_like(q)
+        c = torques(p.chain, p.pi, q, dq, zero) - torques(p.chain, p.pi, q, zero, zero)
+        out -= t.unlogged_coriolis * c
+    ticks = np.arange(len(tau), dtype=float)
+    for j in np.flatnonzero(t.delay):
+        out[:, j] = np.interp(ticks - t.delay[j] / PERIOD, ticks, out[:, j])
+    return out
+
+
+def _extent(job: Job, dq: Array, K: int) -> slice:
+    if job.phase == "static":
+        return slice(K - 4, K)
+    if job.phase == "stop0":  # until 0.1 s after the last motion
+        moving = np.flatnonzero(np.abs(dq).max(axis=1) > 6 * SPEED_NOISE)
+        return slice(0, min(K, int(moving[-1]) + 1 + round(0.1 / PERIOD)))
+    return slice(0, K)
+
+
+def wrong_cad(robot: Robot, rng: np.random.Generator) -> Array:
+    """(n, 10) true standard parameters when the CAD is off by 2 to 5 % in mass and about 3 mm in the centre of mass."""
+    out = robot.pi.copy()
+    for i, P in enumerate(robot.pi):
+        m, c = P[0], P[1:4] / P[0]
+        about_origin = np.array([[P[4], P[5], P[7]], [P[5], P[6], P[8]], [P[7], P[8], P[9]]])
+        inertia = about_origin - m * ((c @ c) * np.eye(3) - np.outer(c, c))
+        scale = 1 + rng.uniform(0.02, 0.05) * rng.choice([-1.0, 1.0])
+        out[i] = standard_parameters(scale * m, c + rng.normal(0, 0.003 / np.sqrt(3), 3), scale * inertia)
+    return out

@@ -1,0 +1,314 @@
+"""Effects that can be hidden in the simulated arm: each changes the truth, none is told to the data sheet.
+
+A size is one number per effect, zero meaning healthy; `stopset.simulation.sizing` chooses it so that the torque
+residual of the joint grows by a wanted factor.  Names are those of the catalogue of `stopset.effects`; the four that start with
+``outside_`` are in no catalogue, and the right answer to them is "unknown".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stopset.errors import EffectError
+from stopset.robot import Robot
+from stopset.robot.arm import standard_parameters
+from stopset.robot.rigid import Array, torques
+from stopset.simulation.motions import space_of
+from stopset.simulation.plant import Plant, largest_gravity
+
+Parameters = dict[str, float | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The true arm and its true instruments; joint arrays (n,)."""
+
+    plant: Plant
+    delay: Array  # [s] the reported torque lags the true one (negative: leads)
+    unlogged_coriolis: Array  # [-] share of the Coriolis torque the drive adds below the reported torque
+    run_in: Array  # [-] share of friction lost over the campaign, not told by any temperature
+    wander: Array  # [N m] standard deviation of dry friction's slow wander
+    wander_time: Array  # [s] its correlation time
+    thermometer: bool = True  # is temperature recorded?
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """One hidden effect: ``joint`` None for the whole arm; ``size`` in the effect's own measure (see `Kind`)."""
+
+    effect: str
+    joint: int | None
+    size: float
+
+
+# (truth, robot, joint, size, its own random numbers) -> changed truth, parameters to report
+Inject = Callable[[Truth, Robot, int, float, np.random.Generator], tuple[Truth, Parameters]]
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """How an effect is hidden: ``guess`` is a size to start from, ``most`` the largest that makes physical sense."""
+
+    inject: Inject
+    guess: float
+    most: float
+    scope: str = "joint"
+    where: str = "any"  # joints chosen when none is named: "any", "loaded" (gravity), "coupled" (Coriolis)
+
+
+def _plant(truth: Truth, joint: int, **values: float) -> Truth:
+    """``truth`` with some of the plant's entries of one joint changed."""
+    changed = {}
+    for name, value in values.items():
+        array = getattr(truth.plant, name).copy()
+        array[joint] = value
+        changed[name] = array
+    return replace(truth, plant=truth.plant._replace(**changed))
+
+
+def _entry(array: Array, joint: int, value: float) -> Array:
+    out = array.copy()
+    out[joint] = value
+    return out
+
+
+def _thermal_viscous(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    law = "fv(T) = fv exp(slope (30 + 95)^2 (1 / (T + 95) - 1 / 125)), T in degC"
+    return _plant(t, j, fv_slope=size), {"slope_per_K": size, "fv_at_30_degC": t.plant.fv[j], "law": law}
+
+
+def _thermal_coulomb(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    law = "fc(T) = fc (0.4 + 0.6 exp(-slope (T - 30) / 0.6))"
+    return _plant(t, j, fc_slope=size), {"slope_per_K": size, "fc_at_30_degC": t.plant.fc[j], "law": law}
+
+
+def _warm_up(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    law = "friction falls by (1 - exp(-3 s)) / (1 - exp(-3)) of lost_share, s: place in the campaign, 0..1"
+    return replace(t, run_in=_entry(t.run_in, j, size), thermometer=False), {"lost_share": size, "law": law}
+
+
+def _stribeck(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    speed, extra = float(g.uniform(0.04, 0.1)), size * float(t.plant.fc[j])
+    truth = _plant(t, j, breakaway=extra, stribeck_speed=speed)
+    return truth, {"breakaway_Nm": extra, "stribeck_speed_rad_per_s": speed, "law": "extra / (1 + (dq / speed)^2)"}
+
+
+def _load_coulomb(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    return _plant(t, j, tooth=size), {"friction_per_load": size, "load": "whole torque the gear transmits to the links"}
+
+
+def _asymmetric(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    skew = size * float(g.choice([-1.0, 1.0]))
+    fc = float(t.plant.fc[j])
+    return _plant(t, j, skew=skew), {"fc_forward_Nm": fc * (1 + skew), "fc_backward_Nm": fc * (1 - skew)}
+
+
+def _cubic(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    """First the bend moves down to 0.4 of the top speed; from there on the oil gets thicker."""
+    if size <= 0:
+        return t, {}
+    speed = float(space_of(r).speed[j])
+    bend, thick = max(speed / size, 0.4 * speed), 1.0 + max(0.0, size - 2.5)
+    fv = thick * float(t.plant.fv[j])
+    law = "fv v0 asinh(dq / v0): cubic term -fv / (6 v0^2) at low speed"
+    return _plant(t, j, thinning_speed=bend, fv=fv), {"v0_rad_per_s": bend, "fv_Nms_per_rad": fv, "law": law}
+
+
+def _payload(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    com = r.tip + g.uniform(-0.03, 0.03, 3)
+    body = standard_parameters(size, com, np.eye(3) * 0.4 * size * 0.05**2)  # a ball of 5 cm
+    pi = t.plant.pi.copy()
+    pi[-1] += body
+    said: Parameters = {"mass_kg": size, **{f"com_{a}_m": float(c) for a, c in zip("xyz", com, strict=True)}}
+    return replace(t, plant=t.plant._replace(pi=pi)), said
+
+
+def _rotor(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    stated = float(t.plant.rotor[j])
+    return _plant(t, j, rotor=stated * (1 + size)), {"true_kgm2": stated * (1 + size), "stated_kgm2": stated}
+
+
+def _elasticity(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    if size <= 0:
+        return t, {}
+    K = 10.0 * float(t.plant.limit[j]) / size  # at size 1 the gear twists by 0.1 rad under its torque limit
+    D = 0.1 * float(np.sqrt(K * t.plant.rotor[j]))
+    said: Parameters = {"stiffness_Nm_per_rad": K, "damping_Nms_per_rad": D, "encoder": "motor side"}
+    return _plant(t, j, stiffness=K, twist_damping=D), said
+
+
+def _ripple(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    order, phase = float(g.integers(20, 110)), float(g.uniform(0, 2 * np.pi))
+    said: Parameters = {
+        "amplitude_Nm": size,
+        "cycles_per_rev": order,
+        "phase_rad": phase,
+        "second_harmonic_share": 0.15,
+    }
+    return _plant(t, j, ripple=size, ripple_order=order, ripple_phase=phase), said
+
+
+def _hysteresis(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    said: Parameters = {"displacement_rad": size, "law": "four Maxwell slip elements, 0.4 to 4 times the displacement"}
+    return _plant(t, j, presliding=size), said
+
+
+def _gain(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    gain = 1 + size * float(g.choice([-1.0, 1.0]))
+    return _plant(t, j, gain=gain), {"true_over_reported": gain}
+
+
+def _delay(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    return replace(t, delay=_entry(t.delay, j, size)), {"delay_s": size, "law": "the reported torque lags the true one"}
+
+
+def _tilt(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    way = g.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(way), np.sin(way), 0.0])
+    gravity = t.plant.chain.gravity
+    c, s = np.cos(size), np.sin(size)
+    turned = gravity * c - np.cross(axis, gravity) * s + axis * (axis @ gravity) * (1 - c)  # base turns, gravity stays
+    chain = t.plant.chain._replace(gravity=turned)
+    return replace(t, plant=t.plant._replace(chain=chain)), {"roll_rad": size * axis[0], "pitch_rad": size * axis[1]}
+
+
+def _spring(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    centre = float(g.uniform(-0.5, 0.5))
+    said: Parameters = {"stiffness_Nm_per_rad": size, "centre_rad": centre, "law": "k x (1 + 0.05 x^2), x = q - centre"}
+    return _plant(t, j, spring=size, spring_centre=centre), said
+
+
+def _coupling(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    other = neighbour(j, r.n)
+    drag = size * float(np.sqrt(t.plant.fv[j] * t.plant.fv[other]))
+    truth = _plant(t, j, drag=drag, partner=other)
+    return truth, {
+        "viscous_Nms_per_rad": drag,
+        "partner": r.joints[other],
+        "law": "on each joint, times the other's dq",
+    }
+
+
+def _encoder_offset(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    offset = size * float(g.choice([-1.0, 1.0]))
+    return _plant(t, j, encoder_offset=offset), {"reading_minus_truth_rad": offset}
+
+
+def _eccentricity(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    phase = float(g.uniform(0, 2 * np.pi))
+    return _plant(t, j, eccentricity=size, eccentricity_phase=phase), {"amplitude_rad": size, "phase_rad": phase}
+
+
+def _coriolis(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    law = "the drive adds this share of the Coriolis torque below the torque it reports"
+    return replace(t, unlogged_coriolis=_entry(t.unlogged_coriolis, j, size)), {"share": size, "law": law}
+
+
+def _outside_bump(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    lo, hi = space_of(r).box[j]
+    centre, width = float(lo + (hi - lo) * g.uniform(0.35, 0.65)), float(g.uniform(0.1, 0.18))
+    said: Parameters = {"torque_Nm": size, "centre_rad": centre, "width_rad": width, "depends_on": f"q_{r.joints[j]}"}
+    return _plant(t, j, bump=size, bump_centre=centre, bump_width=width), said
+
+
+def _outside_walk(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    time = float(g.uniform(6, 15))
+    truth = replace(t, wander=_entry(t.wander, j, size), wander_time=_entry(t.wander_time, j, time))
+    return truth, {"sigma_Nm": size, "correlation_time_s": time, "depends_on": "nothing that is recorded"}
+
+
+def _outside_resonance(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    speed = float(space_of(r).speed[j] * g.uniform(0.3, 0.7))
+    said: Parameters = {"friction_Nm": size, "at_rad_per_s": speed, "depends_on": f"dq_{r.joints[j]}"}
+    return _plant(t, j, resonance=size, resonance_speed=speed), said
+
+
+def _outside_weave(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    other = neighbour(j, r.n)
+    said: Parameters = {
+        "coefficient_Nms_per_rad": size, "law": "sin(3 q) times the partner's dq", "partner": r.joints[other],
+        "depends_on": f"q_{r.joints[j]}, dq_{r.joints[other]}",
+    }  # fmt: skip
+    return _plant(t, j, weave=size, partner=other), said
+
+
+KINDS: dict[str, Kind] = {
+    "thermal_viscous": Kind(_thermal_viscous, 0.02, 0.06),
+    "thermal_coulomb": Kind(_thermal_coulomb, 0.01, 0.04),
+    "warm_up": Kind(_warm_up, 0.15, 0.6),
+    "stribeck": Kind(_stribeck, 0.2, 0.8),
+    "load_coulomb": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
+    "asymmetric_coulomb": Kind(_asymmetric, 0.05, 0.6),
+    "cubic_viscous": Kind(_cubic, 1.5, 25.0),
+    "payload": Kind(_payload, 0.2, 8.0, scope="arm"),
+    "rotor_inertia": Kind(_rotor, 0.3, 4.0),
+    "elasticity": Kind(_elasticity, 1.0, 60.0, where="loaded"),
+    "torque_ripple": Kind(_ripple, 0.5, 8.0),
+    "hysteresis": Kind(_hysteresis, 0.003, 0.06),
+    "torque_gain": Kind(_gain, 0.05, 0.5, where="loaded"),
+    "delay": Kind(_delay, 0.01, 0.06),
+    "base_tilt": Kind(_tilt, 0.02, 0.25, scope="arm"),
+    "spring": Kind(_spring, 1.0, 40.0),
+    "coupling": Kind(_coupling, 0.1, 0.9),
+    "encoder_offset": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
+    "encoder_eccentricity": Kind(_eccentricity, 0.02, 0.2, where="loaded"),
+    "coriolis": Kind(_coriolis, 1.0, 30.0, where="coupled"),
+    "outside_bump": Kind(_outside_bump, 1.0, 30.0),
+    "outside_walk": Kind(_outside_walk, 0.5, 15.0),
+    "outside_resonance": Kind(_outside_resonance, 1.0, 15.0),
+    "outside_weave": Kind(_outside_weave, 1.0, 30.0),
+}
+
+
+def neighbour(joint: int, n: int) -> int:
+    """The joint that shares a cable or a differential with ``joint``: the next one, or the one before the last."""
+    return joint + 1 if joint + 1 < n else max(joint - 1, 0)
+
+
+def healthy(plant: Plant) -> Truth:
+    """``plant`` with perfect instruments."""
+    z = np.zeros(len(plant.fc))
+    return Truth(plant, delay=z, unlogged_coriolis=z, run_in=z, wander=z, wander_time=np.ones_like(z))
+
+
+def parse_hidden(words: Sequence[str], robot: Robot, rng: np.random.Generator) -> list[tuple[str, int | None]]:
+    """``["stribeck:elbow", "payload"]`` -> effect names and joint numbers; where no joint is named, one is drawn.
+
+    Raises `EffectError` for an unknown effect or joint, a joint where none belongs, or the same twice.
+    """
+    words = [w for w in words if w != "none"]
+    out: list[tuple[str, int | None]] = []
+    for word in words:
+        name, _, joint = word.partition(":")
+        if name not in KINDS:
+            raise EffectError(f"--hide {word}: no effect {name!r}; expected none or one of {', '.join(KINDS)}")
+        kind = KINDS[name]
+        if joint and kind.scope == "arm":
+            raise EffectError(f"--hide {word}: {name} belongs to the whole arm, not to a joint; write --hide {name}")
+        if joint and joint not in robot.joints:
+            raise EffectError(f"--hide {word}: {robot.name} has no joint {joint!r}; expected one of {', '.join(robot.joints)}")
+        if robot.n < 2 and name in ("coupling", "outside_weave"):
+            raise EffectError(f"--hide {word}: {robot.name} has one joint; {name} needs two")
+        where = None if kind.scope == "arm" else robot.joints.index(joint) if joint else _draw(kind, robot, rng)
+        if (name, where) in out:
+            raise EffectError(f"--hide {word}: {name} is already hidden there; name every effect and joint once")
+        out.append((name, where))
+    return out
+
+
+def _draw(kind: Kind, robot: Robot, rng: np.random.Generator) -> int:
+    strength = np.ones(robot.n)
+    if kind.where == "loaded":
+        strength = largest_gravity(robot)
+    elif kind.where == "coupled":
+        box = space_of(robot)
+        g = np.random.default_rng(0)
+        q = g.uniform(box.box[:, 0], box.box[:, 1], (300, robot.n))
+        dq = g.uniform(-box.speed, box.speed, (300, robot.n))
+        zero = np.zeros_like(q)
+        strength = np.abs(torques(robot.chain, robot.pi, q, dq, zero) - torques(robot.chain, robot.pi, q, zero, zero)).max(0)
+    # joints of at least a third of the strongest have the effect in a measurable size
+    return int(rng.choice(np.flatnonzero(strength >= strength.max() / 3)))
