@@ -184,22 +184,25 @@ def torque_scale(scale: Array, std: Array, joints: Sequence[str], gear: Array, c
             continue  # the motion does not tell
         if 0.4 < k < 2.5:
             continue  # payload, drive gain and CAD errors live here
-        known = {
-            1e3: "it is in mN m", 1e-3: "it is in kN m", 1 / gear[j]: "it is motor side: times the gear ratio",
-            1 / constant[j]: "it is in ampere: times the torque constant", 100.0: "it is in N cm",
-        }  # fmt: skip
-        near = min((abs(np.log(abs(k) / r)), m) for r, m in known.items() if np.isfinite(r) and r > 0)
         if k < 0 and 0.4 < -k < 2.5:
             out.append(
                 Finding("wrong_sign", "error", joint, f"the torque is {k:.3g} times what the rigid body needs", "about 1",
                         "turn the sign of tau", k)
             )  # fmt: skip
-        else:
-            why = f" ({near[1]})" if near[0] < 0.4 else ""
-            out.append(
-                Finding("wrong_unit", "error", joint, f"the torque is {k:.3g} times what the rigid body needs{why}",
-                        "about 1, N m on the link side", "convert tau, or correct gear ratio and torque constant", k)
-            )  # fmt: skip
+            continue
+        known = {
+            1e3: "it is in mN m", 1e-3: "it is in kN m", 1 / gear[j]: "it is motor side: times the gear ratio",
+            1 / constant[j]: "it is in ampere: times the torque constant", 100.0: "it is in N cm",
+        }  # fmt: skip
+        near = min((abs(np.log(abs(k) / r)), m) for r, m in known.items() if np.isfinite(r) and r > 0)
+        explained = near[0] < 0.4
+        alike = np.isfinite(scale) & (np.abs(np.log(np.abs(np.where(scale == 0, 1e-12, scale)) / abs(k))) < np.log(3))
+        seen = f"the torque is {k:.3g} times what the rigid body needs" + (f" ({near[1]})" if explained else "")
+        # one joint alone, by a factor no unit explains, is a payload or the CAD rather than a column in another unit
+        sure = explained or alike.sum() > 1
+        do = "convert tau, or correct gear ratio and torque constant" if sure else "a payload, or a wrong CAD or gain: check them"
+        out.append(Finding("wrong_unit" if sure else "torque_scale", "error" if sure else "warning", joint, seen,
+                           "about 1, N m on the link side", do, k))  # fmt: skip
     return out
 
 

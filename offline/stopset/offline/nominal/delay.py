@@ -16,6 +16,8 @@ from stopset.offline.nominal.gram import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 
+LEAST_STD = 2e-4  # [s] no clock is known better
+BLUNT = 0.002  # [s] joints with a larger standard error do not say where the middle is
 FEW = 3  # with fewer motions none can be left out
 TOGETHER = 30.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
@@ -94,7 +96,7 @@ def _lowest(profile: Array) -> float:
 def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
     """Best lag per joint with a standard error by leaving out motions, and the one common to all.
 
-    Joints that disagree with the rest do not pull the common lag: it is the weighted median.
+    Joints that disagree with the rest do not pull the common lag.
     """
     n = data.layout.n
     hold = 0.5 * data.period if np.isfinite(data.period) else 0.0
@@ -116,16 +118,23 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
         if np.isfinite(left).all():
             m = len(groups)
             std[j] = np.sqrt((m - 1) / m * np.sum((left - left.mean()) ** 2))
+    common, common_std = _common(best, std)
+    return Delay(best, std, common, common_std, hold)
+
+
+def _common(best: Array, std: Array) -> tuple[float, float]:
+    """The lag that most joints share: weighted mean of those near the median; a drive that is late alone stays out."""
     sound = np.isfinite(best) & np.isfinite(std)
     if not sound.any():
-        sound = np.isfinite(best)
-    if not sound.any():
-        return Delay(best, std, hold, float("inf"), hold)
-    weight = 1 / np.maximum(np.where(np.isfinite(std), std, 1e-3), 1e-4)[sound]
-    common = _weighted_median(best[sound], weight)
-    spread = np.median(np.abs(best[sound] - common)) * 1.4826
-    own = 1 / np.sqrt(np.sum(weight**2)) if np.isfinite(std[sound]).all() else float("inf")
-    return Delay(best, std, common, float(max(own, spread / np.sqrt(sound.sum()))), hold)
+        return 0.0, float("inf")
+    d, s = best[sound], np.maximum(std[sound], LEAST_STD)
+    sharp = s <= max(BLUNT, float(s.min()))
+    middle = float(np.median(d[sharp]))
+    near = np.abs(d - middle) <= 3 * s + BLUNT
+    w = near / s**2
+    mean = float(w @ d / w.sum())
+    chi2 = float(w @ (d - mean) ** 2) / max(int(near.sum()) - 1, 1)
+    return mean, float(np.sqrt(max(chi2, 1.0) / w.sum()))
 
 
 def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int) -> Array:
@@ -140,9 +149,3 @@ def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int) -> Array:
     place = index[: 10 * n + 1]
     out[: 10 * n + 1, : 10 * n + 1] += noise * prior.precision[np.ix_(place, place)]
     return out
-
-
-def _weighted_median(x: Array, weight: Array) -> float:
-    order = np.argsort(x)
-    cum = np.cumsum(weight[order])
-    return float(np.interp(0.5 * cum[-1], cum - 0.5 * weight[order], x[order]))

@@ -27,7 +27,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
 GROUPS = 32
-DELAYS = np.arange(-0.02, 0.0401, 0.005)  # [s] torque is kept at these lags; 5 ms resolves 15 Hz to 0.1 %
+DELAYS = np.arange(-10, 11) * 0.006  # [s] torque is kept at these lags; 6 ms resolves 15 Hz to 0.3 %
 STILL_PHASES = ("static",)
 BRAKED_PHASES = ("stop0", "stop1")  # the brake's torque is not in tau
 
