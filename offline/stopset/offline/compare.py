@@ -14,6 +14,7 @@ from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.errors import joint_figures, torque_error
+from stopset.offline.identify import roller
 from stopset.offline.survey import Survey, on_grid, survey
 from stopset.reach.flowpipe import Tube, deviation_tube
 from stopset.recording import Recording, read_meta, stream_recordings
@@ -92,7 +93,7 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, _worst(model, deviations, tube, r, u)))
-    figures, _ = joint_figures(pairs, model.abstraction, model.joints, dt)
+    figures, _ = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
     return Comparison(figures, tuple(rows), found, tube)
 
 

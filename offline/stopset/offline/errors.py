@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
+from stopset.offline.rollout import RollOut
 from stopset.reach.flowpipe import predict
 from stopset.recording import Recording
 from stopset.sets import Box
@@ -17,6 +18,7 @@ Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
 AVERAGING = 0.2  # [s] torque errors are averages over such windows, a stop's length: momentum balance, no differentiation
+TOGETHER = 128  # trials simulated side by side
 LONGEST = 5.0  # [s] open-loop predictions are compared up to here
 
 
@@ -54,6 +56,16 @@ class _Sums:
         total[:m] += e[:m]
         square[:m] += e[:m] ** 2
 
+    def add_open_loop(self, r: Recording, x: Array) -> None:
+        n = r.q.shape[1]
+        self.position += ((x[:, :n] - r.q) ** 2).sum(axis=0)
+        self.velocity += ((x[:, n:] - r.dq) ** 2).sum(axis=0)
+        self.rows += len(r.t)
+
+    def add_rolled(self, trials: Sequence[Recording], states: Sequence[Array]) -> None:
+        for r, x in zip(trials, states, strict=True):
+            self.add_open_loop(r, x)
+
     def floor(self) -> Array | None:
         """RMS deviation from the mean of the repetitions (n,), None without repetitions."""
         freedom, spread = 0.0, np.zeros_like(self.torque)
@@ -65,15 +77,16 @@ class _Sums:
 
 
 def joint_figures(
-    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], dt: float
+    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], dt: float, roll: RollOut | None = None
 ) -> tuple[dict[str, dict[str, Any]], Box]:
     """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse`` (SI), and the hull of the inputs seen.
 
     Velocity and position are those of the open-loop prediction from each trial's start, at most `LONGEST` long; the floor is
-    the scatter between repetitions of the same torques, null without repetitions.
+    the scatter between repetitions of the same torques, null without repetitions.  ``roll`` simulates effects at the
+    simulated state; without it the inputs carry them at the measured one.
     """
-    n = len(joints)
-    sums = _Sums(n)
+    sums = _Sums(len(joints))
+    waiting: list[Recording] = []
     for _, r, u in pairs():
         sums.hull = Box.hull(u) if sums.hull is None else sums.hull | Box.hull(u)
         e = torque_error(abstraction, dt, r.q, r.dq, u)
@@ -82,10 +95,15 @@ def joint_figures(
         if r.phase == "open_loop":
             sums.add_repeat(r.motion, e)
         last = min(len(r.t), round(LONGEST / dt) + 1)
-        x = predict(abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), u[:last])
-        sums.position += ((x[:, :n] - r.q[:last]) ** 2).sum(axis=0)
-        sums.velocity += ((x[:, n:] - r.dq[:last]) ** 2).sum(axis=0)
-        sums.rows += last
+        if roll is None:
+            sums.add_open_loop(r.cut(0, last), predict(abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), u[:last]))
+            continue
+        waiting.append(r.cut(0, last))
+        if len(waiting) == TOGETHER:
+            sums.add_rolled(waiting, roll(waiting, dt))
+            waiting = []
+    if roll is not None and waiting:
+        sums.add_rolled(waiting, roll(waiting, dt))
     floor = sums.floor()
     assert sums.hull is not None
     out = {

@@ -19,7 +19,9 @@ from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.conform.sets import Conformance, Options, conform
 from stopset.offline.errors import joint_figures
-from stopset.offline.output_error import fit_output_error
+from stopset.offline.effect_names import parse_effect
+from stopset.offline.output_error import fit_joint
+from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.survey import Survey, on_grid, survey
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
@@ -86,7 +88,7 @@ def identify(
     tell("reading the recordings")
     found = survey(source)
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
-    nominal = _compensated(robot, found) if meta.effort == "compensated_torque" else _motor(robot, paths, found, chosen)
+    nominal = _compensated(robot, found, chosen) if meta.effort == "compensated_torque" else _motor(robot, paths, found, chosen)
     return _with_sets(robot, meta, source, found, nominal, chosen, tell)
 
 
@@ -100,19 +102,23 @@ def _meta(paths: Sequence[str | Path]) -> Meta:
     )
 
 
-def _compensated(robot: Robot, found: Survey) -> NominalPart:
-    """Torque that already is ``u``: one lag per joint, by output error."""
-    fit = fit_output_error([on_grid(r, found.dt) for r in found.sample], found.dt)
-    abstraction = Abstraction(1, 1, np.diag(1.0 / fit.inertia), fit.damping[:, None].copy(), offset=fit.offset)
-    damping = tuple(
-        Fitted("viscous", j, {"F_v": float(v)}, {"F_v": float(s)})
-        for j, v, s in zip(robot.joints, fit.damping, fit.damping_std, strict=True)
-    )
+def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart:
+    """Torque that already is ``u``: one lag per joint with its effects, by output error."""
+    sample = [on_grid(r, found.dt) for r in found.sample]
+    batches = joint_batches(robot, sample, [found.warm(r) for r in found.sample], found.dt)
+    wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
+    fits = []
+    for joint, batch in zip(robot.joints, batches, strict=True):
+        terms = [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
+        fits.append(fit_joint(batch, joint, terms))
+    inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
+    abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
+    viscous = tuple(Fitted("viscous", j, {"F_v": f.damping}, {"F_v": f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
     notes = (
         "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
         "off before recording and are not known to this model",
     )
-    return NominalPart(robot, robot.rotor, damping, abstraction, notes)
+    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
 
 
 def _motor(robot: Robot, paths: Sequence[str | Path], found: Survey, settings: Settings) -> NominalPart:
@@ -152,7 +158,7 @@ def _with_sets(
     options = Options(settings.conform, settings.windows, settings.margin)
     result = conform(pairs, motions, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
     tell("errors per joint")
-    errors, u_hull = joint_figures(pairs, nominal.abstraction, robot.joints, found.dt)
+    errors, u_hull = joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, found))
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
@@ -162,6 +168,13 @@ def _with_sets(
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *result.notes),
     )  # fmt: skip
     return Identification(model, result, found, settings)
+
+
+def roller(nominal: NominalPart | Model, effort: str, found: Survey) -> RollOut | None:
+    """Open-loop simulation with effects at the simulated state, for compensated torque; None: the linear prediction."""
+    if effort != "compensated_torque" or not nominal.abstraction.decoupled:
+        return None
+    return RollOut(nominal.robot, nominal.abstraction, nominal.effects, found.warm)
 
 
 def _sums(errors: dict[str, dict[str, Any]]) -> dict[str, float]:

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
 
 KEEP = 256  # trials kept for fits that need them in memory
+REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
 # which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
 POWERED = ("open_loop", "closed_loop")
 
@@ -40,9 +41,15 @@ class Survey:
     temp: Box | None
     sample: tuple[Recording, ...]
     irregular: bool
+    repeats: int  # most trials of one suite
 
     def warm(self, r: Recording) -> float:
-        """Place of a trial in its session, 0 to 1: the variable of warming where no temperature is recorded."""
+        """How long the drives have been running, 0 to 1: the variable of warming where no temperature is recorded.
+
+        The repetition within a suite where suites are repeated (each starts anew), else the place in the session.
+        """
+        if self.repeats >= REPEATED:
+            return min(r.trial / (self.repeats - 1), 1.0)
         return r.place / max(self.places - 1, 1)
 
 
@@ -67,6 +74,7 @@ def survey(source: Source) -> Survey:
     kept: list[Recording] = []
     stride, seen, places, samples, longest = 1, 0, 0, 0, 0.0
     torques: dict[Suite, Array] = {}
+    repeats: dict[Suite, int] = {}
     steps: list[float] = []
     irregular = False
     noise = NoiseEstimate()
@@ -80,6 +88,7 @@ def survey(source: Source) -> Survey:
             if x is not None:
                 hulls[name] = hulls[name] | Box.hull(x) if name in hulls else Box.hull(x)
         torques.setdefault(r.motion, r.tau)
+        repeats[r.motion] = repeats.get(r.motion, 0) + 1
         steps.append(float(np.median(np.diff(r.t))))
         irregular |= bool(np.abs(np.diff(r.t) - steps[-1]).max() > 0.05 * steps[-1])
         samples += len(r.t)
@@ -94,7 +103,7 @@ def survey(source: Source) -> Survey:
     return Survey(
         phase=chosen, dt=round(float(np.median(steps)), 6), trials=seen, samples=samples, longest=longest, places=places,
         motion=independent_motions(torques), noise=noise.box(), q=hulls["q"], dq=hulls["dq"], tau=hulls["tau"],
-        temp=hulls.get("temp"), sample=tuple(kept), irregular=irregular,
+        temp=hulls.get("temp"), sample=tuple(kept), irregular=irregular, repeats=max(repeats.values()),
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class _Problem:
     rows_still: Array
 
 
-def _problem(layout: Layout, moving: Array, still: Array, rows: Array, rows_still: Array) -> _Problem:
+def problem_of(layout: Layout, moving: Array, still: Array, rows: Array, rows_still: Array) -> _Problem:
     n = layout.n
     index = [layout.index(j) for j in range(n)]
     cut = [np.r_[0 : len(index[j]), moving.shape[-1] - 1] for j in range(n)]
@@ -66,7 +66,7 @@ def _residual(G: Array, theta: Array) -> float:
     return max(float(v @ G @ v), 0.0)
 
 
-def _assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Array) -> tuple[Array, Array]:
+def assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Array) -> tuple[Array, Array]:
     """Normal matrix and right-hand side of all parameters."""
     size, m = p.layout.size, len(mean)
     H, b = np.zeros((size, size)), np.zeros(size)
@@ -132,7 +132,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
     """
     layout, n = data.layout, data.layout.n
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
-    p = _problem(layout, moving.sum(axis=0), still, rows, rows_still)
+    p = problem_of(layout, moving.sum(axis=0), still, rows, rows_still)
     variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
     variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
     inflation, scale = np.full(n, ASSUMED_INFLATION), 1.0
@@ -141,7 +141,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
         w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)
         w, w_still = np.where(rows > 0, w, 0.0), np.where(rows_still > 0, w_still, 0.0)
         precision = prior.precision / scale**2
-        H, b = _assemble(p, w, w_still, precision, prior.mean)
+        H, b = assemble(p, w, w_still, precision, prior.mean)
         theta = np.linalg.solve(H, b)
         for j in range(n):
             own = theta[p.index[j]]
@@ -222,9 +222,9 @@ def cross_validated(data: NormalEquations, moving: Array, still: Array, prior: P
     w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
     squares = np.zeros(n)
     for g in groups:
-        p = _problem(data.layout, total - moving[g], still, rows, rows_still)
-        H, b = _assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
+        p = problem_of(data.layout, total - moving[g], still, rows, rows_still)
+        H, b = assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
         theta = np.linalg.solve(H, b)
-        left = _problem(data.layout, moving[g], still, rows, rows_still)
+        left = problem_of(data.layout, moving[g], still, rows, rows_still)
         squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
     return np.sqrt(squares / np.maximum(rows, 1))

@@ -47,16 +47,16 @@ def base_count(robot: Robot) -> int:
     return int(base_directions(robot).shape[1])
 
 
-def told(robot: Robot, precision: Array, covariance: Array) -> tuple[int, int]:
-    """How many base parameters the data told (variance fell by a tenth or more), of how many there are."""
+def told(robot: Robot, precision: Array, covariance: Array, ratio: float = OPEN) -> tuple[int, int]:
+    """How many base parameters the data told (variance fell below ``ratio`` of the prior's), of how many there are."""
     n = robot.n
     V = base_directions(robot) / parameter_scale(robot)[:, None]  # functionals of pi
     before = V.T @ np.linalg.inv(precision[: 10 * n, : 10 * n]) @ V
     after = V.T @ covariance[: 10 * n, : 10 * n] @ V
     L = np.linalg.cholesky(before + 1e-12 * np.trace(before) * np.eye(len(before)))
     W = np.linalg.solve(L, np.linalg.solve(L, after).T)
-    ratio = np.linalg.eigvalsh(0.5 * (W + W.T))
-    return int(np.sum(ratio < OPEN)), len(ratio)
+    left = np.linalg.eigvalsh(0.5 * (W + W.T))
+    return int(np.sum(left < ratio)), len(left)
 
 
 def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit) -> tuple[str, ...]:

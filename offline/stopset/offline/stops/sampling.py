@@ -49,12 +49,12 @@ def tube_at(tube: Tube, times: Array) -> tuple[Array, Array, Array, Array]:
         k = min(int(times[m] / h), K - 1)
         s = min(max(times[m] - k * h, 0.0), h)
         for i in range(n):
-            a, b = tube.v_hi[k, i], tube.v_hi[k + 1, i]
+            a, b = tube.v_hi[k, i], tube.e_hi[k, i]
             if a < 0.0 and b >= 0.0:  # the bound may cross zero at once and stay there
                 a = b
             vh[m, i] = a + (b - a) * s / h
             dh[m, i] = tube.d_hi[k, i] + s * (a + 0.5 * (b - a) * s / h)
-            a, b = tube.v_lo[k, i], tube.v_lo[k + 1, i]
+            a, b = tube.v_lo[k, i], tube.e_lo[k, i]
             if a > 0.0 and b <= 0.0:
                 a = b
             vl[m, i] = a + (b - a) * s / h

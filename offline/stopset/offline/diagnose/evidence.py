@@ -1,0 +1,143 @@
+"""How much better an effect explains the rows than the model without it: a mixed model's evidence.
+
+Each joint's rows are independent after whitening, but for one thing: from trial to trial the friction of a joint scales by a
+per cent or two, its Coulomb and its viscous part each on its own.  Those scales are random effects of the trial with
+deviation ``sigma`` (one per joint, found by maximum likelihood for each hypothesis on its own).  So a cause that only differs
+between trials, like warming, is judged by the number of trials, not of samples.  All else is linear algebra on sums over
+rows ("Grams"), built once and bordered when columns are added.
+
+Source: Laird & Ware (1982), Random-effects models for longitudinal data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.offline.diagnose.prepare import Array, Index
+
+SIGMAS = np.array([0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2])  # [1] friction scales to choose from
+
+
+@dataclass(slots=True)
+class JointGram:
+    """One joint's whitened columns ``X`` (K, c) and their sums: ``G`` (F, c, c) by fold; per trial ``g`` (T, r, c) = f'X and
+    ``ff`` (T, r, r) = f'f with the random effects' columns ``f`` (K, r); ``index`` (c,): their numbers in the whole."""
+
+    X: Array
+    f: Array
+    row_fold: Index  # (K,)
+    starts: Index  # (T,) first row of each trial
+    ends: Index
+    trial: Index  # (T,)
+    trial_fold: Index  # (T,)
+    index: Index
+    G: Array
+    g: Array
+    ff: Array
+
+    @staticmethod
+    def of(X: Array, f: Array, trial: Index, fold_of_trial: Index, folds: int, index: Index) -> JointGram:
+        """Sums of ``X``; ``trial`` (K,) of each row, trials together, -1 for poses at the end (they count to fold 0)."""
+        moving = trial >= 0
+        starts = np.flatnonzero(np.diff(trial[moving], prepend=-2) != 0)
+        ends = np.append(starts[1:], moving.sum()).astype(np.intp)
+        used = trial[moving][starts]
+        r = f.shape[1]
+        empty = JointGram(
+            X[:, :0], f, np.where(moving, fold_of_trial[trial], 0), starts, ends, used, fold_of_trial[used], index[:0],
+            np.zeros((folds, 0, 0)), np.zeros((len(starts), r, 0)), np.zeros((len(starts), r, r)),
+        )  # fmt: skip
+        empty.ff = empty._by_trial(f)
+        empty.append(X, index)
+        return empty
+
+    def _by_trial(self, w: Array) -> Array:
+        """(T, r, k): f'w of each trial."""
+        if not len(self.starts):
+            return np.zeros((0, self.f.shape[1], w.shape[1]))
+        last = int(self.ends[-1])
+        out = [np.add.reduceat(w[:last] * self.f[:last, c, None], self.starts, axis=0) for c in range(self.f.shape[1])]
+        return np.stack(out, axis=1)
+
+    def append(self, w: Array, index: Index) -> None:
+        """Border the sums with the columns ``w`` (K, k)."""
+        k, c = w.shape[1], self.X.shape[1]
+        self.X = np.concatenate([self.X, w], axis=1)
+        G = np.zeros((len(self.G), c + k, c + k))
+        G[:, :c, :c] = self.G
+        for fold in range(len(G)):
+            chosen = self.row_fold == fold
+            G[fold, :, c:] = self.X[chosen].T @ w[chosen]
+            G[fold, c:, :c] = G[fold, :c, c:].T
+        self.G = G
+        self.g = np.concatenate([self.g, self._by_trial(w)], axis=2)
+        self.index = np.concatenate([self.index, index])
+
+    def keep(self, local: Index) -> JointGram:
+        """The same sums over some of the columns."""
+        return JointGram(
+            self.X[:, local], self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
+            self.index[local], self.G[:, local][:, :, local], self.g[:, :, local], self.ff,
+        )  # fmt: skip
+
+    def at(self, sigma: float, kappa: float, folds: NDArray[np.bool_] | None = None) -> tuple[Array, float]:
+        """Gram (c, c) and log determinant with friction scale ``sigma`` and noise variance ``kappa``; of some ``folds``."""
+        chosen = np.ones(len(self.trial_fold), bool) if folds is None else folds[self.trial_fold]
+        G = self.G.sum(axis=0) if folds is None else self.G[folds].sum(axis=0)
+        r = self.ff.shape[1]
+        L = np.linalg.cholesky(np.eye(r) * kappa / sigma**2 + self.ff[chosen])
+        w = np.linalg.solve(L, self.g[chosen]).reshape(-1, G.shape[0])
+        logdet = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + L.shape[0] * r * np.log(sigma**2 / kappa)
+        return (G - w.T @ w) / kappa, float(logdet)
+
+    def residual(self, theta: Array, sigma: float, kappa: float) -> Array:
+        """(K,) whitened residual at the coefficients ``theta`` (c,), each trial's friction scales taken out."""
+        out = self.X @ theta
+        b = np.linalg.solve(np.eye(self.ff.shape[1]) * kappa / sigma**2 + self.ff, (self.g @ theta)[:, :, None])[:, :, 0]
+        last = int(self.ends[-1]) if len(self.ends) else 0
+        out[:last] -= np.sum(self.f[:last] * np.repeat(b, self.ends - self.starts, axis=0), axis=1)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Projection:
+    """What is left of columns and y after the nuisance: ``S`` (m, m), ``s`` (m,), ``rss``; its fit; its log determinant."""
+
+    S: Array
+    s: Array
+    rss: float
+    theta: Array
+    logdet: float
+
+
+def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array) -> Projection:
+    """Take the ``nuisance`` (with prior ``precision``) out of the columns ``rest`` and of ``y``."""
+    A = G[np.ix_(nuisance, nuisance)] + np.diag(precision)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
+    # 1e-10: columns that repeat each other (a joint that never turns) leave the matrix singular
+    L = np.linalg.cholesky(A * np.outer(scale, scale) + 1e-10 * np.eye(len(A)))
+    B = np.column_stack([G[np.ix_(nuisance, rest)], G[nuisance, y]]) * scale[:, None]
+    W = np.linalg.solve(L, B)
+    S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]
+    s = G[rest, y] - W[:, :-1].T @ W[:, -1]
+    rss = float(G[y, y] - W[:, -1] @ W[:, -1])
+    theta = scale * np.linalg.solve(L.T, W[:, -1])
+    return Projection(S, s, rss, theta, float(2 * np.log(np.diag(L)).sum() - 2 * np.log(scale).sum()))
+
+
+def gain(S: Array, s: Array, precision: Array) -> tuple[float, Array, Array]:
+    """Twice the log Bayes factor of a group, its parameters (k,) and their covariance (k, k).
+
+    ``S, s``: the group's part of a `Projection`; ``precision`` (k,): of the parameters' zero-mean normal prior.
+    """
+    A = S + np.diag(precision)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A * np.outer(scale, scale)
+    cov = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    theta = cov @ s
+    sign, logdet = np.linalg.slogdet(scaled)
+    occam = (logdet if sign > 0 else 0.0) - 2 * np.log(scale).sum() - np.log(precision).sum()
+    return float(s @ theta - max(occam, 0.0)), theta, cov

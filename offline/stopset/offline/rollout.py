@@ -1,0 +1,128 @@
+"""Simulate the abstraction in open loop with its effects at the *simulated* state, many trials side by side.
+
+For recordings of compensated torque, where every joint is a system of its own:
+``J ddq + v dq + offset + sum of effects(q, dq, ...) = u``.  Nothing of the measurement enters after the first sample, so
+this is the honest judge of a model: torque error can fall while the simulation diverges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction
+from stopset.artifact.inputs import IN_ABSTRACTION
+from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.registry import get
+from stopset.recording import Recording
+from stopset.robot import Robot
+from stopset.robot.rigid import gravity_torques
+
+Array = NDArray[np.float64]
+
+# [rad/s] width of the change of direction: a sign would chatter within a step, a tenth of a degree per second does not
+DIRECTION_WIDTH = 0.01
+SPEED_LIMIT = 20.0  # [rad/s] a diverging simulation stops here instead of overflowing
+
+
+@dataclass(frozen=True, slots=True)
+class JointBatch:
+    """One joint of ``B`` trials on a grid of ``N`` steps, padded at the end; ``inside``: (N, B) true where there are data."""
+
+    dt: float
+    q: Array  # (N, B)
+    dq: Array
+    u: Array
+    load: Array
+    temp: Array
+    warm: Array  # (B,)
+    inside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectTerm:
+    """An effect in a simulation: its law, shapes, and which columns carry a parameter."""
+
+    effect: Effect
+    shapes: Mapping[str, float]
+
+    def columns(self, s: Signals) -> tuple[Array, ...]:
+        return tuple(np.asarray(c) for c in self.effect.columns(s, self.shapes))
+
+
+def joint_batches(robot: Robot, trials: Sequence[Recording], warm: Sequence[float], dt: float) -> list[JointBatch]:
+    """Every joint of the trials (all on the grid ``dt`` [s]); ``warm``: place in the session of each."""
+    N, B, n = max(len(r.t) for r in trials), len(trials), robot.n
+    shape = (n, N, B)
+    q, dq, u, load, temp = (np.zeros(shape) for _ in range(5))
+    inside = np.zeros((N, B), bool)
+    for b, r in enumerate(trials):
+        N_b = len(r.t)
+        inside[:N_b, b] = True
+        gravity = gravity_torques(robot.chain, robot.pi, np.ascontiguousarray(r.q))
+        kelvin = np.zeros_like(r.q) if r.temp is None else r.temp - REFERENCE_TEMPERATURE
+        for to, signal in ((q, r.q), (dq, r.dq), (u, r.tau), (load, gravity), (temp, kelvin)):
+            to[:, :N_b, b] = signal.T
+            to[:, N_b:, b] = signal[-1][:, None]
+    places = np.array(warm, float)
+    return [JointBatch(dt, q[j], dq[j], u[j], load[j], temp[j], places, inside) for j in range(n)]
+
+
+def roll_out(batch: JointBatch, inertia: Array, damping: Array, torque: Array, terms: Sequence[EffectTerm]) -> tuple[Array, Array]:
+    """Simulated ``q, dq`` (S, N, B) for ``S`` parameter sets at once.
+
+    ``inertia, damping`` (S,); ``torque`` (S, 1 + columns): the offset [N m] and the value of every column of ``terms``.
+    Exact for the linear part with the input held over each step.
+    """
+    N, B = batch.q.shape
+    S = len(inertia)
+    J, v = inertia[:, None], np.maximum(damping, 1e-6)[:, None]
+    decay = np.exp(-v * batch.dt / J)
+    gain = -np.expm1(-v * batch.dt / J) / v
+    q, dq = np.tile(batch.q[0], (S, 1)), np.tile(batch.dq[0], (S, 1))
+    Q, DQ = np.empty((N, S, B)), np.empty((N, S, B))
+    theta = [torque[:, k][:, None] for k in range(torque.shape[1])]
+    for k in range(N):
+        Q[k], DQ[k] = q, dq
+        u = batch.u[k] - theta[0]
+        if terms:
+            s = Signals(
+                q=q, dq=dq, way=np.tanh(dq / DIRECTION_WIDTH), load=batch.load[k], temp=batch.temp[k], warm=batch.warm,
+                t=k * batch.dt,
+            )  # fmt: skip
+            columns = [c for term in terms for c in term.columns(s)]
+            for value, column in zip(theta[1:], columns, strict=True):
+                u = u - value * column
+        faster = np.clip(decay * dq + gain * u, -SPEED_LIMIT, SPEED_LIMIT)
+        q = q + (batch.dt * u - J * (faster - dq)) / v
+        dq = faster
+    return Q.transpose(1, 0, 2), DQ.transpose(1, 0, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class RollOut:
+    """Open-loop simulation of whole trials by a decoupled abstraction with its effects."""
+
+    robot: Robot
+    abstraction: Abstraction
+    effects: tuple[Fitted, ...]
+    warm: Callable[[Recording], float]
+
+    def __call__(self, trials: Sequence[Recording], dt: float) -> list[Array]:
+        """States (N, 2n) over (q, dq) of each trial, from its measured start."""
+        batches = joint_batches(self.robot, trials, [self.warm(r) for r in trials], dt)
+        inertia = 1.0 / np.diag(self.abstraction.Minv)
+        states = []
+        for j, (name, batch) in enumerate(zip(self.robot.joints, batches, strict=True)):
+            mine = [f for f in self.effects if f.effect not in IN_ABSTRACTION and f.joint in (name, None)]
+            terms = [EffectTerm(get(f.effect), {p.symbol: f.values[p.symbol] for p in get(f.effect).shapes}) for f in mine]
+            values = [f.values[t.symbol] for f in mine for t in get(f.effect).terms]
+            torque = np.array([[self.abstraction.offset[j], *values]])
+            q, dq = roll_out(batch, inertia[j : j + 1], self.abstraction.viscous[j, :1], torque, terms)
+            states.append((q[0], dq[0]))
+        return [
+            np.column_stack([x[: len(r.t), b] for k in (0, 1) for x in (s[k] for s in states)]) for b, r in enumerate(trials)
+        ]
