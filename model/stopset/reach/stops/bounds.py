@@ -11,7 +11,8 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
 from stopset.reach.stops.plant import Setting, setting_of
-from stopset.reach.stops.tube import ALL_PARTS, OK, UNBOUNDED, Parts, Plant, Tube, march
+from stopset.reach.stops.local import ALL_PARTS, Parts
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.types import Category, StopBound
 from stopset.robot.rigid import gravity_torque
 
@@ -102,7 +103,7 @@ class StopBounds:
             return StopBound(
                 category, False, self._why(tube, q), holding_margin=self._margin(q), assumptions=assumptions
             )
-        cut = slices(tube.t, tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, SLICES)
+        cut = slices(tube, SLICES)
         n = robot.n
         tcp, tcp_speed, box = point_motion(robot.chain, q, q_radius, cut, n - 1, self.setting.payload_com)
         ends = [robot.chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]

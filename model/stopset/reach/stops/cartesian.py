@@ -34,8 +34,9 @@ class Slices(NamedTuple):
 
 
 @njit(cache=True)
-def slices(t: Array, d_lo: Array, d_hi: Array, v_lo: Array, v_hi: Array, count: int) -> Slices:
+def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
+    t, d_lo, d_hi, v_lo, v_hi, e_lo, e_hi = tube.t, tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi
     K, n = t.shape[0] - 1, d_lo.shape[1]
     way = np.zeros(K + 1)
     for k in range(K):
@@ -59,12 +60,13 @@ def slices(t: Array, d_lo: Array, d_hi: Array, v_lo: Array, v_hi: Array, count: 
             for k in range(begin, end + 1):
                 dl, dh = min(dl, d_lo[k, i]), max(dh, d_hi[k, i])
                 vl, vh = min(vl, v_lo[k, i]), max(vh, v_hi[k, i])
-                # a bound that turns round within a step bulges out by less than half of it
                 if k < end:
+                    vl, vh = min(vl, e_lo[k, i]), max(vh, e_hi[k, i])
+                    # a displacement bound that turns round within a step bulges out by less than half of it
                     h = t[k + 1] - t[k]
-                    if v_hi[k, i] > 0.0 and v_hi[k + 1, i] <= 0.0:
+                    if v_hi[k, i] > 0.0 and e_hi[k, i] <= 0.0:
                         dh = max(dh, d_hi[k, i] + 0.5 * h * v_hi[k, i])
-                    if v_lo[k, i] < 0.0 and v_lo[k + 1, i] >= 0.0:
+                    if v_lo[k, i] < 0.0 and e_lo[k, i] >= 0.0:
                         dl = min(dl, d_lo[k, i] + 0.5 * h * v_lo[k, i])
             out_dl[s, i], out_dh[s, i], out_vl[s, i], out_vh[s, i] = dl, dh, vl, vh
         made = s + 1
@@ -171,7 +173,7 @@ def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, tip: Arr
     Each point of a link's axis is the same mixture of its two ends at all times, so it stays within the mixture of the
     ends' balls around their middle positions.
     """
-    cut = slices(tube.t, tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, pieces)
+    cut = slices(tube, pieces)
     n = q.shape[0]
     out = np.zeros((cut.d_lo.shape[0], n, 7))
     for s in range(cut.d_lo.shape[0]):
