@@ -1,0 +1,68 @@
+"""What several tests start from: the shared recordings, if they are there, and models identified once per session."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SHARED = ROOT.parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Callable[[str], Path]:
+    """Path of a file or folder in ../shared/data; skips where it is absent."""
+
+    def path(name: str) -> Path:
+        p = SHARED / name
+        if not p.exists():
+            pytest.skip(f"../shared/data/{name} is not on this machine")
+        return p
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def schunk_file(shared_data: Callable[[str], Path]) -> Path:
+    """The paper's open-loop recordings, as far as they are public."""
+    return shared_data("schunk_lwa4p/open_loop.parquet")
+
+
+@pytest.fixture(scope="session")
+def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
+    """The identification of the Schunk arm with the default settings, once per session."""
+    from stopset.offline.identify import identify
+    from stopset.robot import load_robot
+
+    return identify(load_robot("lwa4p"), [schunk_file])
+
+
+@pytest.fixture(scope="session")
+def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
+    """The same on the paper's definition: predictions from each trial's start, no margin."""
+    from stopset.offline.identify import Settings, identify
+    from stopset.robot import load_robot
+
+    return identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0))
+
+
+@pytest.fixture(scope="session")
+def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+    """A known two-joint arm: folder with URDF, recording and model file; (folder, trials, Identification)."""
+    from stopset.artifact import save_model
+    from stopset.offline.identify import identify
+    from synthetic import arm, names, recordings, save_trials, urdf
+
+    folder = tmp_path_factory.mktemp("planar")
+    (folder / "robot.urdf").write_text(urdf(names(2)))
+    trials = recordings((2.0, 0.7), (9.0, 4.0))
+    save_trials(folder / "rec.parquet", trials, names(2))
+    found = identify(arm(names(2)), [folder / "rec.parquet"])
+    save_model(found.model, folder / "m.model.json")
+    return folder, trials, found
