@@ -36,7 +36,7 @@ RUN_UP_TICKS = 25
 RAMP = 0.35  # [s] of a nominal STOP 1
 HOLD = 0.2  # [s] after it: the brakes close after 0.06 s, power goes off 0.07 s later, the recording ends
 BRAKES_AFTER, CUT_AFTER = 0.06, 0.13
-BANDWIDTH, DAMPING = 15.0, 0.9  # [rad/s], [-] of the joint controllers
+BANDWIDTH, DAMPING = 10.0, 0.9  # [rad/s], [-] of the joint controllers
 
 
 @dataclass(frozen=True, slots=True)

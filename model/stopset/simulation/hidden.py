@@ -15,7 +15,7 @@ import numpy as np
 from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
-from stopset.robot.rigid import Array, torques
+from stopset.robot.rigid import Array
 from stopset.simulation.motions import space_of
 from stopset.simulation.plant import Plant, largest_gravity
 
@@ -56,7 +56,8 @@ class Kind:
     guess: float
     most: float
     scope: str = "joint"
-    where: str = "any"  # joints chosen when none is named: "any", "loaded" (gravity), "coupled" (Coriolis)
+    top: float = float("inf")  # [rad/s] its residual is looked at below this speed
+    where: str = "any"  # joints chosen when none is named: "any", "loaded" (by gravity)
 
 
 def _plant(truth: Truth, joint: int, **values: float) -> Truth:
@@ -203,8 +204,9 @@ def _eccentricity(t: Truth, r: Robot, j: int, size: float, g: np.random.Generato
 
 
 def _coriolis(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
-    law = "the drive adds this share of the Coriolis torque below the torque it reports"
-    return replace(t, unlogged_coriolis=_entry(t.unlogged_coriolis, j, size)), {"share": size, "law": law}
+    share = size * float(g.choice([-1.0, 1.0]))
+    law = "the drives add this share of the Coriolis torque below the torque they report"
+    return replace(t, unlogged_coriolis=np.full(r.n, share)), {"share": share, "law": law}
 
 
 def _outside_bump(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
@@ -239,7 +241,7 @@ KINDS: dict[str, Kind] = {
     "thermal_viscous": Kind(_thermal_viscous, 0.02, 0.06),
     "thermal_coulomb": Kind(_thermal_coulomb, 0.01, 0.04),
     "warm_up": Kind(_warm_up, 0.15, 0.6),
-    "stribeck": Kind(_stribeck, 0.2, 0.8),
+    "stribeck": Kind(_stribeck, 0.2, 0.8, top=0.15),
     "load_coulomb": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
     "asymmetric_coulomb": Kind(_asymmetric, 0.05, 0.6),
     "cubic_viscous": Kind(_cubic, 1.5, 25.0),
@@ -255,7 +257,7 @@ KINDS: dict[str, Kind] = {
     "coupling": Kind(_coupling, 0.1, 0.9),
     "encoder_offset": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
     "encoder_eccentricity": Kind(_eccentricity, 0.02, 0.2, where="loaded"),
-    "coriolis": Kind(_coriolis, 1.0, 30.0, where="coupled"),
+    "coriolis": Kind(_coriolis, 0.5, 1.5, scope="arm"),
     "outside_bump": Kind(_outside_bump, 1.0, 30.0),
     "outside_walk": Kind(_outside_walk, 0.5, 15.0),
     "outside_resonance": Kind(_outside_resonance, 1.0, 15.0),
@@ -300,15 +302,6 @@ def parse_hidden(words: Sequence[str], robot: Robot, rng: np.random.Generator) -
 
 
 def _draw(kind: Kind, robot: Robot, rng: np.random.Generator) -> int:
-    strength = np.ones(robot.n)
-    if kind.where == "loaded":
-        strength = largest_gravity(robot)
-    elif kind.where == "coupled":
-        box = space_of(robot)
-        g = np.random.default_rng(0)
-        q = g.uniform(box.box[:, 0], box.box[:, 1], (300, robot.n))
-        dq = g.uniform(-box.speed, box.speed, (300, robot.n))
-        zero = np.zeros_like(q)
-        strength = np.abs(torques(robot.chain, robot.pi, q, dq, zero) - torques(robot.chain, robot.pi, q, zero, zero)).max(0)
+    strength = largest_gravity(robot) if kind.where == "loaded" else np.ones(robot.n)
     # joints of at least a third of the strongest have the effect in a measurable size
     return int(rng.choice(np.flatnonzero(strength >= strength.max() / 3)))

@@ -40,7 +40,7 @@ def space_of(robot: Robot) -> Space:
     lo = np.maximum(centre - side, limits[:, 0] + 0.1 * (limits[:, 1] - limits[:, 0]))
     hi = np.minimum(centre + side, limits[:, 1] - 0.1 * (limits[:, 1] - limits[:, 0]))
     speed = np.minimum(np.where(robot.dq_limit > 0, robot.dq_limit, 1.2), 1.2)
-    return Space(np.column_stack([lo, hi]), speed, 5.0 * speed)
+    return Space(np.column_stack([lo, hi]), speed, 4.0 * speed)
 
 
 def pose(space: Space, rng: np.random.Generator, share: float = 1.0) -> Array:
@@ -71,7 +71,7 @@ def point_to_point(space: Space, duration: float, speed: float, period: float, r
         rates[k : k + len(rows)] = rows
         here = here + profile.sum(axis=0) * period * top * np.sign(there - here)
         k += len(rows)
-    return _from_rates(q0, _smooth(rates, round(0.04 / period)), period)
+    return _from_rates(q0, _smooth(rates, round(0.1 / period)), period)
 
 
 def fourier(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Motion:

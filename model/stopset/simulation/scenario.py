@@ -87,8 +87,9 @@ def prepare(
         plant = plant._replace(pi=wrong_cad(robot, np.random.default_rng([seed, 3])))
     base = build_cell(robot, healthy(plant), seed)
     measured = Plan()  # sizes do not depend on how much is measured in the end
-    floor = residual_rms(base, closed_loop(base, measured))
-    sized = [size_effect(base, measured, floor, effect, joint, RATIOS[size]) for effect, joint in wanted]
+    sound = closed_loop(base, measured)
+    floor = residual_rms(base, sound)
+    sized = [size_effect(base, measured, sound, effect, joint, RATIOS[size]) for effect, joint in wanted]
     cell, parameters = inject(base, [s.hidden for s in sized])
     truth = _tell(base, cell, sized, parameters, floor, plan, size, cad)
     return Scenario(robot, cell, PLANS[plan], truth)

@@ -19,7 +19,7 @@ from stopset.simulation.cell import Cell, record, temperatures
 from stopset.simulation.hidden import KINDS, Hidden, Parameters, Truth
 
 RATIOS = {"easy": float(np.sqrt(10.0)), "hard": float(np.sqrt(2.0))}
-SLOW = 0.012  # [rad/s] below it dry friction is not known to be fully on one side
+SLOW = 0.015  # [rad/s] where a joint gets slower within the filter's window, its friction may be on either side
 HALF_WINDOW = 6  # samples to each side for derivatives and smoothing
 CLOSE = 0.03  # relative distance of the reached from the wanted factor
 TRIES = 9
@@ -61,25 +61,35 @@ def closed_loop(cell: Cell, plan: Plan) -> list[Recording]:
     ]
 
 
-def residual_rms(cell: Cell, recordings: Sequence[Recording]) -> Array:
-    """(n,) rms of the torque residual [N m] against the true rigid body and fitted Coulomb and viscous friction."""
+def residual_rms(cell: Cell, recordings: Sequence[Recording], top: float = np.inf) -> Array:
+    """(n,) rms of the torque residual [N m] against the true rigid body and fitted Coulomb and viscous friction.
+
+    Friction is fitted to all moving samples, the rms taken over those slower than ``top`` [rad/s].
+    """
     n = cell.cad.n
     pi, rotor = cell.truth.plant.pi, cell.truth.plant.rotor
-    rows: list[tuple[Array, Array]] = []
+    rows: list[tuple[Array, ...]] = []
     for r in recordings:
         q, dq = _filtered(r.q, 0), _filtered(r.dq, 0)
         ddq = _filtered(r.dq, 1) / float(r.t[1] - r.t[0])
         tau = r.tau[HALF_WINDOW - 1 : -HALF_WINDOW]
         tau = 0.5 * (tau[1:] + tau[:-1])  # held from its sample on: half a period early on average
-        rows.append((tau - torques(cell.cad.chain, pi, q, dq, ddq) - rotor * ddq, dq))
-    y, dq = (np.vstack(part) for part in zip(*rows, strict=True))
+        rows.append((tau - torques(cell.cad.chain, pi, q, dq, ddq) - rotor * ddq, dq, _slowest(r.dq)))
+    y, dq, slowest = (np.vstack(part) for part in zip(*rows, strict=True))
     out = np.empty(n)
     for j in range(n):
-        moving = np.abs(dq[:, j]) > SLOW
+        moving = slowest[:, j] > SLOW
         X = np.column_stack([np.sign(dq[moving, j]), dq[moving, j]])
         rest = y[moving, j] - X @ np.linalg.lstsq(X, y[moving, j], rcond=None)[0]
-        out[j] = np.sqrt(np.mean(rest**2))
+        out[j] = np.sqrt(np.mean(rest[np.abs(dq[moving, j]) < top] ** 2))
     return out
+
+
+def _slowest(dq: Array) -> Array:
+    """Smallest speed within the filter's window, its own noise averaged over a third of it; zero where it changes sign."""
+    third = np.array([np.convolve(c, np.full(5, 0.2), "same") for c in dq.T]).T
+    near = np.lib.stride_tricks.sliding_window_view(third, 2 * HALF_WINDOW + 1, axis=0)
+    return np.asarray(np.maximum(near.min(axis=-1), -near.max(axis=-1)))
 
 
 def _filtered(x: Array, derivative: int) -> Array:
@@ -89,16 +99,17 @@ def _filtered(x: Array, derivative: int) -> Array:
     return np.column_stack([np.correlate(c, weights, "valid") for c in x.T])
 
 
-def size_effect(cell: Cell, plan: Plan, floor: Array, effect: str, joint: int | None, wanted: float) -> Sized:
-    """The size of ``effect`` at which the residual is ``wanted`` times the ``floor`` (n,), by secant in the logarithm.
+def size_effect(cell: Cell, plan: Plan, healthy: Sequence[Recording], effect: str, joint: int | None, wanted: float) -> Sized:
+    """The size of ``effect`` at which the residual is ``wanted`` times that of ``healthy`` recordings, by secant.
 
     Where physics ends earlier (`Kind.most`), the largest sensible size is taken and the note says what it reaches.
     """
     kind = KINDS[effect]
+    floor = residual_rms(cell, healthy, kind.top)
 
     def ratios(size: float) -> Array:
         changed, _ = inject(cell, [Hidden(effect, joint, size)])
-        return residual_rms(cell, closed_loop(changed, plan)) / floor
+        return residual_rms(cell, closed_loop(changed, plan), kind.top) / floor
 
     def excess(r: Array) -> float:  # what the effect itself adds: grows about linearly with its size
         ratio = float(r.max() if joint is None else r[joint])
