@@ -76,8 +76,8 @@ class Box:
         """Minkowski sum, rounded outward."""
         return Box(np.nextafter(self.lo + other.lo, -np.inf), np.nextafter(self.hi + other.hi, np.inf))
 
-    def inflated(self, factor: float) -> Box:
-        """Grown about its centre by ``factor`` (>= 1), never smaller than before."""
+    def inflated(self, factor: float | Array) -> Box:
+        """Grown about its centre by ``factor`` (>= 1; one or one per dimension), never smaller than before."""
         c, r = self.centre, self.radius
         return Box(np.minimum(self.lo, c - factor * r), np.maximum(self.hi, c + factor * r))
 

@@ -7,7 +7,7 @@ everything recorded: growing can only lower the chance of a violation, so the bo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,8 +54,11 @@ def scenario_bound(support: int, scenarios: int, confidence: float = CONFIDENCE)
     return float(brentq(excess, 1e-12, 1.0 - 1e-12))
 
 
-def needed_factor(fit: Fit, R: Responses, env: Envelope) -> float:
-    """Smallest factor (>= 1) by which ``fit``'s sets, grown about their centres, enclose the envelope ``env``."""
+def needed_factors(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Array:
+    """Smallest factors (n,), each >= 1, by which every joint's sets, grown about their centres, enclose ``env``.
+
+    Joints of a coupled model reach into each other's tubes: they share one factor.
+    """
     last = min(env.steps, len(R.E1) - 1)
     rows = slice(1, last + 1)
 
@@ -69,15 +72,18 @@ def needed_factor(fit: Fit, R: Responses, env: Envelope) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         above = np.where(seen_hi > c_hi, (seen_hi - c_hi) / (hi - c_hi), 0.0)
         below = np.where(seen_lo < c_lo, (c_lo - seen_lo) / (c_lo - lo), 0.0)
-    promised = slice(None) if fit.conform == "all" else slice(0, fit.U.dim)
-    return float(max(1.0, above[:, promised].max(), below[:, promised].max()))
+    worst = np.maximum(above.max(axis=0), below.max(axis=0))
+    n = fit.U.dim
+    by_joint = np.maximum(1.0, worst[:n] if fit.conform == "position" else np.maximum(worst[:n], worst[n:]))
+    return np.asarray(by_joint if decoupled else np.full(n, by_joint.max()))
 
 
-def inflated(fit: Fit, factor: float) -> Fit:
-    """The fit with every set grown about its centre."""
-    if factor <= 1.0:
+def inflated(fit: Fit, factors: Array) -> Fit:
+    """The fit with every joint's sets grown about their centres by its factor (n,)."""
+    if np.all(factors <= 1.0):
         return fit
-    return replace(fit, X0=fit.X0.inflated(factor), U=fit.U.inflated(factor), V=fit.V.inflated(factor))
+    both = np.concatenate([factors, factors])
+    return replace(fit, X0=fit.X0.inflated(both), U=fit.U.inflated(factors), V=fit.V.inflated(both))
 
 
 def union(parts: Sequence[Envelope]) -> Envelope:
@@ -105,25 +111,18 @@ def split(motions: Sequence[int]) -> Split:
     return Split(tuple(m for m in ordered if m not in held), held)
 
 
-def words(g: Guarantee, trials: int, motions: int, margin: float, recordings_violated: int) -> str:
+def words(g: Guarantee, trials: int, motions: int, margin: float) -> str:
     """The guarantee in words that are true for two motions and for three hundred."""
     seen = f"All {trials} recorded trials of {motions} independent motion{'s' if motions != 1 else ''} are enclosed"
-    if recordings_violated:
-        seen = f"{recordings_violated} of {trials} recorded trials of {motions} independent motions leave the sets"
     if g.motions == 0:
         return (
-            f"{seen} (margin {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none could be "
+            f"{seen} (margin up to {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none could be "
             "held out: nothing statistical is promised for other motions; record at least eight."
         )
     text = (
-        f"{seen} (margin {margin:.2f}). Of {g.motions} held-out motions {g.violated} left the calibrated sets: with "
+        f"{seen} (margin up to {margin:.2f}). Of {g.motions} held-out motions {g.violated} left the calibrated sets: with "
         f"{g.confidence:.0%} confidence a new motion of the same kind leaves them with probability below {g.upper_bound:.1%}"
     )
     if g.scenario_bound is not None:
         text += f" (scenario bound {g.scenario_bound:.1%})"
     return text + "."
-
-
-def calibrated_margin(folds: Mapping[int, Envelope], fits: Mapping[int, Fit], R: Responses) -> float:
-    """Largest factor any fold needs on the sets that were fitted without it."""
-    return max(needed_factor(fits[k], R, env) for k, env in folds.items())

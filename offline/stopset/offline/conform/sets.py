@@ -44,7 +44,7 @@ class Conformance:
     sets: UncertaintySets
     other: UncertaintySets  # the other case of Table II: position only, or all states
     guarantee: Guarantee
-    margin_found: float
+    margins: Array  # (n,) calibrated factor of each joint
     table: Mapping[str, Fit]
     influence: Mapping[int, tuple[float, ...]]
     cost: float
@@ -77,26 +77,26 @@ def conform(
         return fit_sets(g.union(list(envelopes)), R, base, abstraction, joints, case)
 
     fit = fitted(list(used.values()))
-    factor, notes = _margin(pairs, abstraction, dt, steps, options, used, fitted, R)
-    chosen = options.margin if options.margin is not None else factor
+    alone = abstraction.decoupled
+    factors, notes = _margin(pairs, abstraction, dt, steps, options, used, fitted, R)
+    chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
     grown = g.inflated(fit, chosen)
-    needed = {m: g.needed_factor(grown, R, parts[m]) for m in division.held}
-    violated = sum(f > 1.0 for f in needed.values())
-    extra = max([1.0, *needed.values(), g.needed_factor(grown, R, everything)])
-    final = _enclosing(grown, extra, R, everything)
-    if extra > 1.0 + 1e-9:
-        notes.append(f"grown by another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
+    violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
+    final = _enclosing(grown, R, everything, alone)
+    extra = float((final.U.width / np.maximum(grown.U.width, 1e-12)).max())
+    if extra > 1.0 + 1e-6:
+        notes.append(f"grown by up to another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
     promise = Guarantee(
         motions=len(division.held), violated=violated, upper_bound=g.clopper_pearson(violated, len(division.held)),
         confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used),
         scenario_bound=g.scenario_bound(len(fit.active), len(division.used)),
     )  # fmt: skip
-    promise = replace(promise, text=g.words(promise, trials, len(parts), chosen, 0))
+    promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max())))
 
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(
             X0=f.X0, U=f.U, V=f.V, dt=dt, horizon=everything.steps * dt, conform=f.conform, windows=options.windows,
-            margin=chosen, active=f.active,
+            margin=float(chosen.max()), active=f.active,
         )  # fmt: skip
 
     other = "position" if options.conform == "all" else "all"
@@ -104,36 +104,38 @@ def conform(
     table = {options.conform: fit, other: second}
     table |= _variants(pairs, abstraction, joints, dt, steps, motions, noise, R)
     grown = g.inflated(second, chosen)
-    companion = packed(_enclosing(grown, g.needed_factor(grown, R, everything), R, everything))
-    return Conformance(packed(final), companion, promise, factor, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
+    companion = packed(_enclosing(grown, R, everything, alone))
+    return Conformance(packed(final), companion, promise, factors, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
 
 
-def _enclosing(fit: Fit, factor: float, R: Responses, env: Envelope) -> Fit:
-    """``fit`` grown until it encloses ``env`` in floating point (the closed-form factor is exact but for rounding)."""
-    out = g.inflated(fit, factor)
-    for _ in range(20):
-        left = g.needed_factor(out, R, env)
-        if left <= 1.0:
-            return out
-        out = g.inflated(out, left * (1.0 + 1e-12) if left > 1.0 + 1e-9 else 1.0 + 1e-9)
+def _enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
+    """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding)."""
+    out = fit
+    for _ in range(50):
+        left = g.needed_factors(out, R, env, decoupled)
+        if np.all(left <= 1.0):
+            break
+        out = g.inflated(out, np.where(left > 1.0, np.maximum(left, 1.0 + 1e-10), 1.0))
     return out
 
 
 def _margin(
     pairs: Pairs, abstraction: Abstraction, dt: float, steps: int, options: Options, used: dict[int, Envelope],
     fitted: Callable[[Sequence[Envelope]], Fit], R: Responses,
-) -> tuple[float, list[str]]:  # fmt: skip
-    """The factor that sets fitted without a part of the data need to enclose that part, worst over all parts."""
+) -> tuple[Array, list[str]]:  # fmt: skip
+    """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts."""
+    alone = abstraction.decoupled
     if options.margin is not None:
-        return options.margin, []
+        return np.full(abstraction.n, options.margin), []
     if len(used) >= g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY:
         keys = sorted(used)
         folds = [keys[k :: g.FOLDS] for k in range(g.FOLDS)]
-        factors = []
+        factors = np.ones(abstraction.n)
         for fold in folds:
             rest = [used[m] for m in keys if m not in fold]
-            factors.append(g.needed_factor(fitted(rest), R, g.union([used[m] for m in fold])))
-        return max(factors), [f"margin from {len(folds)} folds over {len(keys)} motions: {max(factors):.2f}"]
+            unseen = g.union([used[m] for m in fold])
+            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, alone))
+        return factors, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     deviations = Deviations(abstraction, dt, steps, options.windows)
     halves = [deviations.empty(), deviations.empty()]
     count: dict[tuple[str, int], int] = {}
@@ -142,10 +144,14 @@ def _margin(
         count[r.motion] = k + 1
         deviations.add(halves[k % 2], r, u)
     if min(len(h.labels) for h in halves) < 2:
-        return 1.0, ["one trial only: no margin could be calibrated"]
-    factors = [g.needed_factor(fitted([halves[a]]), R, halves[1 - a]) for a in (0, 1)]
-    note = f"too few motions to calibrate across them: margin {max(factors):.2f} is that between repetitions (even, odd)"
-    return max(factors), [note]
+        return np.ones(abstraction.n), ["one trial only: no margin could be calibrated"]
+    needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], alone) for a in (0, 1)]
+    factors = np.maximum(*needed)
+    return factors, [f"too few motions to calibrate across them: margin {_range(factors)} is that between repetitions (even, odd)"]
+
+
+def _range(factors: Array) -> str:
+    return f"{factors.min():.2f} to {factors.max():.2f} by joint" if np.ptp(factors) > 0.005 else f"{factors.max():.2f}"
 
 
 def _variants(

@@ -1,0 +1,259 @@
+"""The uncertainty sets of nonlinear abstractions, by the algorithm that suits the model.
+
+A decoupled model 1 with any friction curve: the exact two-simulation hull (`cooperative`).  Everything else (models 2
+and 3, a model 1 with coupled joints): along the nominal solution of every window the deviations obey a linear
+time-varying equation, whose box hull *defines* the prediction set, in identification and at run time alike (trap P18).
+It is linear in the unknown bounds, so a linear program over a sub-sample of windows and ages finds the cheapest sets,
+and one common scaling about their centres, the smallest that encloses every window and age of the check, finishes.  The
+hull is exactly affine in the scaling, so its root is taken in closed form where bisection would end.
+
+What the linearisation leaves out is second order in the deviation; `leak` measures it by sampling.
+
+Source: Liu & Althoff (2018), Sec. IV-C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from stopset.artifact import Abstraction, UncertaintySets
+from stopset.errors import NotConformant
+from stopset.offline.conform.cooperative import Trial, fit_cooperative
+from stopset.offline.conform.linear import STOP_TIME, Fit, age_weights
+from stopset.reach.flowpipe import Responses
+from stopset.reach.nonlinear import along, nominal
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+
+GRID = 0.02  # [s] finest step of the time-varying hull, whose cost is quadratic in the number of steps
+WINDOWS = 160  # of the check; the program sees every other one
+AGES = 14  # of a window that give rows in the program, evenly in the logarithm
+ROUNDS = 40  # of constraint generation
+SOLVER_SLACK = 2e-7
+BATCH = 64  # nominal solutions integrated at once
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Deviation ``d`` (H + 1, 2n) of the readings from the nominal solution that starts at one of them, and its responses."""
+
+    trial: int
+    start: int
+    d: Array
+    R: Responses
+
+
+def coarser(trials: Sequence[Trial], every: int) -> list[Trial]:
+    """Every so-many-th state, and the mean of the inputs in between."""
+    out = []
+    for x, u in trials:
+        steps = (len(x) - 1) // every
+        mean = u[: steps * every].reshape(steps, every, -1).mean(axis=1)
+        out.append((np.ascontiguousarray(x[: steps * every + 1 : every]), np.vstack([mean, mean[-1:]])))
+    return out
+
+
+def starts(trials: Sequence[Trial], windows: str, number: int) -> list[tuple[int, int]]:
+    """(trial, start sample), about ``number`` of them evenly over all samples; or every trial's first."""
+    if windows == "start":
+        return [(k, 0) for k in range(len(trials))]
+    total = sum(len(x) - 1 for x, _ in trials)
+    stride = max(1, total // number)
+    # trials begin at different places of the stride, so that all ages of a motion are met
+    return [(k, s) for k, (x, _) in enumerate(trials) for s in range((k * 7) % stride, len(x) - 1, stride)]
+
+
+def windows_of(
+    trials: Sequence[Trial], abstraction: Abstraction, where: Sequence[tuple[int, int]], dt: float, horizon: int
+) -> Iterator[Window]:
+    """The windows at ``where``, one after the other."""
+    for first in range(0, len(where), BATCH):
+        batch = where[first : first + BATCH]
+        last = [min(horizon, len(trials[k][0]) - 1 - s) for k, s in batch]
+        u = np.zeros((len(batch), max(last), abstraction.n))
+        for row, ((k, s), steps) in enumerate(zip(batch, last, strict=True)):
+            u[row, :steps] = trials[k][1][s : s + steps]
+        x0 = np.array([trials[k][0][s] for k, s in batch])
+        with np.errstate(over="ignore", invalid="ignore"):
+            x = nominal(abstraction, x0, u, dt)
+        for row, ((k, s), steps) in enumerate(zip(batch, last, strict=True)):
+            path = x[row, : steps + 1]
+            if not np.all(np.abs(path) < 1e3):
+                raise NotConformant(
+                    f"model {abstraction.kind} of order {abstraction.order} diverges from the recorded motion within "
+                    f"{steps * dt:.2f} s (trial {k}, {s * dt:.2f} s after its start); expected a bounded solution: take another "
+                    "order, model 1, or a shorter horizon"
+                )
+            yield Window(k, s, trials[k][0][s : s + steps + 1] - path, along(abstraction, path, u[row, :steps], dt))
+
+
+def _rows(w: Window, ages: NDArray[np.int64], states: int) -> tuple[Array, Array]:
+    """Rows ``G z >= h`` of one window over ``z = (X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi)``, upper sides first."""
+    m = w.d.shape[1]
+    E, P, N = (x[ages][:, :states].reshape(-1, x.shape[2]) for x in (w.R.E1, w.R.plus, w.R.minus))
+    Ep, En = np.maximum(E, 0.0), np.minimum(E, 0.0)
+    own = np.tile(np.eye(m)[:states], (len(ages), 1))
+    none = np.zeros_like(own)
+    d = w.d[ages][:, :states].ravel()
+    return np.vstack([np.hstack([En, Ep, none, own, N, P]), -np.hstack([Ep, En, own, none, P, N])]), np.concatenate([d, -d])
+
+
+def _cost(w: Window, dt: float, states: int, n: int) -> Array:
+    """Price of the unknowns by one window: mean tube width [rad], velocities counted as the way gone in a stop."""
+    last = len(w.d) - 1
+    importance = age_weights(last, dt)
+    weight = np.where(np.arange(states) < n, 1.0, STOP_TIME)
+    start = importance @ (np.abs(w.R.E1[1:, :states]) * weight[:, None]).sum(axis=1)
+    torque = importance @ ((w.R.plus - w.R.minus)[1:, :states] * weight[:, None]).sum(axis=1)
+    own = np.zeros(2 * n)
+    own[:states] = weight
+    return np.concatenate([-start, start, -own, own, -torque, torque])
+
+
+def _least(G: Array, h: Array, cost: Array, noise: Box, both: bool) -> Array:
+    """Cheapest unknowns under all rows, by constraint generation (HiGHS; every row is looked at after each solution)."""
+    m = noise.dim
+    n = m // 2
+    size = 4 * m + m
+    limits = []
+    for low, high, count in ((0, m, m), (4 * m, 4 * m + n, n)):
+        for a in range(count):
+            row = np.zeros(size)
+            row[low + a], row[high + a] = 1.0, -1.0
+            limits.append(row)
+    for a in range(m):  # X0 inside -V (trap P12)
+        for x, v, sign in ((a, 3 * m + a, -1.0), (m + a, 2 * m + a, 1.0)):
+            row = np.zeros(size)
+            row[[x, v]] = sign
+            limits.append(row)
+    wide = [both and a >= n for a in range(m)]
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * (2 * m)
+    bounds += [(None if w else v, v) for v, w in zip(noise.lo.tolist(), wide, strict=True)]
+    bounds += [(v, None if w else v) for v, w in zip(noise.hi.tolist(), wide, strict=True)]
+    bounds += [(None, None)] * m
+    sign = np.concatenate([np.tile(np.repeat([-1.0, 1.0], m), 2), np.repeat([-1.0, 1.0], n)])
+    c = cost + 1e-9 * float(np.abs(cost).max()) * sign
+    scale = np.maximum(np.abs(G).max(axis=1), 1e-12)
+    A, b = G / scale[:, None], h / scale + SOLVER_SLACK
+    chosen = np.unique(np.linspace(0, len(b) - 1, min(len(b), 1500)).astype(int))
+    z = np.zeros(size)
+    for _ in range(ROUNDS):
+        below, right = np.vstack([-A[chosen], limits]), np.concatenate([-b[chosen], np.zeros(len(limits))])
+        result = linprog(c, A_ub=below, b_ub=right, bounds=bounds, method="highs-ds")
+        if result.status != 0:
+            raise NotConformant(
+                f"no sets make this model conformant ({result.message.splitlines()[0].strip()}); the readings jump by more "
+                "than the noise allows: check the velocity signal"
+            )
+        z = np.asarray(result.x)
+        short = b - A @ z
+        new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
+        if not len(new):
+            break
+        chosen = np.union1d(chosen, new[np.argsort(-short[new])[:500]])
+    return z
+
+
+def needed(w: Window, fit: Fit) -> float:
+    """Smallest factor about the sets' centres with which one window is enclosed at all its ages; inf if none."""
+    states = slice(0, fit.U.dim * (2 if fit.conform == "all" else 1))
+
+    def tube(X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
+        lo, hi = w.R.hull(X0.lo, X0.hi, U.lo, U.hi)
+        return (lo + V.lo)[1:, states], (hi + V.hi)[1:, states]
+
+    c_lo, c_hi = tube(Box.point(fit.X0.centre), Box.point(fit.U.centre), Box.point(fit.V.centre))
+    lo, hi = tube(fit.X0, fit.U, fit.V)
+    d = w.d[1:, states]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = np.where(d > c_hi, (d - c_hi) / (hi - c_hi), 0.0)
+        below = np.where(d < c_lo, (c_lo - d) / (c_lo - lo), 0.0)
+    return float(max(above.max(initial=0.0), below.max(initial=0.0)))
+
+
+def grown(fit: Fit, factor: float) -> Fit:
+    """All sets grown about their centres by ``factor`` (>= 1)."""
+    return replace(fit, X0=fit.X0.inflated(factor), U=fit.U.inflated(factor), V=fit.V.inflated(factor))
+
+
+def fit_along(
+    trials: Sequence[Trial], abstraction: Abstraction, noise: Box, dt: float, horizon: int, conform: str = "all",
+    windows: str = "sliding",
+) -> tuple[Fit, float]:  # fmt: skip
+    """Sets of any abstraction on the hull along the nominal solution, and the common scaling of the final check.
+
+    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``horizon`` in steps.  Raises `NotConformant`.
+    """
+    n = abstraction.n
+    states = 2 * n if conform == "all" else n
+    where = starts(trials, windows, WINDOWS)
+    G, h, cost, seen = [], [], np.zeros(5 * 2 * n), []
+    for k, w in enumerate(windows_of(trials, abstraction, where, dt, horizon)):
+        seen.append(w)
+        last = len(w.d) - 1
+        if k % 2 and windows == "sliding":
+            continue
+        ages = np.unique(np.geomspace(1, last, AGES).astype(int))
+        rows, rhs = _rows(w, ages, states)
+        G.append(rows)
+        h.append(rhs)
+        cost += _cost(w, dt, states, n)
+    z = _least(np.vstack(G), np.concatenate(h), cost / len(G), noise, conform == "all")
+    m = 2 * n
+    x_lo, x_hi, v_lo, v_hi = (z[k * m : (k + 1) * m] for k in range(4))
+    boxes = [Box(np.minimum(lo, hi), np.maximum(lo, hi)) for lo, hi in ((x_lo, x_hi), (z[4 * m : 4 * m + n], z[4 * m + n :]))]
+    fit = Fit(boxes[0], boxes[1], Box(v_lo.copy(), v_hi.copy()), float(cost @ z / len(G)), (), conform)
+    factor = max(1.0, *(needed(w, fit) for w in seen))
+    if not np.isfinite(factor):
+        raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")
+    # the last rounding of the division, outward
+    return (grown(fit, factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
+
+
+def fit_nonlinear(
+    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: float,
+    conform: str = "all", windows: str = "sliding",
+) -> UncertaintySets:  # fmt: skip
+    """Uncertainty sets of any abstraction from open-loop trials, for ``horizon`` [s] ahead.
+
+    ``trials``: states (N, 2n) over (q, dq) and inputs ``u`` (N, n) every ``dt`` [s]; ``noise``: symmetric box (2n,).
+    The sets' own ``dt`` is a multiple of it where the hull is the linearised one.  Raises `NotConformant`.
+    """
+    if abstraction.decoupled:
+        steps = min(round(horizon / dt), max(len(x) for x, _ in trials) - 1)
+        fit, factors = fit_cooperative(trials, abstraction, joints, noise, dt, steps, conform, windows)
+        return UncertaintySets(fit.X0, fit.U, fit.V, dt, steps * dt, conform, windows, float(factors.max()))
+    every = max(1, round(GRID / dt))
+    coarse = coarser(trials, every)
+    steps = min(round(horizon / (dt * every)), max(len(x) for x, _ in coarse) - 1)
+    fit, factor = fit_along(coarse, abstraction, noise, dt * every, steps, conform, windows)
+    return UncertaintySets(fit.X0, fit.U, fit.V, dt * every, steps * dt * every, conform, windows, factor)
+
+
+def leak(abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array, samples: int = 64, seed: int = 0) -> float:
+    """How far solutions of the *nonlinear* model leave the linearised hull, relative to its half-width: 0 if none does.
+
+    Solutions start at corners of ``x0 + X0`` and are driven by ``u + U`` at random corners of U, held for random times;
+    ``u``: (N, n).  What the linearisation neglects, in numbers; a lower bound of the worst case, as all sampling.
+    """
+    n = abstraction.n
+    rng = np.random.default_rng(seed)
+    path = nominal(abstraction, x0[None], u[None], sets.dt)[0]
+    lo, hi = along(abstraction, path, u, sets.dt).hull(sets.X0.lo, sets.X0.hi, sets.U.lo, sets.U.hi)
+    pick = rng.integers(0, 2, (samples, 2 * n))
+    begin = x0 + np.where(pick, sets.X0.hi, sets.X0.lo)
+    hold = rng.integers(1, len(u) + 1, samples)
+    torque = np.empty((samples, len(u), n))
+    for k in range(samples):
+        corners = rng.integers(0, 2, (len(u) // hold[k] + 1, n))
+        torque[k] = u + np.where(corners, sets.U.hi, sets.U.lo).repeat(hold[k], axis=0)[: len(u)]
+    d = nominal(abstraction, begin, torque, sets.dt) - path
+    half = np.maximum(0.5 * (hi - lo), 1e-12)[1:]
+    beyond = np.maximum(d[:, 1:] - hi[1:], lo[1:] - d[:, 1:]) / half
+    return float(max(0.0, beyond.max()))
