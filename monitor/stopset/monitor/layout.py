@@ -79,7 +79,7 @@ def _category(name: str, prefix: str) -> list[Field]:
         Field(f"{prefix}_angle_back", "f32", MAX_JOINTS, "rad", f"{said}: travel in - direction per joint", "up"),
         Field(f"{prefix}_time_max", "f32", 1, "s", f"{said}: stop time of the arm", "up"),
         Field(f"{prefix}_tcp", "f32", 1, "m", f"{said}: travel of the flange", "up"),
-        Field(f"{prefix}_reaction", "f32", 1, "s", f"{said}: reaction time included in the numbers", "up"),
+        Field(f"{prefix}_reaction", "f32", 1, "s", f"{said}: reaction time in the numbers (0: yours to add)", "up"),
     ]
 
 

@@ -1,0 +1,28 @@
+"""``stopset monitor``: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "watch a running arm: conformance and stop bounds, published on zenoh"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", type=Path, required=True, metavar="C.toml", help="what to listen to and where to publish")
+    parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
+
+
+def run(args: argparse.Namespace) -> int:
+    from stopset.cli.common import say
+    from stopset.monitor.config import load_config
+    from stopset.monitor.daemon import NOTICE, start
+
+    config = load_config(args.config)
+    heard = config.bus.link if config.bus else config.joint_states.key if config.joint_states else ""
+    where = config.zenoh.file or ", ".join([*config.zenoh.listen, *config.zenoh.connect])
+    say(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
+    say(NOTICE)
+    code, health = start(config, args.seconds)
+    say(f"{health['samples']} samples, {health['gaps']} gaps, {health['faults']} faults")
+    return code

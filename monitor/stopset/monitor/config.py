@@ -1,0 +1,166 @@
+"""The daemon's configuration: one TOML file, read into frozen dataclasses; an unknown key is refused, never ignored."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from stopset.errors import StopsetError
+
+
+class ConfigError(StopsetError):
+    """The configuration cannot be used: mend the TOML file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bus:
+    """Where the arm is heard on CAN. ``time_scale``: > 1 while a replay runs faster than life; 1 on a real arm."""
+
+    link: str  # e.g. socketcan:can0, hub:28700, udp_multicast:239.74.163.2, serial:/dev/pts/3
+    profile: str = "lwa4p/monitor"
+    cycle_s: float = 0.0  # SYNC period; 0 = the profile's
+    wait_s: float = 30.0  # for the bus to appear at start
+    time_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class JointStates:
+    """Where the arm is heard on zenoh: JSON or CDR ``sensor_msgs/JointState``, one message per cycle of ``cycle_s``."""
+
+    key: str
+    cycle_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Zenoh:
+    """The session: a zenoh configuration ``file`` (TLS, access control), or these few settings. Nothing is scouted."""
+
+    mode: str = "peer"
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    file: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """How often and how long-lived: ``stale_ms``: silence of the arm that makes the state FAULT."""
+
+    json_hz: float = 5.0
+    valid_for_ms: int = 30
+    stale_ms: int = 200
+    evidence_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """Which stops are bounded live, how often. Reaction times before the drives act are the consumer's to add."""
+
+    categories: tuple[str, ...] = ("0", "1")
+    rate_hz: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fallback:
+    """Numbers to publish when the model is refuted or silent; infinite unless a worst-case table gives better ones."""
+
+    time_s: float = float("inf")
+    angle_rad: float = float("inf")
+    tcp_m: float = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen."""
+
+    model: str
+    bus: Bus | None = None
+    joint_states: JointStates | None = None
+    site: str = "site"
+    cell: str = "cell"
+    arm: str = "arm"
+    data_id: int = 1
+    payload_kg: float = 0.0
+    warm: float = 0.0
+    realtime: bool = False  # lock memory; needs the limits of deploy/systemd
+    zenoh: Zenoh = field(default_factory=Zenoh)
+    publish: Publish = field(default_factory=Publish)
+    stops: Stops = field(default_factory=Stops)
+    fallback: Fallback = field(default_factory=Fallback)
+    sha256: str = ""
+
+    @property
+    def prefix(self) -> str:
+        return f"{self.site}/{self.cell}/{self.arm}/stopset"
+
+
+def _build(kind: Any, x: Any, where: str) -> Any:
+    origin = get_origin(kind)
+    if type(None) in get_args(kind):
+        return _build(next(a for a in get_args(kind) if a is not type(None)), x, where)
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(x, dict):
+            raise ConfigError(f"{where} is {x!r}; expected a table")
+        hints = typing.get_type_hints(kind)
+        known = {f.name for f in dataclasses.fields(kind)} - {"sha256"}
+        if unknown := set(x) - known:
+            raise ConfigError(
+                f"{where or 'the configuration'} has the unknown key {', '.join(sorted(unknown))}; expected some of "
+                f"{', '.join(sorted(known))}: check the spelling"
+            )
+        needed = {f.name for f in dataclasses.fields(kind) if f.default is f.default_factory is dataclasses.MISSING}
+        if missing := needed - set(x):
+            raise ConfigError(f"{where or 'the configuration'} lacks {', '.join(sorted(missing))}; add it")
+        return kind(**{k: _build(hints[k], v, f"{where}.{k}".lstrip(".")) for k, v in x.items()})  # type: ignore[operator]
+    if origin is tuple:
+        if not isinstance(x, list):
+            raise ConfigError(f"{where} is {x!r}; expected a list")
+        return tuple(_build(get_args(kind)[0], v, where) for v in x)
+    if kind is float and isinstance(x, int) and not isinstance(x, bool):
+        return float(x)
+    if not isinstance(x, kind) or (kind is int and isinstance(x, bool)):
+        raise ConfigError(f"{where} is {x!r}; expected {kind.__name__}")
+    return x
+
+
+def load_config(path: str | Path) -> Config:
+    """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
+    p = Path(path)
+    try:
+        text = p.read_text(encoding="utf-8")
+        raw = tomllib.loads(text)
+    except FileNotFoundError as e:
+        raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+        raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
+    config: Config = _build(Config, raw, "")
+    if (config.bus is None) == (config.joint_states is None):
+        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
+    limits = (
+        ("bus.time_scale", config.bus.time_scale if config.bus else 1.0, 1e-3, 1e3),
+        ("joint_states.cycle_s", config.joint_states.cycle_s if config.joint_states else 1.0, 1e-4, 1.0),
+        ("publish.json_hz", config.publish.json_hz, 0.1, 50.0),
+        ("publish.valid_for_ms", config.publish.valid_for_ms, 1, 65535),
+        ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
+        ("publish.evidence_s", config.publish.evidence_s, 0.0, 10.0),
+        ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
+        ("data_id", config.data_id, 0, 2**32 - 1),
+        ("warm", config.warm, 0.0, 1.0),
+    )
+    for name, value, lo, hi in limits:
+        if not lo <= value <= hi:
+            raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}")
+    if bad := [c for c in config.stops.categories if c not in ("0", "1", "2")]:
+        raise ConfigError(f"{p}: stops.categories holds {bad[0]!r}; expected some of 0, 1, 2")
+    for part in (config.site, config.cell, config.arm):
+        if not part or any(c in part for c in "*/$#? "):
+            raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
+    here = p.parent
+    zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
+    return dataclasses.replace(
+        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest()
+    )

@@ -1,0 +1,125 @@
+"""``joint_states`` in both encodings met on zenoh: JSON, and the CDR of ``sensor_msgs/JointState`` that ROS 2 bridges send.
+
+JSON: ``{"stamp": seconds, "name": [...], "position": [...], "velocity": [...], "effort": [...]}``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stopset.errors import BusError
+
+MAX_JOINTS = 64  # a longer list is a damaged message, not an arm
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """One message: ``stamp_ns`` of the sampling instant; SI values by joint name order."""
+
+    stamp_ns: int
+    name: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+def decode(data: bytes) -> JointState:
+    """Either encoding, told apart by the first byte; raises `BusError` for anything else."""
+    try:
+        state = _from_json(data) if data[:1] == b"{" else _from_cdr(data)
+    except (ValueError, KeyError, TypeError, struct.error, IndexError, UnicodeDecodeError) as e:
+        raise BusError(f"joint_states message of {len(data)} bytes is neither JSON nor CDR JointState ({e}); look at the sender") from e
+    n = len(state.name)
+    if not all(len(x) in (0, n) for x in (state.position, state.velocity, state.effort)):
+        raise BusError(f"joint_states names {n} joints but carries other numbers of values; look at the sender")
+    return state
+
+
+def _from_json(data: bytes) -> JointState:
+    d = json.loads(data)
+    if "stamp_ns" in d:
+        stamp = int(d["stamp_ns"])
+    else:
+        stamp = round(float(d["stamp"]) * 1e9)
+    values = (tuple(float(x) for x in d.get(k, ())) for k in ("position", "velocity", "effort"))
+    return JointState(stamp, tuple(str(x) for x in d["name"]), *values)
+
+
+class _Reader:
+    def __init__(self, data: bytes) -> None:
+        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+            raise ValueError(f"unknown encapsulation {data[:4].hex()}")
+        self.order = "<" if data[1] == 1 else ">"
+        self.data, self.at = data, 4
+
+    def take(self, code: str) -> float | int:
+        size = struct.calcsize("<" + code)
+        self.at += -(self.at - 4) % size  # CDR aligns to the size, counted after the encapsulation
+        (value,) = struct.unpack_from(self.order + code, self.data, self.at)
+        self.at += size
+        return value  # type: ignore[no-any-return]
+
+    def text(self) -> str:
+        length = int(self.take("I"))
+        raw = self.data[self.at : self.at + length]
+        if len(raw) < length:
+            raise ValueError("text runs over the end")
+        self.at += length
+        return raw.rstrip(b"\0").decode()
+
+    def count(self) -> int:
+        n = int(self.take("I"))
+        if n > MAX_JOINTS:
+            raise ValueError(f"list of {n}")
+        return n
+
+
+def _from_cdr(data: bytes) -> JointState:
+    r = _Reader(data)
+    sec, nanosec = int(r.take("i")), int(r.take("I"))
+    r.text()  # frame_id
+    names = tuple(r.text() for _ in range(r.count()))
+    values = [tuple(float(r.take("d")) for _ in range(r.count())) for _ in range(3)]
+    return JointState(sec * 1_000_000_000 + nanosec, names, *values)
+
+
+def to_json(s: JointState) -> bytes:
+    """JSON text with full precision; a value that is not a number cannot be written."""
+    if any(not math.isfinite(x) for x in (*s.position, *s.velocity, *s.effort)):
+        raise BusError("a joint state holds a value that is not a number; it cannot be sent")
+    body = {"stamp_ns": s.stamp_ns, "name": s.name, "position": s.position, "velocity": s.velocity, "effort": s.effort}
+    return json.dumps(body, separators=(",", ":")).encode()
+
+
+def to_cdr(s: JointState) -> bytes:
+    """Little-endian CDR, as ROS 2 middlewares write it."""
+    out = bytearray(b"\0\1\0\0")
+
+    def put(code: str, value: float) -> None:
+        size = struct.calcsize("<" + code)
+        out.extend(b"\0" * (-(len(out) - 4) % size))
+        out.extend(struct.pack("<" + code, value))
+
+    def text(x: str) -> None:
+        raw = x.encode() + b"\0"
+        put("I", len(raw))
+        out.extend(raw)
+
+    def doubles(values: Sequence[float]) -> None:
+        put("I", len(values))
+        for v in values:
+            put("d", v)
+
+    put("i", s.stamp_ns // 1_000_000_000)
+    put("I", s.stamp_ns % 1_000_000_000)
+    text("")
+    put("I", len(s.name))
+    for name in s.name:
+        text(name)
+    for values in (s.position, s.velocity, s.effort):
+        doubles(values)
+    return bytes(out)

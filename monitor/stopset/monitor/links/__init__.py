@@ -1,0 +1,1 @@
+"""Everything that touches a wire: CAN buses, CANopen dictionaries, zenoh. The only folder that imports those libraries."""

@@ -1,0 +1,29 @@
+"""Frames of CAN log files, by python-can's readers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+
+from stopset.errors import RecordingError
+from stopset.monitor.links.hub import Frame
+
+LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
+
+
+def read_log(path: str | Path) -> Iterator[Frame]:
+    """Classic data frames in file order; raises `RecordingError` for a file that is none of candump, ASC, BLF, TRC."""
+    p = Path(path)
+    if not p.is_file():
+        raise RecordingError(f"{p}: no such file; expected a candump (.log), ASC, BLF or TRC log")
+    if p.suffix.lower() not in LOG_SUFFIXES:
+        raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc")
+    try:
+        with can.LogReader(str(p), **({"relative_timestamp": False} if p.suffix.lower() == ".asc" else {})) as reader:
+            for m in reader:
+                if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
+                    yield Frame(m.arbitration_id, m.data, m.timestamp)
+    except (can.CanError, ValueError, IndexError, OSError, UnicodeDecodeError, KeyError) as e:
+        raise RecordingError(f"{p} is not a readable {p.suffix} log ({type(e).__name__}: {e}); export it again") from e

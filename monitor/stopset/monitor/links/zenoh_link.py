@@ -1,0 +1,101 @@
+"""A zenoh session as the daemon, the replay and the viewer use it; multicast scouting is off unless a file says otherwise."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from stopset.errors import BusError
+
+
+class ZenohLink:
+    """An open session under a key prefix such as ``site/cell/arm/stopset``. Raises `BusError` when it cannot be opened."""
+
+    def __init__(
+        self,
+        prefix: str = "",
+        *,
+        mode: str = "peer",
+        connect: Sequence[str] = (),
+        listen: Sequence[str] = (),
+        file: str | Path | None = None,
+    ) -> None:
+        self.prefix = prefix
+        try:
+            config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
+            if not file:
+                config.insert_json5("mode", json.dumps(mode))
+                config.insert_json5("scouting/multicast/enabled", "false")
+                config.insert_json5("scouting/gossip/enabled", "false")
+                # an empty list here, or a peer would listen on every interface
+                config.insert_json5("listen/endpoints", json.dumps(list(listen)))
+            if connect:
+                config.insert_json5("connect/endpoints", json.dumps(list(connect)))
+            self._session = zenoh.open(config)
+        except Exception as e:  # zenoh raises its own and Rust's errors without a common root worth naming
+            where = ", ".join([*connect, *listen]) or str(file or "its defaults")
+            raise BusError(f"zenoh session on {where} cannot be opened ({e}); check addresses, ports and certificates") from e
+        self._publishers: dict[str, Any] = {}
+        self._held: list[Any] = []
+
+    def key(self, name: str) -> str:
+        """``name`` under the prefix; with a leading slash it stands for itself."""
+        return name[1:] if name.startswith("/") else f"{self.prefix}/{name}" if self.prefix else name
+
+    def fast(self, name: str) -> Callable[[bytes], None]:
+        """A publisher for the loop: real-time priority, no batching, and dropping rather than waiting."""
+        p = self._session.declare_publisher(
+            self.key(name),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+        )
+        self._held.append(p)
+        return p.put  # type: ignore[no-any-return]
+
+    def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
+        """Publish on a slow key; ``must_arrive`` waits for room instead of dropping."""
+        control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+        self._session.put(self.key(name), data, congestion_control=control)
+
+    def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
+        """Call ``handler(key, data)`` from zenoh's thread for every message; keep it short."""
+
+        def take(sample: Any) -> None:
+            handler(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._held.append(self._session.declare_subscriber(self.key(name), take))
+
+    def serve(self, name: str, answer: Callable[[], bytes]) -> None:
+        """Answer queries of a key."""
+        key = self.key(name)
+
+        def reply(query: Any) -> None:
+            query.reply(key, answer())
+
+        self._held.append(self._session.declare_queryable(key, reply, complete=True))
+
+    def alive(self, name: str) -> None:
+        """Hold a liveliness token while the session lives."""
+        self._held.append(self._session.liveliness().declare_token(self.key(name)))
+
+    def watch_alive(self, name: str, handler: Callable[[str, bool], None]) -> None:
+        """Call ``handler(key, there)`` when a token appears or goes."""
+
+        def take(sample: Any) -> None:
+            handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._held.append(self._session.liveliness().declare_subscriber(self.key(name), take, history=True))
+
+    def get(self, name: str, timeout: float = 2.0) -> list[tuple[str, bytes]]:
+        """All answers to a query."""
+        replies = self._session.get(self.key(name), timeout=timeout)
+        return [(str(r.ok.key_expr), r.ok.payload.to_bytes()) for r in replies if r.ok is not None]
+
+    def close(self) -> None:
+        self._session.close()

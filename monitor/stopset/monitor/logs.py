@@ -1,0 +1,81 @@
+"""CAN logs (candump, ASC, BLF, TRC): played back frame by frame, or decoded into recordings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stopset.errors import RecordingError
+from stopset.monitor.links.canopen_map import Decoder
+from stopset.monitor.links.logfile import LOG_SUFFIXES, read_log
+from stopset.monitor.profile import Profile
+from stopset.monitor.source import CycleCount, sample_of
+from stopset.monitor.watch import Sample
+from stopset.recording import Meta, Recording
+
+__all__ = ["LOG_SUFFIXES", "log_meta", "play_log", "trials_of_log"]
+SHORTEST = 10  # samples; a shorter run between two gaps is not a trial
+
+
+def play_log(path: Path, send: Callable[[int, bytes], None], speed: float) -> int:
+    """Send a log's frames at their times / ``speed``; returns how many."""
+    start: tuple[float, float] | None = None
+    count = 0
+    for frame in read_log(path):
+        now = time.monotonic()
+        if start is None:
+            start = (frame.t, now)
+        wait = start[1] + (frame.t - start[0]) / speed - now
+        if wait > 0:
+            time.sleep(wait)
+        send(frame.cob_id, bytes(frame.data))
+        count += 1
+    return count
+
+
+def trials_of_log(path: Path, profile: Profile, cycle_s: float, suite: int = 0) -> Iterator[Recording]:
+    """Every unbroken run of powered cycles as one trial; time is the cycle count, because SYNC is the clock of the samples.
+
+    Raises `RecordingError` when the log holds no run, or no torque.
+    """
+    decoder, count = Decoder(profile), CycleCount(cycle_s, profile.sync_overflow)
+    run: list[Sample] = []
+    trial = 0
+    for frame in read_log(path):
+        cycle = decoder.frame(frame.cob_id, frame.data, frame.t)
+        if cycle is None:
+            continue
+        sample = sample_of(cycle, count(cycle))
+        if run and (sample.k != run[-1].k + 1 or not sample.powered):
+            if len(run) >= SHORTEST:
+                yield _recording(run, suite, trial, cycle_s)
+                trial += 1
+            run = []
+        if sample.powered:
+            run.append(sample)
+    if len(run) >= SHORTEST:
+        yield _recording(run, suite, trial, cycle_s)
+        trial += 1
+    if not trial:
+        raise RecordingError(
+            f"{path}: {len(run)} samples in a row at most, {decoder.incomplete} incomplete cycles, {decoder.unknown} frames of "
+            f"others; expected SYNC and the PDOs of profile {profile.name}: check profile, node ids and cycle"
+        )
+
+
+def _recording(run: list[Sample], suite: int, trial: int, cycle_s: float) -> Recording:
+    if any(s.tau is None for s in run):
+        raise RecordingError("the log carries no torque; expected a profile that maps it, such as lwa4p/monitor")
+    temp = np.array([s.temp for s in run]) if all(s.temp is not None for s in run) else None
+    return Recording(
+        "closed_loop", suite, trial, trial, cycle_s * np.arange(len(run)),
+        np.array([s.q for s in run]), np.array([s.dq for s in run]), np.array([s.tau for s in run]), temp=temp,
+    )  # fmt: skip
+
+
+def log_meta(profile: Profile, cycle_s: float, effort: str) -> Meta:
+    """Metadata of recordings made from a log; ``effort`` must be said by who knows the drives."""
+    return Meta(joints=profile.joints, robot=profile.name, effort=effort, velocity="measured", clock="recorded", rate_hz=1 / cycle_s)

@@ -1,0 +1,199 @@
+"""Stop bounds beside the loop: another process certifies them for a box around the state, the loop only looks whether it is inside.
+
+A bound takes milliseconds, a cycle has not that many. So each answer covers every state of a box wide enough for the motion
+until the next answer; a state that has left the box has no bound until a new one comes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing as mp
+import os
+import time
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import load_model
+from stopset.errors import StopsetError
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
+SPARE_ACCELERATION = 0.3  # [rad/s^2] on top of the acceleration seen, so that a changing one stays in the box
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """One category's bound: per joint (n,) time [s], forward and back [rad], and the flange's travel [m]; inf = not provable."""
+
+    time: Array
+    forward: Array
+    back: Array
+    tcp: float
+    provable: NDArray[np.bool_]
+    why: str = ""
+    margin: float = float("-inf")  # least holding margin [N m]
+
+    @classmethod
+    def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:
+        inf = np.full(n, np.inf)
+        return cls(inf, inf, inf, float("inf"), np.zeros(n, bool), why, margin)
+
+    @classmethod
+    def fallback(cls, n: int, time: float, angle: float, tcp: float, why: str) -> Numbers:
+        a = np.full(n, angle)
+        return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool), why)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Bounds that hold for every state with ``|q - q_mid| <= q_radius`` and ``|dq - dq_mid| <= dq_radius``."""
+
+    q_mid: Array
+    dq_mid: Array
+    q_radius: Array
+    dq_radius: Array
+    numbers: dict[str, Numbers]
+    took: float
+
+    def covers(self, q: Array, dq: Array) -> bool:
+        return bool(np.all(np.abs(q - self.q_mid) <= self.q_radius) and np.all(np.abs(dq - self.dq_mid) <= self.dq_radius))
+
+
+def _numbers(bound: Any, n: int) -> Numbers:
+    margin = -np.inf if bound.holding_margin is None else float(np.min(bound.holding_margin))
+    if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
+        return Numbers.none(n, bound.why, margin)
+    tcp = np.inf if bound.tcp is None else float(bound.tcp)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+
+
+def _work(model_path: str, payload: float, categories: tuple[str, ...], pipe: Connection) -> None:
+    """The other process: takes the newest state, answers for a box around it."""
+    from stopset.reach.stops import StopBounds
+
+    parent = os.getppid()
+    model = load_model(model_path)
+    prepared = StopBounds.of(model, (payload, payload) if payload else None)
+    n = model.n
+    while True:
+        while not pipe.poll(0.5):
+            if os.getppid() != parent:
+                return  # the daemon is gone
+        request = pipe.recv()
+        while pipe.poll(0):
+            request = pipe.recv()
+        if request is None:
+            return
+        q, dq, q_radius, dq_radius = request
+        begin = time.monotonic()
+        numbers = {}
+        for category in categories:
+            try:
+                s = prepared.setting
+                wide = prepared
+                if s is not None:
+                    more = Box.symmetric(np.concatenate([q_radius, dq_radius]))
+                    wide = dataclasses.replace(prepared, setting=dataclasses.replace(s, noise=s.noise + more))
+                numbers[category] = _numbers(wide.bound(q, dq, cast(Any, category)), n)
+            except StopsetError as e:
+                numbers[category] = Numbers.none(n, str(e))
+        pipe.send(Answer(q, dq, q_radius, dq_radius, numbers, time.monotonic() - begin))
+
+
+@dataclass(slots=True)
+class StopDesk:
+    """Asks for bounds, keeps the last answer, says what holds for the state now."""
+
+    model_path: str
+    n: int
+    categories: tuple[str, ...]
+    payload: float
+    rate_hz: float
+    answer: Answer | None = None
+    why: str = "the first stop bound is being computed"
+    restarts: int = 0
+    _pipe: Connection | None = None
+    _process: Any = None
+    _asked: float = float("-inf")
+    _waiting: bool = False
+    _dq: Array | None = None
+    _t: float = 0.0
+    _acceleration: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        self._acceleration = np.zeros(self.n)
+        self._start()
+
+    def _start(self) -> None:
+        context = mp.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        args = (self.model_path, self.payload, tuple(e for c in self.categories for e in EXPANDED[c]), theirs)
+        self._process = context.Process(target=_work, args=args, daemon=True, name="stop-bounds")
+        self._process.start()
+        theirs.close()
+        self._waiting = False
+
+    def offer(self, t: float, q: Array, dq: Array) -> None:
+        """The newest state at ``t`` [s]; asks for a new bound when the last one is there and it is time."""
+        if self._dq is not None and 0 < t - self._t < 0.1:
+            here = np.abs(dq - self._dq) / (t - self._t)
+            self._acceleration = np.maximum(here, self._acceleration * 0.97)
+        self._dq, self._t = dq, t
+        self._collect()
+        now = time.monotonic()
+        if self._waiting or now - self._asked < 1.0 / self.rate_hz or self._pipe is None:
+            return
+        took = self.answer.took if self.answer else 0.02
+        ahead = 1.5 * max(took, 1.0 / self.rate_hz) + took
+        a = self._acceleration + SPARE_ACCELERATION
+        dq_radius = a * ahead
+        q_radius = 0.5 * (np.abs(dq) + dq_radius) * ahead
+        try:
+            # the middle of the box is where the arm is half way to the next answer
+            self._pipe.send((q + 0.5 * ahead * dq, dq, q_radius, dq_radius))
+            self._asked, self._waiting = now, True
+        except (OSError, ValueError):
+            self._lost()
+
+    def _collect(self) -> None:
+        try:
+            while self._pipe is not None and self._pipe.poll(0):
+                self.answer = self._pipe.recv()
+                self._waiting = False
+        except (EOFError, OSError):
+            self._lost()
+
+    def _lost(self) -> None:
+        self.answer, self.why = None, "the process that bounds stops has ended; it is started again"
+        self.restarts += 1
+        if self.restarts < 5:
+            self._start()
+        else:
+            self._pipe, self.why = None, "the process that bounds stops keeps ending; no stop provable"
+
+    def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
+        """Bounds by category that hold for this state, and whether they are fresh."""
+        names = [e for c in self.categories for e in EXPANDED[c]]
+        if self.answer is None:
+            return {c: Numbers.none(self.n, self.why) for c in names}, False
+        if not self.answer.covers(q, dq):
+            why = "the arm has left the states the last bound was computed for"
+            return {c: Numbers.none(self.n, why) for c in names}, False
+        return self.answer.numbers, True
+
+    def close(self) -> None:
+        """End the other process."""
+        if self._pipe is not None:
+            try:
+                self._pipe.send(None)
+            except (OSError, ValueError):
+                pass
+        if self._process is not None:
+            self._process.join(timeout=1.0)
+            if self._process.is_alive():
+                self._process.kill()

@@ -1,0 +1,139 @@
+"""The monitor as it is used: daemon, replay and listener are three processes with real CAN framing and real zenoh between."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_process import Ear, free_port, running, stopset, write_config
+from stopset.artifact import Model, save_model
+from stopset.monitor.consumer import Consumer
+from stopset.monitor.layout import State, unpack
+from stopset.recording import write_recordings
+
+TRIALS, SAMPLES = 2, 200
+Place = Callable[[int | None], tuple[Path, Path, Model]]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Place:
+    def make(scaled: int | None) -> tuple[Path, Path, Model]:
+        model = save_model(known_model(), tmp_path / "arm.model.json")
+        trials = [motion(s, SAMPLES, s) for s in range(TRIALS)]
+        if scaled is not None:
+            trials = [with_torque_scaled(r, scaled, 1.5) for r in trials]
+        write_recordings(tmp_path / "rec.parquet", meta(), trials)
+        return tmp_path / "arm.model.json", tmp_path / "rec.parquet", model
+
+    return make
+
+
+@pytest.mark.parametrize("scaled", [None, 3])
+def test_replay_over_can_is_judged_and_published(place: Place, scaled: int | None, tmp_path: Path) -> None:
+    model_path, recording, model = place(scaled)
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        replay = stopset("replay", str(recording), "--to", f"hub:{bus}", "--wait", "1")
+        out, err = replay.communicate(timeout=60)
+        assert replay.returncode == 0, err
+        assert "the other nodes sent 0 frames" in out, "the monitor must not send on the bus"
+        assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] == TRIALS * SAMPLES)
+        twin = ear.twins[-1]
+        (reply,) = ear.link.get("model")
+        assert reply[1] == model_path.read_bytes()
+    assert twin["model_sha256"] == model.sha256 and twin["gaps"] == TRIALS - 1
+    if scaled is None:
+        assert twin["verdicts"]["VIOLATION"] == 0 == twin["violation_count"] and not twin["violating_joints"]
+        # the first sample of each trial has nothing to be compared with; all others have
+        assert twin["verdicts"]["CONFORMANT"] == TRIALS * (SAMPLES - 1)
+        assert State.VIOLATION not in ear.states
+    else:
+        assert twin["violating_joints"] == [model.joints[scaled]], "and no other joint"
+        assert State.VIOLATION in ear.states
+        (event, *_) = [e for e in ear.events if e["kind"] == "violation"]
+        assert event["violations"][0]["joint"] == model.joints[scaled] and len(event["evidence"]) > 1
+        last = unpack(ear.raw[-1])
+        assert last["first_joint"] == scaled + 1 and last["violation_count"] == twin["violation_count"] > 0
+        assert last["stop0_time_max"] == float("inf") and last["stop0_provable"] == 0, "stop numbers are withdrawn"
+
+
+def test_a_foreign_sniffer_sees_canopen_frames(place: Place) -> None:
+    """Read with python-can alone, decoded by hand: what any other tool on the bus would see."""
+    _, recording, model = place(None)
+    port = free_port()
+    with running("replay", str(recording), "--to", f"hub:{port}", "--wait", "1"):
+        end = time.monotonic() + 20
+        while True:
+            try:
+                bus = can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0")
+                break
+            except (OSError, can.CanError):
+                assert time.monotonic() < end
+                time.sleep(0.1)
+        frames = []
+        while len(frames) < 13 * 20 and (m := bus.recv(5.0)) is not None:
+            frames.append(m)
+        bus.shutdown()
+    assert len(frames) == 13 * 20
+    assert [m.arbitration_id for m in frames[:13]] == [0x080, *(x for i in range(3, 9) for x in (0x380 + i, 0x480 + i))]
+    assert [m.data[0] for m in frames[::13]] == list(range(1, 21)), "the SYNC counter"
+    first = motion(0, SAMPLES, 0)
+    for k in range(20):
+        for i in range(6):
+            data = bytes(frames[13 * k + 1 + 2 * i].data)
+            mdeg = int.from_bytes(data[:4], "little", signed=True)
+            assert abs(mdeg * 3.141592653589793 / 180e3 - first.q[k, i]) < 1e-5  # half a millidegree, and float32
+            torque = int.from_bytes(bytes(frames[13 * k + 2 + 2 * i].data)[:2], "little", signed=True)
+            rated = model.robot.torque_limit[i] / 4  # the profile's prior
+            assert abs(torque * 1e-3 * rated - first.tau[k, i]) < 0.51e-3 * rated + 1e-5
+
+
+def test_killed_or_frozen_monitor_is_noticed(place: Place, tmp_path: Path) -> None:
+    model_path, recording, _ = place(None)
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
+    consumer = Consumer(data_id=1, watchdog_s=0.5)
+    with running("replay", str(recording), "--to", f"hub:{bus}", "--loop"):
+        with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear:
+            ear.link.subscribe("state", lambda _, d: consumer.take(d, time.monotonic()))
+            good = (State.OK, State.DEGRADED, State.UNKNOWN)
+            assert ear.wait(lambda: consumer.state(time.monotonic()) in good)
+            ear.link.put("challenge", b"\1\2\3")
+            assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
+            monitor.send_signal(signal.SIGSTOP)
+            assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
+            assert "silent" in consumer.why
+            ear.link.put("challenge", b"\4\5\6")
+            time.sleep(0.3)
+            assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"
+            monitor.send_signal(signal.SIGCONT)
+            assert ear.wait(lambda: consumer.state(time.monotonic()) in good, 10.0)
+            monitor.kill()
+            assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
+
+
+def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:
+    model_path, recording, model = place(2)
+    port = free_port()
+    config = write_config(tmp_path, model_path, '[joint_states]\nkey = "ros/joint_states"\ncycle_s = 0.004', port)
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        replay = stopset(
+            "replay", str(recording), "--to", f"zenoh:tcp/127.0.0.1:{port}", "--key", "ros/joint_states", "--encoding", "cdr"
+        )
+        _, err = replay.communicate(timeout=60)
+        assert replay.returncode == 0, err
+        assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 0.9 * TRIALS * SAMPLES)
+        assert ear.wait(lambda: ear.twins[-1]["violating_joints"] == [model.joints[2]])
+        ear.link.put("reset", b'{"name": "", "reason": "no name"}')
+        assert ear.wait(lambda: any(e["kind"] == "reset_refused" for e in ear.events))
+        assert ear.twins[-1]["violation_latched"]
+        ear.link.put("reset", b'{"name": "A. Person", "reason": "wrong torque constant found"}')
+        assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+        (event,) = [e for e in ear.events if e["kind"] == "reset"]
+        assert event["name"] == "A. Person" and event["joints"] == [model.joints[2]]
