@@ -6,6 +6,7 @@ same sources then give the same bytes everywhere, and a fresh machine without a 
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import struct
@@ -15,9 +16,13 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import version
 from pathlib import Path
+from platform import machine
 
 from stopset.errors import OutputError
+from stopset.files import write_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +47,15 @@ PLATFORMS = {
     )
 }
 
+
+def native() -> str | None:
+    """The platform this process runs on, if it is one of ours."""
+    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, "")
+    processor = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine().lower(), machine().lower())
+    name = f"{processor}-{system}"
+    return name if name in PLATFORMS else None
+
+
 def chosen(platforms: Sequence[str] | None) -> list[Platform]:
     """Platforms by name, all if none is named; raises `OutputError` for an unknown one."""
     names = list(dict.fromkeys(platforms)) if platforms else list(PLATFORMS)
@@ -54,61 +68,109 @@ def chosen(platforms: Sequence[str] | None) -> list[Platform]:
 # no contraction to fused multiply-add: every platform rounds alike, and like Python
 FLAGS = (
     "-std=c99", "-O2", "-g0", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
-    "-shared", "-s",
 )  # fmt: skip
+LINK = ("-shared", "-s")
+WINDOWS = ("windows.c", "msvcrt.def")
 
 
 def compiler() -> list[str]:
-    """The command of the C compiler; raises `OutputError` where the extra ``fmu`` is not installed."""
+    """The compiler's command; raises `OutputError` where the extra ``fmu`` is not installed."""
     if importlib.util.find_spec("ziglang") is None:
         raise OutputError("the C compiler (package ziglang) is not installed; install stopset[fmu] and export again")
-    return [sys.executable, "-m", "ziglang", "cc"]
+    return [sys.executable, "-m", "ziglang"]
+
+
+def _cache() -> Path | None:
+    """The user's cache folder for libraries and the compiler's own files, or None where nothing can be written."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stopset"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
 
 
 def _environment(scratch: Path) -> dict[str, str]:
-    """The compiler's cache lies in the user's cache folder, or in the scratch folder where that cannot be written."""
     out = dict(os.environ)
-    if "ZIG_GLOBAL_CACHE_DIR" not in out:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stopset" / "zig"
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-            writable = os.access(cache, os.W_OK)
-        except OSError:
-            writable = False
-        out["ZIG_GLOBAL_CACHE_DIR"] = str(cache if writable else scratch / "cache")
+    out.setdefault("ZIG_GLOBAL_CACHE_DIR", str((_cache() or scratch) / "zig"))
     out.setdefault("ZIG_LOCAL_CACHE_DIR", out["ZIG_GLOBAL_CACHE_DIR"])
     return out
 
 
-def compile_library(folder: Path, units: Sequence[str], platform: Platform, identifier: str) -> bytes:
-    """The shared library of the C files ``units`` in ``folder`` for one platform."""
-    out = folder / f"{identifier}-{platform.name}{platform.suffix}"
-    # names relative to the folder, so that no path of this machine gets into the binary
-    extra = ["-fPIC", "-lm"] if platform.suffix == ".so" else []
-    if platform.suffix == ".dylib":
-        extra = [f"-Wl,-install_name,@rpath/{identifier}.dylib"]
-    command = [*compiler(), "-target", platform.target, *FLAGS, "-I.", *units, *extra, "-o", out.name]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=_environment(folder), check=False)
-    if done.returncode or not out.exists():
+def _run(arguments: Sequence[str], folder: Path, platform: Platform) -> None:
+    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, env=_environment(folder), check=False)
+    if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip()[-300:])
         raise OutputError(
             f"compiling the FMU for {platform.name} failed ({first.strip() or f'exit code {done.returncode}'}); "
             f"leave the platform out with --platform, or check that the disk is not full"
         )
-    return out.read_bytes()
+
+
+def compile_library(folder: Path, units: Sequence[str], platform: Platform, identifier: str) -> bytes:
+    """The shared library of the C files ``units`` in ``folder`` for one platform."""
+    out = f"{identifier}-{platform.name}{platform.suffix}"
+    start = [*compiler(), "cc", "-target", platform.target]
+    # names relative to the folder, so that no path of this machine gets into the binary
+    if platform.suffix == ".dll":
+        _link_windows(folder, units, platform, start, out)
+    else:
+        extra = ["-fPIC", "-lm"] if platform.suffix == ".so" else [f"-Wl,-install_name,@rpath/{identifier}.dylib"]
+        _run([*start, *FLAGS, *LINK, "-I.", *units, *extra, "-o", out], folder, platform)
+    return (folder / out).read_bytes()
+
+
+def _link_windows(folder: Path, units: Sequence[str], platform: Platform, start: Sequence[str], out: str) -> None:
+    """Against msvcrt.dll alone: see core/windows.c."""
+    objects = []
+    for unit in (*units, "windows.c"):
+        plain = ["-fno-builtin"] if unit == "windows.c" else []
+        objects.append(unit.removesuffix(".c") + ".obj")
+        _run([*start, *FLAGS, *plain, "-I.", "-c", unit, "-o", objects[-1]], folder, platform)
+    _run([*compiler(), "dlltool", "-m", "i386:x86-64", "-d", "msvcrt.def", "-l", "msvcrt.a"], folder, platform)
+    entry = "-Wl,--entry=DllMainCRTStartup"
+    _run([*start, *LINK, "-nostdlib", entry, *objects, "msvcrt.a", "-o", out], folder, platform)
+    code = bytearray((folder / out).read_bytes())
+    header = int.from_bytes(code[0x3C:0x40], "little")
+    code[header + 8 : header + 12] = bytes(4)  # the time of linking: the same sources give the same bytes
+    (folder / out).write_bytes(code)
+
+
+def _key(sources: Mapping[str, str], platform: Platform, identifier: str) -> str:
+    """Hash of everything a library depends on."""
+    everything = [version("ziglang"), identifier, repr(platform), repr(FLAGS), repr(LINK)]
+    everything += [f"{name}\n{sources[name]}" for name in sorted(sources)]
+    return hashlib.sha256("\0".join(everything).encode()).hexdigest()
 
 
 def binaries(
     sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str
 ) -> dict[str, bytes]:
-    """Platform name -> library; two compilers at a time."""
+    """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache."""
+    compiler()  # refuses early where there is none
+    core = resources.files("stopset.fmu") / "core"
+    sources = {**sources, **{name: (core / name).read_text() for name in WINDOWS}}
+    kept = _cache()
+    out: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)
         for file, text in sources.items():
             (folder / file).write_text(text)
+
+        def make(platform: Platform) -> bytes:
+            place = kept / "fmu" / _key(sources, platform, identifier) if kept else None
+            if place is not None and place.is_file():
+                return place.read_bytes()
+            library = compile_library(folder, units, platform, identifier)
+            if place is not None:
+                place.parent.mkdir(exist_ok=True)
+                write_bytes(place, library)
+            return library
+
         with ThreadPoolExecutor(2) as pool:
-            made = pool.map(lambda p: compile_library(folder, units, p, identifier), platforms)
-            return {p.name: library for p, library in zip(platforms, made, strict=True)}
+            for platform, library in zip(platforms, pool.map(make, platforms), strict=True):
+                out[platform.name] = library
+    return out
 
 
 def universal(slices: Mapping[str, bytes]) -> bytes:

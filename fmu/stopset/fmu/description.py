@@ -117,9 +117,9 @@ def _typed(v: Variable, derivative: str | None) -> dict[str, str]:
     if v.unit:
         out["unit"] = v.unit
     if v.lo is not None:
-        out["min"] = _text(v.lo)
+        out["min"] = _text(int(v.lo) if v.kind == "Integer" else v.lo)
     if v.hi is not None:
-        out["max"] = _text(v.hi)
+        out["max"] = _text(int(v.hi) if v.kind == "Integer" else v.hi)
     if derivative is not None:
         out["derivative"] = derivative
     if v.start is not None:

@@ -28,9 +28,7 @@ def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]
     """Archive path -> library."""
     if fmi == 3:
         return {f"binaries/{p}/{name}{PLATFORMS[p].suffix}": code for p, code in made.items()}
-    out = {
-        f"binaries/{PLATFORMS[p].fmi2}/{name}{PLATFORMS[p].suffix}": code for p, code in made.items() if "darwin" not in p
-    }
+    out = {f"binaries/{PLATFORMS[p].fmi2}/{name}{PLATFORMS[p].suffix}": code for p, code in made.items() if "darwin" not in p}
     mac = {p: code for p, code in made.items() if "darwin" in p}
     if mac:
         out[f"binaries/darwin64/{name}.dylib"] = universal(mac)
@@ -42,9 +40,7 @@ def archive(model: Model, fmi: int = 3, platforms: Sequence[str] | None = None) 
     if fmi not in (2, 3):
         raise OutputError(f"FMI version {fmi}; expected 2 or 3")
     if model.abstraction.kind != 1:
-        raise NotCovered(
-            f"this is a model {model.abstraction.kind}; the FMU covers model 1 (eq. 13): identify with --model 1"
-        )
+        raise NotCovered(f"this is a model {model.abstraction.kind}; the FMU covers model 1 (eq. 13): identify with --model 1")
     targets = chosen(platforms)
     name = identifier(model)
     v = variables(model)

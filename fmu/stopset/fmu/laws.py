@@ -9,7 +9,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import IN_ABSTRACTION
-from stopset.effects import REFERENCE_TEMPERATURE, Effect, Fitted, Signals, get
+from stopset.effects import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term, get
 from stopset.errors import EffectError
 from stopset.ring import CText
 
@@ -25,6 +25,11 @@ class EffectParameter:
     unit: str
     means: str
     value: float
+
+
+def parameters_of(effect: Effect) -> list[Term | Shape]:
+    """Terms, then shapes."""
+    return [*effect.terms, *effect.shapes]
 
 
 def active_effects(model: Model) -> list[tuple[Fitted, Effect]]:
@@ -48,9 +53,10 @@ def effect_parameters(model: Model) -> tuple[EffectParameter, ...]:
     """Every term and shape of every active effect, in the order of the C array."""
     out = []
     for f, effect in active_effects(model):
-        for p in (*effect.terms, *effect.shapes):
-            at = f.joint or "arm"
-            out.append(EffectParameter(f"{effect.name}_{p.symbol}_{at}", p.unit, f"{p.means} ({effect.name}, {at})", f.values[p.symbol]))  # fmt: skip
+        at = f.joint or "arm"
+        for p in parameters_of(effect):
+            what = f"{p.means} ({effect.name}, {at})"
+            out.append(EffectParameter(f"{effect.name}_{p.symbol}_{at}", p.unit, what, f.values[p.symbol]))
     return tuple(out)
 
 
@@ -94,7 +100,7 @@ def effect_laws(model: Model) -> Laws:
     """``stopset_effects`` of the C core: the torque of all active effects at a state."""
     lines, at = [], 0
     for f, effect in active_effects(model):
-        symbols = [p.symbol for p in (*effect.terms, *effect.shapes)]
+        symbols = [p.symbol for p in parameters_of(effect)]
         values = {symbol: CText(f"s->r[VR_EFFECT + {at + k}]") for k, symbol in enumerate(symbols)}
         at += len(symbols)
         for j, signals in _joints(f, effect, model.joints):

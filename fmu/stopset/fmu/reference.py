@@ -63,17 +63,17 @@ def reference(model: Model) -> Reference:
     rng = np.random.default_rng(SEED)
     changes = rng.uniform(-0.1, 0.1, (rows // HOLD + 1, n)) * np.minimum(np.abs(d.u.lo), np.abs(d.u.hi))
     wanted = np.repeat(changes, HOLD, axis=0)[:rows]
-    t = s.dt * np.arange(rows)
+    t = s.dt * np.arange(rows, dtype=np.float64)
     temp = np.tile(d.temp.centre if d.temp is not None else np.full(n, 30.0), (rows, 1))
     step = stepper(model)
     x, lo, hi, tau = (np.empty((rows, w)) for w in (2 * n, 2 * n, 2 * n, n))
     x[0] = np.concatenate([np.clip(np.zeros(n), d.q.lo, d.q.hi), np.zeros(n)])
     lo[0], hi[0] = x[0] + s.X0.lo, x[0] + s.X0.hi
     for k in range(rows):
-        more = {"temp": temp[k : k + 1], "t": t[k : k + 1]}
-        q, dq = x[k : k + 1, :n], x[k : k + 1, n:]
-        tau[k] = wanted[k] - model.input(q, dq, np.zeros((1, n)), **more)[0]
-        u = model.input(q, dq, tau[k : k + 1], **more)[0]
+        now = slice(k, k + 1)
+        q, dq = x[now, :n], x[now, n:]
+        tau[k] = wanted[k] - model.input(q, dq, np.zeros((1, n)), temp=temp[now], t=t[now])[0]
+        u = model.input(q, dq, tau[now], temp=temp[now], t=t[now])[0]
         if k + 1 < rows:
             x[k + 1] = step(x[k], u)
             if not model.abstraction.linear:  # decoupled joints are cooperative: the corners stay the corners
@@ -102,15 +102,13 @@ def reference_texts(model: Model) -> tuple[str, str, str]:
     r, J, n = reference(model), model.joints, model.n
     inputs = [("time", r.t), *_named("tau", J, r.tau), *_named("temp", J, r.temp)]
     inputs += [*_named("q_measured", J, r.x[:, :n]), *_named("dq_measured", J, r.x[:, n:])]
-    inputs += [("stop", np.zeros(len(r.t), int)), ("measured", np.ones(len(r.t), int))]  # type: ignore[list-item]
+    inputs += [("stop", np.zeros(len(r.t), int)), ("measured", np.ones(len(r.t), int))]
     results = [("time", r.t), *_named("q", J, r.x[:, :n]), *_named("dq", J, r.x[:, n:])]
     results += [*_named("q_lo", J, r.lo[:, :n]), *_named("q_hi", J, r.hi[:, :n])]
     if model.powered.conform != "position":
         results += [*_named("dq_lo", J, r.lo[:, n:]), *_named("dq_hi", J, r.hi[:, n:])]
     dt = model.powered.dt
-    options = (
-        f"StartTime, 0\nStopTime, {r.t[-1]!r}\nStepSize, {dt!r}\nRelTol, 1e-9\nAbsTol, 1e-9\nOutputIntervalLength, {dt!r}\n"
-    )
+    options = f"StartTime, 0\nStopTime, {r.t[-1]!r}\nStepSize, {dt!r}\nRelTol, 1e-9\nAbsTol, 1e-9\nOutputIntervalLength, {dt!r}\n"
     return _csv(inputs), _csv(results), options
 
 

@@ -98,7 +98,7 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     rows.append(f"    .kind = {{{', '.join(_kind(v) for v in variables)}}},")
     names = ",\n        ".join(f'"{v.name}"' for v in variables)
     rows.append(f"    .name = {{\n        {names}}},")
-    head = f'/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or "(unsaved)"}. */\n'
+    head = f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
     prelude = "\n".join(line for line in PRELUDE.splitlines() if _used(line, laws))
     return (
         f'{head}{prelude}\n#include "stopset_core.h"\n\n'

@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters
 
 Kind = Literal["Real", "Integer", "Boolean"]
-REFERENCE_TEMPERATURE_degC = 30.0
+Causality = Literal["independent", "input", "output", "parameter", "local"]
+Variability = Literal["continuous", "discrete", "fixed", "tunable"]
+KINDS: tuple[Kind, ...] = ("Real", "Integer", "Boolean")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +30,11 @@ class Variable:
     name: str
     group: str
     kind: Kind
-    causality: Literal["independent", "input", "output", "parameter", "local"]
+    causality: Causality
     unit: str
     description: str
     start: float | int | bool | None = None
-    variability: Literal["continuous", "discrete", "fixed", "tunable"] = "continuous"
+    variability: Variability = "continuous"
     derivative: str = ""  # name of the variable this one is the time derivative of
     lo: float | None = None
     hi: float | None = None
@@ -57,8 +61,8 @@ class Variables:
 
     def first(self, group: str) -> int:
         """Position of a block within the C array of its type; -1 if there is none."""
-        for kind in ("Real", "Integer", "Boolean"):
-            for k, v in enumerate(self.of(kind)):  # type: ignore[arg-type]
+        for kind in KINDS:
+            for k, v in enumerate(self.of(kind)):
                 if v.group == group:
                     return k
         return -1
@@ -74,83 +78,121 @@ def viscous_orders(model: Model) -> int:
     return int(used[-1]) + 1 if used.size else 1
 
 
-def _per_joint(
-    joints: Sequence[str], stem: str, group: str, causality: str, unit: str, what: str, start: object = None,
-    variability: str = "continuous", derivative: str = "",
+Starts = Sequence[float] | NDArray[np.float64] | float | None
+
+
+def _joints(
+    model: Model, stem: str, causality: Causality, unit: str, what: str, start: Starts = None,
+    variability: Variability = "continuous", derivative: str = "", group: str = "",
 ) -> list[Variable]:  # fmt: skip
-    starts: list[object] = list(start) if isinstance(start, (list, tuple, np.ndarray)) else [start] * len(joints)
+    """One real variable per joint."""
+    starts = [None] * model.n if start is None else np.broadcast_to(start, model.n).tolist()
     return [
         Variable(
-            f"{stem}_{j}", group, "Real", causality, unit, what.format(j), s,  # type: ignore[arg-type]
-            variability, f"{derivative}_{j}" if derivative else "",  # type: ignore[arg-type]
+            f"{stem}_{j}", group or stem.upper(), "Real", causality, unit, what.format(j), s, variability,
+            f"{derivative}_{j}" if derivative else "",
         )
-        for j, s in zip(joints, starts, strict=True)
+        for j, s in zip(model.joints, starts, strict=True)
     ]  # fmt: skip
+
+
+def _inputs(m: Model) -> list[Variable]:
+    torque = "motor torque, link side" if m.effort != "compensated_torque" else "torque after compensation (u)"
+    temp = m.domain.temp.centre if m.domain.temp is not None else REFERENCE_TEMPERATURE
+    return [
+        *_joints(m, "tau", "input", "N.m", f"{torque}, {{}}", 0.0),
+        *_joints(m, "temp", "input", "degC", "temperature of the drive, {}", temp),
+        *_joints(m, "q_measured", "input", "rad", "measured position, {} (used while `measured`)", 0.0),
+        *_joints(m, "dq_measured", "input", "rad/s", "measured velocity, {} (used while `measured`)", 0.0),
+    ]
+
+
+def _outputs(m: Model) -> list[Variable]:
+    time, angle = (
+        "bound of the time to standstill, {}; NaN: not provable",
+        "bound of the angle to standstill, {}; NaN: not provable",
+    )
+    reach = "bound of the flange's displacement to standstill; NaN: not provable"
+    out = [
+        *_joints(m, "q", "output", "rad", "position, {}"),
+        *_joints(m, "dq", "output", "rad/s", "velocity, {}", derivative="q"),
+        *_joints(m, "ddq", "local", "rad/s2", "acceleration, {}", derivative="dq"),
+        *_joints(m, "q_lo", "output", "rad", "lower bound of the measured position, {}"),
+        *_joints(m, "q_hi", "output", "rad", "upper bound of the measured position, {}"),
+        *_joints(m, "dq_lo", "output", "rad/s", "lower bound of the measured velocity, {}"),
+        *_joints(m, "dq_hi", "output", "rad/s", "upper bound of the measured velocity, {}"),
+        *_joints(m, "stop_time", "output", "s", time),
+        *_joints(m, "stop_angle", "output", "rad", angle),
+        Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", reach),
+        Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
+    ]
+    if effect_laws(m).direction:
+        margin = "positive while the direction of friction holds, {}"
+        out += _joints(m, "friction_margin", "local", "", margin, group="INDICATOR")
+    return out
+
+
+def _conditions(m: Model) -> list[Variable]:
+    """Parameters that say where the arm starts and what it carries."""
+    what = "{} of the load's centre of mass in the last link's frame"
+    com = [
+        Variable(f"payload_com_{a}", "PAYLOAD_COM", "Real", "parameter", "m", what.format(a), float(x), "fixed")
+        for a, x in zip("xyz", m.robot.tip, strict=True)
+    ]
+    session = "place in the session, 0 cold to 1 warm"
+    return [
+        *_joints(m, "q_start", "parameter", "rad", "position at the start, {}", 0.0, "fixed"),
+        *_joints(m, "dq_start", "parameter", "rad/s", "velocity at the start, {}", 0.0, "fixed"),
+        Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0),
+        *com,
+        Variable("warm", "WARM", "Real", "parameter", "1", session, 0.0, "tunable"),
+    ]
+
+
+def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
+    """Parameters of the arm itself; the bounds hold for the identified values only."""
+    a = m.abstraction
+    out: list[Variable] = []
+    for k in range(viscous_orders(m)):
+        stem, unit = ("viscous", "N.m.s/rad") if k == 0 else (f"viscous_{k + 1}", f"N.m.s{k + 1}/rad{k + 1}")
+        what = "friction per " + ("dq" if k == 0 else f"dq^{k + 1}") + ", {}"
+        out += _joints(m, stem, "parameter", unit, what, a.viscous[:, k], "fixed", group="VISCOUS")
+    if a.decoupled:
+        J = 1.0 / np.diag(a.Minv)
+        out += _joints(m, "inertia", "parameter", "kg.m2", "inertia with rotor, {}", J, "fixed")
+    offset = a.offset if a.offset.size else 0.0
+    out += _joints(m, "offset", "parameter", "N.m", "constant torque taken off the input, {}", offset, "fixed")
+    out += [Variable(p.name, "EFFECT", "Real", "parameter", p.unit, p.means, p.value, "fixed") for p in effects]
+    return out
+
+
+def _switches() -> list[Variable]:
+    """Integers and booleans: (name, causality, description, start)."""
+    integers: tuple[tuple[str, Causality, str, int | None], ...] = (
+        ("stop", "input", "stop request: 0 none, 1 STOP 0, 2 STOP 1", 0),
+        ("verdict", "output", "0 no verdict, 1 conformant, 2 violated (stays until reset)", None),
+        ("violated_joint", "output", "number of the joint that violated first, 0 none", None),
+    )
+    booleans: tuple[tuple[str, Causality, str, bool | None], ...] = (
+        ("measured", "input", "whether q_measured and dq_measured are connected", False),
+        ("conformant", "output", "measured inputs inside the bounds; false also where there is no verdict", None),
+        ("covered", "output", "whether the bounds were tested here: domain, horizon, parameters as identified", None),
+        ("stop_certified", "output", "whether the stop bounds are proven", None),
+        ("restart", "parameter", "predict anew from the measured state when the horizon is over", False),
+    )
+    out = []
+    for name, causality, what, start in integers:
+        lo, hi = (0.0, 2.0) if name == "stop" else (None, None)
+        out.append(Variable(name, name.upper(), "Integer", causality, "", what, start, "discrete", lo=lo, hi=hi))
+    for name, causality, what, flag in booleans:
+        variability: Variability = "fixed" if causality == "parameter" else "discrete"
+        out.append(Variable(name, name.upper(), "Boolean", causality, "", what, flag, variability))
+    return out
 
 
 def variables(model: Model) -> Variables:
     """The variables of a model's FMU."""
-    J, n = model.joints, model.n
-    effects, orders = effect_parameters(model), viscous_orders(model)
-    torque = "motor torque, link side" if model.effort != "compensated_torque" else "torque after compensation (u)"
-    temp = model.domain.temp.centre if model.domain.temp is not None else np.full(n, REFERENCE_TEMPERATURE_degC)
-    offset = model.abstraction.offset if model.abstraction.offset.size else np.zeros(n)
-    R: list[Variable] = [Variable("time", "TIME", "Real", "independent", "s", "time")]
-    R += _per_joint(J, "tau", "TAU", "input", "N.m", f"{torque}, {{}}", 0.0)
-    R += _per_joint(J, "temp", "TEMP", "input", "degC", "temperature of the drive, {}", temp)
-    R += _per_joint(J, "q_measured", "Q_MEASURED", "input", "rad", "measured position, {} (used while `measured`)", 0.0)
-    R += _per_joint(J, "dq_measured", "DQ_MEASURED", "input", "rad/s", "measured velocity, {} (used while `measured`)", 0.0)
-    R += _per_joint(J, "q", "Q", "output", "rad", "position, {}")
-    R += _per_joint(J, "dq", "DQ", "output", "rad/s", "velocity, {}", derivative="q")
-    R += _per_joint(J, "ddq", "DDQ", "local", "rad/s2", "acceleration, {}", derivative="dq")
-    R += _per_joint(J, "q_lo", "Q_LO", "output", "rad", "lower bound of the measured position, {}")
-    R += _per_joint(J, "q_hi", "Q_HI", "output", "rad", "upper bound of the measured position, {}")
-    R += _per_joint(J, "dq_lo", "DQ_LO", "output", "rad/s", "lower bound of the measured velocity, {}")
-    R += _per_joint(J, "dq_hi", "DQ_HI", "output", "rad/s", "upper bound of the measured velocity, {}")
-    R += _per_joint(J, "stop_time", "STOP_TIME", "output", "s", "bound of the time to standstill, {}; NaN: not provable")
-    R += _per_joint(J, "stop_angle", "STOP_ANGLE", "output", "rad", "bound of the angle to standstill, {}; NaN: not provable")
-    R += [
-        Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", "bound of the flange's stop distance; NaN: not provable"),
-        Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
-    ]  # fmt: skip
-    if effect_laws(model).direction:
-        R += _per_joint(J, "friction_margin", "INDICATOR", "local", "", "positive while the direction of friction holds, {}")
-    fixed = {"variability": "fixed"}
-    R += _per_joint(J, "q_start", "Q_START", "parameter", "rad", "position at the start, {}", 0.0, **fixed)
-    R += _per_joint(J, "dq_start", "DQ_START", "parameter", "rad/s", "velocity at the start, {}", 0.0, **fixed)
-    com = dict(zip("xyz", model.robot.tip, strict=True))
-    R.append(Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0))
-    R += [
-        Variable(f"payload_com_{a}", "PAYLOAD_COM", "Real", "parameter", "m", f"{a} of the load's centre of mass in the last link's frame", float(v), "fixed")
-        for a, v in com.items()
-    ]  # fmt: skip
-    R.append(
-        Variable("warm", "WARM", "Real", "parameter", "1", "place in the session, 0 cold to 1 warm", 0.0, "tunable")
-    )
-    # from here on: what changes the arm itself; the bounds hold for the identified values only
-    for k in range(orders):
-        stem, power = ("viscous", "") if k == 0 else (f"viscous_{k + 1}", f"^{k + 1}")
-        unit = "N.m.s/rad" if k == 0 else f"N.m.s{k + 1}/rad{k + 1}"
-        R += _per_joint(
-            J, stem, "VISCOUS", "parameter", unit, f"friction per dq{power}, {{}}", model.abstraction.viscous[:, k], **fixed
-        )
-    if model.abstraction.decoupled:
-        R += _per_joint(
-            J, "inertia", "INERTIA", "parameter", "kg.m2", "inertia with rotor, {}", 1.0 / np.diag(model.abstraction.Minv), **fixed
-        )  # fmt: skip
-    R += _per_joint(J, "offset", "OFFSET", "parameter", "N.m", "constant torque taken off the input, {}", offset, **fixed)
-    R += [Variable(p.name, "EFFECT", "Real", "parameter", p.unit, p.means, p.value, "fixed") for p in effects]
-    discrete = {"variability": "discrete"}
-    integers = [
-        Variable("stop", "STOP", "Integer", "input", "", "stop request: 0 none, 1 STOP 0, 2 STOP 1", 0, "discrete", lo=0, hi=2),
-        Variable("verdict", "VERDICT", "Integer", "output", "", "0 no verdict, 1 conformant, 2 violated (stays until reset)", **discrete),
-        Variable("violated_joint", "VIOLATED_JOINT", "Integer", "output", "", "number of the joint that violated first, 0 none", **discrete),
-    ]  # fmt: skip
-    booleans = [
-        Variable("measured", "MEASURED", "Boolean", "input", "", "whether q_measured and dq_measured are connected", False, "discrete"),
-        Variable("conformant", "CONFORMANT", "Boolean", "output", "", "measured inputs inside the bounds; false also where there is no verdict", **discrete),
-        Variable("covered", "COVERED", "Boolean", "output", "", "whether the bounds were tested: domain, horizon and parameters as identified", **discrete),
-        Variable("stop_certified", "STOP_CERTIFIED", "Boolean", "output", "", "whether the stop bounds are proven", **discrete),
-        Variable("restart", "RESTART", "Boolean", "parameter", "", "start a new prediction from the measured state when the horizon is over", False, "fixed"),
-    ]  # fmt: skip
-    return Variables((*R, *integers, *booleans), effects, orders)
+    effects = effect_parameters(model)
+    real = [Variable("time", "TIME", "Real", "independent", "s", "time")]
+    real += [*_inputs(model), *_outputs(model), *_conditions(model), *_physics(model, effects)]
+    return Variables((*real, *_switches()), effects, viscous_orders(model))

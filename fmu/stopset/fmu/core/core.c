@@ -23,12 +23,12 @@ static const char *inertia(StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     memcpy(s->Minv, m->Minv, sizeof s->Minv);
     double mass = s->r[VR_PAYLOAD_MASS];
-    if (!(mass >= 0.0) || !isfinite(mass)) return "payload_mass is not a mass; set a finite number >= 0 [kg]";
+    if (!(mass >= 0.0) || !stopset_finite(mass)) return "payload_mass is not a mass; set a finite number >= 0 [kg]";
     int changed = mass != 0.0;
 #if N_INERTIA
     for (int i = 0; i < NJ; i++) {
         double J = s->r[VR_INERTIA + i];
-        if (!(J > 0.0) || !isfinite(J)) return "an inertia parameter is not positive; set a finite number > 0 [kg m^2]";
+        if (!(J > 0.0) || !stopset_finite(J)) return "an inertia parameter is not positive; set a finite number > 0 [kg m^2]";
         if (J != m->start_real[VR_INERTIA + i]) s->Minv[i][i] = 1.0 / J;
     }
 #endif
@@ -48,7 +48,7 @@ const char *stopset_setup(StopsetState *s, double t0) {
     const StopsetModel *m = &stopset_model;
     for (int v = 0; v < N_REAL; v++) {
         int kind = m->kind[v];
-        if ((kind == KIND_FIXED || kind == KIND_TUNABLE) && !isfinite(s->r[v]))
+        if ((kind == KIND_FIXED || kind == KIND_TUNABLE) && !stopset_finite(s->r[v]))
             return "a parameter is not a finite number; set all parameters to numbers";
     }
     const char *wrong = inertia(s);
@@ -89,7 +89,7 @@ int stopset_restart(StopsetState *s, double ahead) {
     double left = s->tube_start + stopset_model.horizon - s->r[VR_TIME];
     if (!s->b[IX_RESTART] || !s->b[IX_MEASURED] || s->violated || left >= ahead + 1e-9 * stopset_model.dt) return 0;
     for (int i = 0; i < NJ; i++) {
-        if (!isfinite(s->r[VR_Q_MEASURED + i]) || !isfinite(s->r[VR_DQ_MEASURED + i])) return 0;
+        if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return 0;
     }
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q + i] = s->r[VR_Q_MEASURED + i];
@@ -104,7 +104,7 @@ int stopset_restart(StopsetState *s, double ahead) {
 
 const char *stopset_step(StopsetState *s, double h) {
     for (int i = 0; i < NJ; i++)
-        if (!isfinite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
+        if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
     stopset_check(s);
     stopset_restart(s, h);
     s->outputs_ready = 0;
@@ -188,7 +188,7 @@ void stopset_outputs(StopsetState *s) {
 void stopset_check(StopsetState *s) {
     if (s->violated) return; /* latched until reset: one sample outside is a refutation */
     int seen = s->b[IX_MEASURED] && covered(s);
-    for (int i = 0; i < NJ; i++) seen = seen && isfinite(s->r[VR_Q_MEASURED + i]) && isfinite(s->r[VR_DQ_MEASURED + i]);
+    for (int i = 0; i < NJ; i++) seen = seen && stopset_finite(s->r[VR_Q_MEASURED + i]) && stopset_finite(s->r[VR_DQ_MEASURED + i]);
     s->i[IX_VERDICT] = seen ? VERDICT_CONFORMANT : VERDICT_NONE;
     s->outputs_ready = 0;
     if (!seen) return;

@@ -63,7 +63,7 @@ static Level refresh(Instance *c) {
 
 Level stopset_enter_initialization(Instance *c, double t0) {
     if (stopset_expect(c, "enterInitializationMode", IN(PHASE_CREATED))) return LEVEL_ERROR;
-    if (!isfinite(t0)) return stopset_fail(c, "enterInitializationMode", "the start time is not a finite number; give one [s]");
+    if (!stopset_finite(t0)) return stopset_fail(c, "enterInitializationMode", "the start time is not a finite number; give one [s]");
     c->now.t0 = t0;
     c->now.stale = 1;
     c->now.phase = PHASE_INITIALIZATION;
@@ -168,7 +168,7 @@ Level stopset_do_step(Instance *c, double t, double h) {
     StopsetState *s = &c->now.s;
     char what[160];
     if (stopset_expect(c, "doStep", IN(PHASE_STEP))) return LEVEL_ERROR;
-    if (!(h > 0.0) || !isfinite(h)) return stopset_fail(c, "doStep", "the step size is not positive; expected a finite number > 0 [s]");
+    if (!(h > 0.0) || !stopset_finite(h)) return stopset_fail(c, "doStep", "the step size is not positive; expected a finite number > 0 [s]");
     /* masters add up their step sizes: rounding of some 1e6 steps is no reason to refuse */
     if (!(fabs(t - s->r[VR_TIME]) <= 1e-9 * (1.0 + fabs(t)) + 1e-6 * h)) {
         snprintf(what, sizeof what, "the communication point %.9g s is not where the FMU stands, %.9g s; continue there or set a state",
@@ -220,7 +220,7 @@ Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, 
 }
 
 Level stopset_set_time(Instance *c, double t) {
-    if (!isfinite(t)) return stopset_fail(c, "setTime", "the time is not a finite number; give one [s]");
+    if (!stopset_finite(t)) return stopset_fail(c, "setTime", "the time is not a finite number; give one [s]");
     c->now.s.r[VR_TIME] = t;
     c->now.s.outputs_ready = 0;
     return LEVEL_OK;

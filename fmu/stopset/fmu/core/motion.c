@@ -228,7 +228,7 @@ const char *stopset_integrate(StopsetState *s, double h) {
     while (left > 0.0) {
         double now = step < left ? step : left;
         double error = dormand_prince(s, y, mode, now, next);
-        if (!isfinite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
+        if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
         double factor = error > 0.0 ? 0.9 * pow(error, -0.2) : 4.0;
         if (error > 1.0 && now > 1e-12) {
             step = now * fmax(factor, 0.1);

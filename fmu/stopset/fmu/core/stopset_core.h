@@ -12,6 +12,9 @@
 
 enum { NX = 2 * NJ };
 
+/* Needs nothing of the C library, unlike isfinite on some platforms. */
+static inline int stopset_finite(double x) { return x - x == 0.0; }
+
 /* What may be done with a variable. */
 enum { KIND_TIME, KIND_INPUT, KIND_OUTPUT, KIND_FIXED, KIND_TUNABLE, KIND_LOCAL };
 
