@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stopset.errors import RobotError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
@@ -33,6 +34,7 @@ COOLING = 1.0 / 900.0  # [1/s] of a joint's housing
 WORK_BETWEEN = 1800.0  # [s] of work between the recordings, in all
 STATIC_WORK = 0.1  # of it before a static pose, compared with other recordings
 RUN_UP_TICKS = 25
+RAN_AWAY = 12.0  # [rad]
 RAMP = 0.35  # [s] of a nominal STOP 1
 HOLD = 0.2  # [s] after it: the brakes close after 0.06 s, power goes off 0.07 s later, the recording ends
 BRAKES_AFTER, CUT_AFTER = 0.06, 0.13
@@ -84,7 +86,9 @@ def build_cell(cad: Robot, truth: Truth, seed: int) -> Cell:
     poses = rng.uniform(space.box[:, 0], space.box[:, 1], (30, cad.n))
     inertia = np.mean([np.diag(mass_matrix(cad.chain, cad.pi, q)) for q in poses], axis=0) + cad.rotor
     warmth = RISE * np.random.default_rng([seed, 0]).uniform(0.8, 1.2, cad.n)
-    return Cell(cad, truth, seed, space, inertia * BANDWIDTH**2, 2 * DAMPING * BANDWIDTH * inertia, warmth)
+    # light joints: stiff enough that dry friction alone is no more than 0.05 rad of error
+    kp = np.maximum(inertia * BANDWIDTH**2, truth.plant.fc / 0.05)
+    return Cell(cad, truth, seed, space, kp, 2 * DAMPING * BANDWIDTH * inertia, warmth)
 
 
 def temperatures(cell: Cell, progress: float) -> Array:
@@ -163,6 +167,11 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
     half = 0.5 * cell.space.speed
     heating = COOLING * cell.warmth / (half * (plant.fc + plant.fv * half))
     q, dq, tau, warm, link, speed = run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK)
+    if not np.abs(link).max() < RAN_AWAY:
+        raise RobotError(
+            f"the simulated arm ran away in {job.phase} suite {job.suite} (beyond {RAN_AWAY} rad); expected joints that their "
+            "drives can hold: check inertias and torque limits of the robot"
+        )
     if job.trial >= 0:
         tau = reported(cell, tau, link, speed) + rng.normal(0, 1, (K, n)) * cell.torque_noise
     dq, tau = np.round(dq / SPEED_STEP) * SPEED_STEP, np.round(tau / TORQUE_STEP) * TORQUE_STEP

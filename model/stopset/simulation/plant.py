@@ -70,12 +70,10 @@ class Plant(NamedTuple):
 def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
     """An arm that is what its CAD says, with friction and brakes drawn at random around what such drives have.
 
-    Where the data sheet is silent: torque limit three times the largest gravity torque, rotor inertia half the joint's
-    own inertia, brake 1.5 times the largest gravity torque.
+    Where the data sheet is silent: see `torque_limit` and `rotor_inertia`; brake 1.5 times the largest gravity torque.
     """
     n = robot.n
-    limit = np.where(np.isfinite(robot.torque_limit) & (robot.torque_limit > 0), robot.torque_limit, 0.0)
-    limit = np.where(limit > 0, limit, np.maximum(3.0 * largest_gravity(robot), 5.0))
+    limit = torque_limit(robot)
     # harmonic drives from 20 to 400 N m: Coulomb friction grows with the root of the torque they are built for
     fc = 0.75 * np.sqrt(limit) * rng.uniform(0.8, 1.2, n)
     top = np.minimum(np.where(robot.dq_limit > 0, robot.dq_limit, 1.2), 3.0)
@@ -110,10 +108,19 @@ def largest_gravity(robot: Robot) -> Array:
 
 
 def rotor_inertia(robot: Robot) -> Array:
-    """(n,) reflected rotor inertia [kg m^2]; half of the joint's mean own inertia where the data sheet is silent."""
+    """(n,) reflected rotor inertia [kg m^2]; where the data sheet is silent, half of the joint's mean own inertia.
+
+    At least what lets the drive reach 200 rad/s^2 under its torque limit: geared drives are not quicker than that.
+    """
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, robot.n))
     own = np.mean([np.diag(mass_matrix(robot.chain, robot.pi, q)) for q in poses], axis=0)
-    return np.where(robot.rotor > 0, robot.rotor, 0.5 * own)
+    return np.where(robot.rotor > 0, robot.rotor, np.maximum(0.5 * own, torque_limit(robot) / 200.0))
+
+
+def torque_limit(robot: Robot) -> Array:
+    """(n,) [N m]; three times the largest gravity torque, at least 5, where neither data sheet nor URDF tells."""
+    given = np.where(np.isfinite(robot.torque_limit), robot.torque_limit, 0.0)
+    return np.where(given > 0, given, np.maximum(3.0 * largest_gravity(robot), 5.0))
 
 
 # The compiled loops see the joint arrays as columns of one table: a named tuple of forty arrays costs them ten times
