@@ -23,13 +23,17 @@ REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that bas
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A parameter the torque is linear in. ``lo``, ``hi``: the admissible range, in ``unit``."""
+    """A parameter the torque is linear in. ``lo``, ``hi``: the admissible range, in ``unit``.
+
+    ``typical``: its usual size where that is known beforehand; else the diagnosis expects a third of the joint's friction.
+    """
 
     symbol: str
     unit: str
     means: str
     lo: float = float("-inf")
     hi: float = float("inf")
+    typical: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ EFFECT = Effect(
     says="The base is tilted against the robot description, so gravity acts from another direction.",
     look_at="gravity load, joint 1 over q of joint 1",
     terms=(
-        Term("roll", "rad", "tilt about the base's x axis", -0.6, 0.6),
-        Term("pitch", "rad", "tilt about the base's y axis", -0.6, 0.6),
+        Term("roll", "rad", "tilt about the base's x axis", -0.6, 0.6, 0.02),
+        Term("pitch", "rad", "tilt about the base's y axis", -0.6, 0.6, 0.02),
     ),
     law=law,
     needs=("tilt",),

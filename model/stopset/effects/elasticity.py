@@ -28,7 +28,7 @@ EFFECT = Effect(
     name="elasticity",
     says="The gear between motor and link is flexible: the link swings behind the motor.",
     look_at="acceleration of the link torque",
-    terms=(Term("share", "1", "1 if the link swings as the stiffness says", 0.4, 2.5),),
+    terms=(Term("share", "1", "1 if the link swings as the stiffness says", 0.4, 2.5, 1.0),),
     shapes=(
         Shape("K", "N m/rad", "stiffness", 20.0, 1e6, (100.0, 300.0, 1e3, 3e3, 1e4)),
         Shape("D", "N m s/rad", "damping", 1e-3, 1e3, (1.0, 3.0)),

@@ -29,8 +29,8 @@ def arm_signals(
 ) -> tuple[Signals, ...]:
     """Signals of every joint for samples in time order; ``q, dq, ddq`` (N, n) [rad, rad/s, rad/s^2].
 
-    ``temp`` (N, n) [degC]; ``warm``: place in the session, 0 to 1; ``t`` (N,) [s], needed for ``dtau``; ``needs``: which
-    of the rigid-body signals to compute (all, if empty), for speed.
+    ``temp`` (N, n) [degC]; ``warm``: place in the session, 0 to 1; ``t`` (N,) [s], needed for ``dtau``; ``needs``:
+    which of the rigid-body signals to compute (all, if empty), for speed.
     """
     chain, pi, n = robot.chain, robot.pi, robot.n
     want = set(needs) or {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}

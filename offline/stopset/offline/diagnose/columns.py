@@ -171,7 +171,7 @@ def columns(
     """Columns of an effect by the joint whose row they stand in: moving rows (N, k) and poses (P, k)."""
     d = source.data
     if effect.name == "elasticity":
-        return _swing(source, joints[0], shapes["K"], shapes["D"])
+        return _swing(source, joints[0], shapes["K"], shapes["D"], "exact" in shapes)
     if effect.name == "encoder_offset":
         j = joints[0]
         return {i: (source.stiff(j, False)[:, i, None], source.stiff(j, True)[:, i, None]) for i in range(d.n)}
@@ -269,14 +269,16 @@ def _shifted(x: Array, rows: float) -> Array:
     return out
 
 
-def _swing(source: Source, joint: int, K: float, D: float) -> dict[int, tuple[Array, Array]]:
+def _swing(source: Source, joint: int, K: float, D: float, exact: bool) -> dict[int, tuple[Array, Array]]:
     """A link that swings behind its motor: row ``i`` sees ``M_ij x'' + dg_i/dq_j x``.
 
     The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.
+    The link torque is calmed unless ``exact``, see `_calm`.
     """
     d, M, g, first = source.data, source.mass, source.stiff(joint, False), source.first
+    link = source.link[:, joint] if exact else _calm(source.link[:, joint], first)
     x, ddx = _link_filter(
-        _calm(source.link[:, joint], first), M[:, joint, joint], g[:, joint], first, K, D, d.step * d.kernel.dt, SUBSTEPS
+        link, M[:, joint, joint], g[:, joint], first, K, D, d.step * d.kernel.dt, SUBSTEPS
     )
     g_still = source.stiff(joint, True)
     x_still = -source.load_still[:, joint] / (K + g_still[:, joint])

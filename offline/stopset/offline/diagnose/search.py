@@ -15,10 +15,12 @@ from stopset.offline.diagnose.noise import whiten
 from stopset.offline.diagnose.prepare import Array
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/effects/README.md for its calibration on healthy campaigns
-SHORTEST_LAG = 0.002  # [s] what stamps may differ by without anything being wrong
+SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
+FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
+SPECIAL = ("torque_ripple", "residual_gravity")  # searched by its spectrum; meant for models without rigid body
 MAX_CLAIMS = 8
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
-RIPPLES = np.arange(3.0, 161.0, 0.5)  # [cycles per turn]
+RIPPLES = np.arange(6.0, 161.0, 0.5)  # [cycles per turn]
 LAGS = (-0.04, -0.015, 0.006, 0.015, 0.04, 0.08)  # [s] start values of a delay
 
 
@@ -31,6 +33,10 @@ class Claim:
     rivals: tuple[Scored, ...]
     excess_before: tuple[float, ...]  # residual variance over sensor noise per joint, before the claim
     excess_after: tuple[float, ...]
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return self.scored.candidate.joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +57,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     n, d = engine.data.n, engine.data
     out: list[Wanted] = []
     for effect in catalogue().values():
-        if effect.base or (names is not None and effect.name not in names) or effect.name == "torque_ripple":
+        if effect.base or (names is not None and effect.name not in names) or effect.name in SPECIAL:
             continue
         if ("temp" in effect.needs and d.temp is None) or ("warm" in effect.needs and d.temp is not None):
             continue
@@ -93,8 +99,8 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         left = engine.scores(pool, hyper)
         taken = {c.scored.candidate.key for c in claims}
         best = _refined(engine, [s for s in left if s.candidate.key not in taken], hyper)
-        if not best or best[0].score < threshold:
-            left = [*best, *left]
+        best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
+        if not best:
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
@@ -108,6 +114,13 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         hyper, p = engine.fit(hyper)
         excess = _excess(engine, p.theta, hyper)
     return Found(tuple(kept), tuple(left), hyper, excess)
+
+
+def _form_error(scored: Scored, claims: Sequence[Claim]) -> float:
+    """Evidence on the same rows that an earlier claim's imperfect law may have left over."""
+    mine = set(scored.candidate.joints)
+    touching = [c.score for c in claims if not mine or not c.joints or mine & set(c.joints)]
+    return FORM_ERROR * max(touching, default=0.0)
 
 
 def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Scored, Candidate, Hyper, Projection]:
@@ -158,17 +171,28 @@ def _refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
 
 
 def _sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
-    """A delay once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
-    if "d0" not in scored.candidate.shapes:
+    """A delay or an elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+    effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
+    if effect.enters != "input_delay" and effect.name != "elasticity":
         return scored
-    best: Scored | None = None
-    start = scored.candidate.shapes["d0"]
-    for factor in np.geomspace(0.6, 1.8, 13):
-        shapes = {"d0": start * float(factor), "exact": 1.0}
-        s = engine.score_new(scored.candidate.effect, scored.candidate.joints, shapes, hyper, quick=True)
-        if s is not None and (best is None or s.score > best.score):
-            best = s
-    return scored if best is None else replace(best, score=scored.score)
+
+    def value(shapes: Mapping[str, float]) -> Scored | None:
+        return engine.score_new(effect, joints, shapes, hyper, quick=True)
+
+    best = value({**start, "exact": 1.0})
+    if best is None:
+        return scored
+    steps = dict.fromkeys(start, 0.4)
+    while max(steps.values()) > 0.02:
+        for symbol in start:
+            here = best.candidate.shapes
+            trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
+            better = [t for t in trials if t is not None and t.score > best.score]
+            if better:
+                best = max(better, key=lambda t: t.score)
+            else:
+                steps[symbol] *= 0.4
+    return replace(best, score=scored.score)
 
 
 def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
