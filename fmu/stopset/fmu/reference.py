@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from stopset.artifact import Model
+from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.files import write_text
+from stopset.fmu.variables import start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
 
 Array = NDArray[np.float64]
@@ -57,17 +59,30 @@ def stepper(model: Model) -> Callable[[Array, Array], Array]:
 
 
 def reference(model: Model) -> Reference:
-    """The reference run of a model: seeded torques of a tenth of its domain, ten seconds or the horizon, from rest."""
+    """The reference run of a model: ten seconds or the horizon, from rest at the FMU's own start, seeded torques.
+
+    A tenth of the domain's torque, halved until the motion stays within the domain.
+    """
+    share = 0.1
+    for _ in range(8):
+        out = _run(model, share)
+        if np.all(model.domain.covers(out.x[:, : model.n], out.x[:, model.n :])):
+            break
+        share *= 0.5
+    return out
+
+
+def _run(model: Model, share: float) -> Reference:
     s, d, n = model.powered, model.domain, model.n
     rows = round(min(DURATION, s.horizon) / s.dt) + 1
     rng = np.random.default_rng(SEED)
-    changes = rng.uniform(-0.1, 0.1, (rows // HOLD + 1, n)) * np.minimum(np.abs(d.u.lo), np.abs(d.u.hi))
+    changes = rng.uniform(-share, share, (rows // HOLD + 1, n)) * np.minimum(np.abs(d.u.lo), np.abs(d.u.hi))
     wanted = np.repeat(changes, HOLD, axis=0)[:rows]
     t = s.dt * np.arange(rows, dtype=np.float64)
-    temp = np.tile(d.temp.centre if d.temp is not None else np.full(n, 30.0), (rows, 1))
+    temp = np.tile(d.temp.centre if d.temp is not None else np.full(n, REFERENCE_TEMPERATURE), (rows, 1))
     step = stepper(model)
     x, lo, hi, tau = (np.empty((rows, w)) for w in (2 * n, 2 * n, 2 * n, n))
-    x[0] = np.concatenate([np.clip(np.zeros(n), d.q.lo, d.q.hi), np.zeros(n)])
+    x[0] = np.concatenate([start_posture(model), np.zeros(n)])
     lo[0], hi[0] = x[0] + s.X0.lo, x[0] + s.X0.hi
     for k in range(rows):
         now = slice(k, k + 1)

@@ -132,6 +132,13 @@ def _outputs(m: Model) -> list[Variable]:
     return out
 
 
+def start_posture(model: Model) -> NDArray[np.float64]:
+    """Where the FMU starts unless told otherwise (n,) [rad]: zero where the domain holds it well inside, else its middle."""
+    q = model.domain.q
+    inside = np.abs(q.centre) <= 0.8 * q.radius
+    return np.where(inside, 0.0, q.centre)
+
+
 def _conditions(m: Model) -> list[Variable]:
     """Parameters that say where the arm starts and what it carries."""
     what = "{} of the load's centre of mass in the last link's frame"
@@ -141,7 +148,7 @@ def _conditions(m: Model) -> list[Variable]:
     ]
     session = "place in the session, 0 cold to 1 warm"
     return [
-        *_joints(m, "q_start", "parameter", "rad", "position at the start, {}", 0.0, "fixed"),
+        *_joints(m, "q_start", "parameter", "rad", "position at the start, {}", start_posture(m), "fixed"),
         *_joints(m, "dq_start", "parameter", "rad/s", "velocity at the start, {}", 0.0, "fixed"),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0),
         *com,

@@ -1,0 +1,298 @@
+"""The FMU says what the Python model says, in FMI 2 and 3, and refuses what it cannot say."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmu_models import arm_model
+from stopset.artifact import Model
+from stopset.effects import Fitted
+from stopset.fmu import archive, export
+from stopset.fmu.build import native
+from stopset.fmu.reference import reference, write_reference
+from stopset.reach.flowpipe import deviation_tube, expm, predict
+from stopset.robot.rigid import mass_matrix
+
+fmpy = pytest.importorskip("fmpy")
+pytest.importorskip("ziglang")
+HERE = native()
+pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
+
+Array = NDArray[np.float64]
+AGREE = 1e-9  # [rad, rad/s]: what the interface promises between FMU and Python model
+DT = 0.01
+
+
+def friction(effect: str, joint: str | None, /, **values: float) -> Fitted:
+    return Fitted(effect, joint, values, {})
+
+
+EFFECTS = (
+    friction("coulomb", "axis_1", F_c=3.0),
+    friction("load_coulomb", "axis_2", k_lift=0.1, k_lower=0.05),
+    friction("stribeck", "axis_3", F_s=1.5, v_s=0.06),
+    friction("thermal_viscous", "axis_1", k_T=-0.05, b=0.025),
+    friction("asymmetric_coulomb", "axis_2", F_o=0.4),
+    friction("spring", "axis_3", k=0.8, c=0.1),
+    friction("encoder_offset", "axis_2", e=0.01),
+    friction("base_tilt", None, roll=0.01, pitch=-0.02),
+)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Exports for this platform, each model and version once."""
+    folder = tmp_path_factory.mktemp("fmu")
+    done: dict[str, Path] = {}
+
+    def of(model: Model, name: str, fmi: int = 3) -> Path:
+        key = f"{name}{fmi}"
+        if key not in done:
+            done[key] = export(model, folder / f"{key}.fmu", fmi, [str(HERE)])
+        return done[key]
+
+    return of
+
+
+def held(n: int, rows: int, seed: int = 0, size: float = 6.0) -> Array:
+    """Torques (rows, n) [N m] that change every ten rows."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(-size, size, (rows // 10 + 1, n)), 10, axis=0)[:rows]
+
+
+def simulate(
+    model: Model, fmu: Path, t: Array, inputs: Mapping[str, Array], outputs: list[str], start: Mapping[str, Any] | None = None,
+    kind: str = "CoSimulation", **options: Any,
+) -> dict[str, Array]:  # fmt: skip
+    """Run an FMU with inputs held from each row of ``t`` on; columns by name."""
+    types = [("time", float)] + [(k, np.bool_ if k == "measured" else float) for k in inputs]
+    signals = np.zeros(len(t), dtype=types)
+    signals["time"] = t
+    for k, v in inputs.items():
+        signals[k] = v
+    if kind == "CoSimulation":
+        options = {"step_size": float(t[1] - t[0]), "output_interval": float(t[1] - t[0])} | options
+    with contextlib.redirect_stdout(io.StringIO()):  # fmpy names every input that is left at its start value
+        result = fmpy.simulate_fmu(
+            str(fmu), stop_time=float(t[-1]), input=signals, start_values=dict(start or {}), output=outputs,
+            fmi_type=kind, **options,
+        )  # fmt: skip
+    return {name: np.asarray(result[name], float) for name in ("time", *outputs)}
+
+
+def columns(result: Mapping[str, Array], model: Model, *stems: str) -> Array:
+    return np.column_stack([result[f"{s}_{j}"] for s in stems for j in model.joints])
+
+
+def joint_inputs(model: Model, stem: str, values: Array) -> dict[str, Array]:
+    return {f"{stem}_{j}": values[:, k] for k, j in enumerate(model.joints)}
+
+
+def names(model: Model, *stems: str) -> list[str]:
+    return [f"{s}_{j}" for s in stems for j in model.joints]
+
+
+STATE = ("q", "dq")
+BOUNDS = ("q_lo", "dq_lo", "q_hi", "dq_hi")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fmpy_finds_nothing_wrong(exported: Any, fmi: int) -> None:
+    from fmpy.validation import validate_fmu
+
+    for name, model in (("arm", arm_model()), ("effects", arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True))):
+        assert validate_fmu(str(exported(model, name, fmi))) == []
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("coupled", [False, True])
+def test_ten_seconds_of_changing_torque_equal_the_python_model(exported: Any, fmi: int, coupled: bool) -> None:
+    model = arm_model(coupled=coupled, offset=coupled)
+    fmu = exported(model, f"arm{'_coupled' if coupled else ''}", fmi)
+    n, t = model.n, DT * np.arange(1001)
+    tau, rng = held(n, 1001), np.random.default_rng(5)
+    x0 = np.concatenate([rng.uniform(-0.5, 0.5, n), rng.uniform(-0.2, 0.2, n)])
+    start = dict(zip(names(model, "q_start", "dq_start"), x0.tolist(), strict=True))
+    out = simulate(model, fmu, t, joint_inputs(model, "tau", tau), [*names(model, *STATE, *BOUNDS), "covered"], start)
+    x = predict(model.abstraction, DT, x0, tau - model.input.offset)
+    tube = deviation_tube(model.abstraction, model.powered)
+    assert np.abs(columns(out, model, *STATE) - x).max() < AGREE
+    assert np.abs(columns(out, model, "q_lo", "dq_lo") - (x + tube.lo)).max() < AGREE
+    assert np.abs(columns(out, model, "q_hi", "dq_hi") - (x + tube.hi)).max() < AGREE
+    assert np.all(out["covered"] == 1)
+
+
+@pytest.mark.parametrize("h", [0.0137, 0.004, 0.25])
+def test_any_communication_step_is_exact(exported: Any, h: float) -> None:
+    model = arm_model(coupled=True, offset=True)
+    fmu, n = exported(model, "arm_coupled", 3), model.n
+    t = h * np.arange(round(4 / h) + 1)
+    tau = held(n, len(t), seed=2)
+    out = simulate(model, fmu, t, joint_inputs(model, "tau", tau), names(model, *STATE))
+    A, B = model.abstraction.A, model.abstraction.B
+    step = expm(np.block([[A, B], [np.zeros((n, 3 * n))]]) * h)
+    x = np.zeros((len(t), 2 * n))
+    for k in range(len(t) - 1):
+        x[k + 1] = step[: 2 * n] @ np.concatenate([x[k], tau[k] - model.input.offset])
+    assert np.abs(columns(out, model, *STATE) - x).max() < AGREE
+
+
+def test_bounds_between_grid_ages_are_those_of_a_finer_grid(exported: Any) -> None:
+    model = arm_model()
+    out = simulate(model, exported(model, "arm", 3), DT / 4 * np.arange(401), {}, names(model, *STATE, *BOUNDS))
+    fine = deviation_tube(model.abstraction, replace(model.powered, dt=DT / 4, horizon=1.0))
+    assert np.abs(columns(out, model, "q_lo", "dq_lo") - columns(out, model, *STATE) - fine.lo).max() < AGREE
+    assert np.abs(columns(out, model, "q_hi", "dq_hi") - columns(out, model, *STATE) - fine.hi).max() < AGREE
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_model_exchange_follows_co_simulation(exported: Any, fmi: int) -> None:
+    model = arm_model()
+    t = DT * np.arange(101)
+    tau = held(model.n, 101)
+    fmu = exported(model, "arm", fmi)
+    cs = columns(simulate(model, fmu, t, joint_inputs(model, "tau", tau), names(model, *STATE)), model, *STATE)
+    # a row twice at each time makes a jump of the input, where the importer interpolates
+    twice, torque = np.repeat(t, 2)[1:], np.repeat(tau, 2, axis=0)[:-1]
+    tolerance = 1e-9
+    me = simulate(
+        model, fmu, twice, joint_inputs(model, "tau", torque), names(model, *STATE), kind="ModelExchange",
+        output_interval=DT, relative_tolerance=tolerance,
+    )  # fmt: skip
+    rows = [np.flatnonzero(np.abs(me["time"] - x) < 1e-9)[-1] for x in t]
+    # the importer's solver bounds the local error; 100 intervals of some steps each add up
+    assert np.abs(columns(me, model, *STATE)[rows] - cs).max() < 1e3 * tolerance
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("effects", arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True)),
+        ("cubic", arm_model(3, cubic=0.2)),
+        ("arm_coupled", arm_model(coupled=True, offset=True)),
+    ],
+)
+def test_reference_results_hold(exported: Any, tmp_path: Path, name: str, model: Model) -> None:
+    """The files beside the FMU are what anyone's importer gets: read back from disk, measured inputs connected."""
+    fmu = exported(model, name, 3)
+    in_csv, ref_csv, _ = write_reference(model, tmp_path / "F.fmu")
+    given, wanted = (np.genfromtxt(p, delimiter=",", names=True, deletechars="") for p in (in_csv, ref_csv))
+    stems = ("tau", "temp", "q_measured", "dq_measured")
+    inputs = {k: given[k] for k in names(model, *stems)} | {"measured": given["measured"] == 1}
+    out = simulate(model, fmu, given["time"], inputs, [*names(model, *STATE, *BOUNDS), "verdict", "covered"])
+    for k in names(model, *STATE, *BOUNDS):
+        assert np.abs(out[k] - wanted[k]).max() < AGREE, k
+    assert np.all(out["covered"] == 1)
+    assert np.all(out["verdict"] == 1)  # the model's own motion does not refute it
+
+
+def test_sticking_and_sliding_do_not_depend_on_the_communication_step(exported: Any) -> None:
+    model = arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True)
+    fmu = exported(model, "effects", 3)
+    tau = held(3, 301, seed=1) + np.array([0.0, -8.0, 0.0])
+    runs = []
+    for split in (1, 10):
+        t = DT / split * np.arange(300 * split + 1)
+        torque = np.repeat(tau, split, axis=0)[: len(t)]
+        out = simulate(model, fmu, t, joint_inputs(model, "tau", torque), names(model, *STATE))
+        runs.append(columns(out, model, *STATE)[::split])
+    assert np.any(runs[0][5:, 3:] == 0.0)  # some joint rests for a while, exactly
+    assert np.abs(runs[0] - runs[1]).max() < AGREE
+
+
+def test_a_sliding_joint_stops_where_the_closed_form_says(exported: Any) -> None:
+    """One joint about the vertical: J ddq = -v dq - F until it rests, at (J/v) ln(1 + v dq0/F)."""
+    model = arm_model(1, effort="motor_torque", effects=[friction("coulomb", "axis_1", F_c=3.0)])
+    model = replace(model, robot=replace(model.robot, chain=model.robot.chain._replace(gravity=np.zeros(3))))
+    J, v, F, dq0 = 1.0 / model.abstraction.Minv[0, 0], model.abstraction.viscous[0, 0], 3.0, 0.8
+    t = 0.05 * np.arange(21)
+    out = simulate(model, exported(model, "one", 3), t, {}, names(model, *STATE), {"dq_start_axis_1": dq0})
+    rest = J / v * np.log(1 + v * dq0 / F)
+    dq = np.where(t < rest, (dq0 + F / v) * np.exp(-v / J * t) - F / v, 0.0)
+    assert np.abs(out["dq_axis_1"] - dq).max() < AGREE
+    assert abs(out["q_axis_1"][-1] - (J / v * dq0 - F / v * rest)) < AGREE
+
+
+def measured_run(model: Model, fmu: Path, shift: Array, **start: Any) -> dict[str, Array]:
+    """Rest, with a measured position that differs by ``shift`` (rows, n)."""
+    t = DT * np.arange(len(shift))
+    q, dq = joint_inputs(model, "q_measured", shift), joint_inputs(model, "dq_measured", 0 * shift)
+    flags = {"measured": np.ones(len(t), bool)}
+    watched = ["verdict", "conformant", "violated_joint", "covered", "age", *names(model, "q")]
+    return simulate(model, fmu, t, q | dq | flags, watched, start)
+
+
+def test_a_measurement_outside_names_the_joint_and_stays(exported: Any) -> None:
+    model = arm_model()
+    fmu = exported(model, "arm", 3)
+    tube = deviation_tube(model.abstraction, model.powered)
+    shift = np.zeros((60, model.n))
+    shift[:, 2] = 0.999 * tube.hi[:60, 2]
+    assert np.all(measured_run(model, fmu, shift)["verdict"] == 1)
+    shift[20, 2] = 1.001 * tube.hi[20, 2]
+    out = measured_run(model, fmu, shift)
+    # the sample of row 20 is an input of the step that ends in row 21
+    assert np.all(out["verdict"][:21] == 1)
+    assert np.all(out["verdict"][21:] == 2)
+    assert np.all(out["violated_joint"][21:] == 3)
+    assert not np.any(out["conformant"][21:])
+
+
+def test_no_verdict_where_the_model_was_not_tested(exported: Any) -> None:
+    model = arm_model()
+    fmu = exported(model, "arm", 3)
+    shift = np.zeros((30, model.n))
+    assert np.all(measured_run(model, fmu, shift, temp_axis_1=80.0)["verdict"] == 0)
+    assert np.all(measured_run(model, fmu, shift, payload_mass=3.0)["covered"] == 0)
+    assert np.all(measured_run(model, fmu, shift, inertia_axis_2=13.0)["covered"] == 0)
+    shift[10, 0] = np.nan
+    assert measured_run(model, fmu, shift)["verdict"][11] == 0
+
+
+def test_prediction_ends_at_the_horizon_or_starts_anew(exported: Any) -> None:
+    model = arm_model(coupled=True, horizon=0.5)
+    fmu = exported(model, "short", 3)
+    shift = np.full((120, model.n), 5e-4)
+    out = measured_run(model, fmu, shift)
+    assert np.array_equal(out["covered"] == 1, out["age"] <= 0.5 + 1e-12)
+    assert np.all(out["verdict"][53:] == 0)
+    again = measured_run(model, fmu, shift, restart=True)
+    assert again["age"].max() <= 0.5 + 1e-12
+    assert np.all(again["verdict"] == 1)
+    assert abs(again["q_axis_1"][-1] - 5e-4) < 1e-4  # it left zero for the measured state
+
+
+def test_a_payload_moves_the_arm_as_the_rigid_body_says(exported: Any) -> None:
+    model = arm_model(coupled=True, offset=True)
+    mass, com = 1.5, np.array([0.05, -0.1, 0.2])
+    start = {"payload_mass": mass} | {f"payload_com_{a}": x for a, x in zip("xyz", com, strict=True)}
+    tau = np.tile(np.linspace(1, 3, model.n), (2, 1))
+    out = simulate(
+        model, exported(model, "arm_coupled", 3), np.array([0.0, DT]), joint_inputs(model, "tau", tau), names(model, "ddq"), start
+    )  # fmt: skip
+    r, zero = model.robot, np.zeros(model.n)
+    loaded = r.with_payload(mass, com)
+    added = mass_matrix(r.chain, loaded.pi, zero) - mass_matrix(r.chain, r.pi, zero)
+    M = np.linalg.inv(model.abstraction.Minv) + added
+    assert np.abs(columns(out, model, "ddq")[0] - np.linalg.solve(M, tau[0] - model.input.offset)).max() < AGREE
+
+
+def test_reference_is_the_python_prediction() -> None:
+    model = arm_model(horizon=1.0)
+    r = reference(model)
+    assert np.abs(predict(model.abstraction, DT, r.x[0], r.tau) - r.x).max() < 1e-12
+    assert len(r.t) == 101
+
+
+def test_same_model_same_bytes() -> None:
+    model = arm_model()
+    assert archive(model, 3, [str(HERE)]) == archive(model, 3, [str(HERE)])
