@@ -296,6 +296,25 @@ def test_sine_and_cosine_do_not_forget_each_other() -> None:
     assert cut["ours"] < 0.2 * cut["plain"]
 
 
+@pytest.mark.parametrize(("kind", "order"), [(1, 3), (2, 10), (3, 3)])
+def test_accelerations_over_a_box(kind: int, order: int) -> None:
+    """Every sample is inside; sine and cosine as free intervals over the same box would be far wider (trap P20)."""
+    robot, rotor, viscous = arm("lwa4p")
+    model = build(kind, order, robot, rotor, viscous)
+    rng = np.random.default_rng(3)
+    q, dq, u = (Box(x - r, x + r) for x, r in zip(rng.uniform(-1, 1, (3, 6)), (0.05, 0.1, 0.5), strict=True))
+    box = model.enclosure(q, dq, u)
+    samples = model.ddq(*(rng.uniform(b.lo, b.hi, (5000, 6)) for b in (q, dq, u)))
+    assert np.all(box.lo <= samples.min(axis=0)) and np.all(samples.max(axis=0) <= box.hi)
+    if kind == 2:
+        free = np.concatenate([[-1.0] * 6, [-1.0] * 6]), np.concatenate([[1.0] * 6, [1.0] * 6])
+        naive = Box(np.concatenate([dq.lo, free[0]]), np.concatenate([dq.hi, free[1]]))
+        z = [np.concatenate(x) for x in ((dq.lo, np.sin(q.lo), np.cos(q.hi)), (dq.hi, np.sin(q.hi), np.cos(q.lo)))]
+        ours = Box(np.minimum(*z), np.maximum(*z))
+        p = model.coriolis[0]
+        assert np.diff(p.enclosure(ours))[0] < 0.2 * np.diff(p.enclosure(naive))[0]
+
+
 def test_inverse_of_a_matrix_of_forms() -> None:
     robot, rotor, _ = arm("lwa4p")
     M = dynamics(robot, rotor).expanded(np.zeros(6), 4, inverse=True).M

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.polynomial import Polynomial, Program, compiled, evaluate, jacobian
+from stopset.ring import Interval
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 __all__ = ["Abstraction", "Polynomial"]
@@ -81,6 +83,28 @@ class Abstraction:
         if self.coriolis:
             friction = friction + evaluate(self.program, np.hstack([dq, np.sin(q), np.cos(q)]))
         return (u - friction) @ self.Minv.T
+
+    def enclosure(self, q: Box, dq: Box, u: Box) -> Box:
+        """All accelerations over boxes of ``q, dq, u`` (n,): bounds (n,) [rad/s^2].
+
+        Sine and cosine are those of the interval of q, so they stay together on the unit circle's arc (trap P20).
+        """
+        angle = Interval(q.lo, q.hi)
+        s, c = angle.sin(), angle.cos()
+        z = [(dq.lo, dq.hi), (s.lo, s.hi), (c.lo, c.hi)]
+        if self.kind == 3:
+            z.append((u.lo, u.hi))
+        box = Box(np.concatenate([lo for lo, _ in z]), np.concatenate([hi for _, hi in z]))
+        if self.kind == 3:
+            bounds = [p.enclosure(box) for p in self.acceleration]
+            return Box.of([lo for lo, _ in bounds], [hi for _, hi in bounds])
+        powers = np.arange(1, self.viscous.shape[1] + 1, dtype=np.int64)[:, None]
+        drag = [Polynomial(powers, self.viscous[j]).enclosure(dq.take([j])) for j in range(self.n)]
+        drive = u + Box.of([-hi for _, hi in drag], [-lo for lo, _ in drag])
+        if self.coriolis:
+            bounds = [p.enclosure(box) for p in self.coriolis]
+            drive = drive + Box.of([-hi for _, hi in bounds], [-lo for lo, _ in bounds])
+        return drive.mapped(self.Minv)
 
     def linearised(self, q: Array, dq: Array, u: Array) -> tuple[Array, Array]:
         """``d ddq / d(q, dq)`` (N, n, 2n) and ``d ddq / du`` (N, n, n) at rows of ``q, dq, u`` (N, n)."""

@@ -59,7 +59,7 @@ def _excess(
             q, v = corner_step(q, v, w[s + h - 1], c, dt, cut)
             if not abs(v) < RUNAWAY:
                 if sign * v < 0:  # gone the wrong way: nothing is enclosed
-                    best[h, 1], at[h, 1, 0], at[h, 1, 1] = np.inf, trial, s
+                    best[h, 0] = best[h, 1] = np.inf
                     outside[i] = True
                 break
             e = sign * (x[s + h, 0] - q)
@@ -161,7 +161,12 @@ class JointProblem:
     def planes(self, z: Array, sign: float, which: Sequence[Index]) -> tuple[list[Array], list[float], float]:
         """Rows ``a . z' >= b`` from the worst ages of one side at ``z``, and by how much it is outside."""
         best, at, _ = self.excess(z, sign, which)
-        over = best - self.room(z, sign)
+        if np.isposinf(best).any():
+            raise NotConformant(
+                f"joint {self.name}: its friction curve {self.viscous.tolist()} drives the model away from the recorded motion; "
+                "expected one that brakes at all recorded speeds: identify it again or take the linear model (--order 1)"
+            )
+        over = best - np.where(np.isneginf(best), 0.0, self.room(z, sign))
         dq0, dv0, torque = self.corner(z, sign)
         rows, rhs = [], []
         for state in range(2 if self.both else 1):
@@ -312,7 +317,7 @@ def fit_cooperative(
     cost = 0.0
     for j, problem in enumerate(problems(trials, abstraction, joints, noise, dt, horizon, conform, windows)):
         z[j], factor[j] = verified(problem, search(problem))
-        cost += float(problem.cost @ z[j])
+        cost += float(problem.cost @ z[j]) + 2.0 * float(problem.noise[0])
     return packed(z, noise, cost, conform), factor
 
 

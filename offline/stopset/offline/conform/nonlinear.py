@@ -108,7 +108,7 @@ def _cost(w: Window, dt: float, states: int, n: int) -> Array:
     """Price of the unknowns by one window: mean tube width [rad], velocities counted as the way gone in a stop."""
     last = len(w.d) - 1
     importance = age_weights(last, dt)
-    weight = np.where(np.arange(states) < n, 1.0, STOP_TIME)
+    weight: Array = np.where(np.arange(states) < n, 1.0, STOP_TIME)
     start = importance @ (np.abs(w.R.E1[1:, :states]) * weight[:, None]).sum(axis=1)
     torque = importance @ ((w.R.plus - w.R.minus)[1:, :states] * weight[:, None]).sum(axis=1)
     own = np.zeros(2 * n)
@@ -137,8 +137,8 @@ def _least(G: Array, h: Array, cost: Array, noise: Box, both: bool) -> Array:
     bounds += [(None if w else v, v) for v, w in zip(noise.lo.tolist(), wide, strict=True)]
     bounds += [(v, None if w else v) for v, w in zip(noise.hi.tolist(), wide, strict=True)]
     bounds += [(None, None)] * m
-    sign = np.concatenate([np.tile(np.repeat([-1.0, 1.0], m), 2), np.repeat([-1.0, 1.0], n)])
-    c = cost + 1e-9 * float(np.abs(cost).max()) * sign
+    widths = np.concatenate([np.tile(np.repeat([-1.0, 1.0], m), 2), np.repeat([-1.0, 1.0], n)])
+    c = cost + 1e-9 * float(np.abs(cost).max()) * widths
     scale = np.maximum(np.abs(G).max(axis=1), 1e-12)
     A, b = G / scale[:, None], h / scale + SOLVER_SLACK
     chosen = np.unique(np.linspace(0, len(b) - 1, min(len(b), 1500)).astype(int))

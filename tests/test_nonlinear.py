@@ -1,0 +1,261 @@
+"""Sets of nonlinear abstractions: the two-simulation hull of model 1, the linearised hull of models 2 and 3."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stopset.artifact import Abstraction, UncertaintySets
+from stopset.errors import NotConformant
+from stopset.offline.abstraction import build
+from stopset.offline.conform import cooperative as co
+from stopset.offline.conform.envelope import Deviations
+from stopset.offline.conform.linear import fit_sets
+from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
+from stopset.reach.flowpipe import responses
+from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
+from stopset.recording import Recording
+from stopset.sets import Box
+from test_abstraction import ROTOR, two_link
+
+DT = 0.01
+INERTIA = np.array([1.9, 0.5])
+# falls from 12 to 7.5 N m s/rad at 1 rad/s, and the second joint's torque even falls with speed beyond 0.9 rad/s
+CURVED = np.array([[12.0, 0.5, -2.0], [4.0, -0.2, -1.5]])
+NOISE = np.array([1e-4, 1e-4, 2e-3, 2e-3])
+TORQUE = Box.of([-0.2, -0.3], [0.8, 0.1])  # what the simulated joints really suffer, beside u
+
+
+def model_1(viscous: np.ndarray = CURVED) -> Abstraction:
+    return Abstraction(1, viscous.shape[1], np.diag(1.0 / INERTIA), viscous)
+
+
+def truth(viscous: np.ndarray, x0: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Independent of the code under test: small semi-implicit midpoint steps in plain numpy."""
+    x, out, h = x0.astype(float), [x0], DT / 20
+    for w in u:
+        for _ in range(20):
+            mid = x[2:] + 0.5 * h * (w - sum(viscous[:, k] * x[2:] ** (k + 1) for k in range(viscous.shape[1]))) / INERTIA
+            a = (w - sum(viscous[:, k] * mid ** (k + 1) for k in range(viscous.shape[1]))) / INERTIA
+            x = np.concatenate([x[:2] + h * (x[2:] + 0.5 * h * a), x[2:] + h * a])
+        out.append(x)
+    return np.array(out)
+
+
+def motor(k: int, N: int) -> np.ndarray:
+    t = np.arange(N) * DT
+    return np.column_stack([8 * np.sin(t * (1 + k % 5)), 2.2 * np.sin(t * (2 + k % 3) + 1)])
+
+
+def disturbed(viscous: np.ndarray, number: int = 10, N: int = 300, seed: int = 0) -> list[co.Trial]:
+    """Trials of joints under torques that jump between the corners of `TORQUE`, read with noise."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for k in range(number):
+        u = motor(k, N)
+        push = np.where(rng.integers(0, 2, (N // 25 + 1, 2)), TORQUE.hi, TORQUE.lo).repeat(25, axis=0)[:N]
+        x = truth(viscous, np.zeros(4), (u + push)[:-1])
+        out.append((x + rng.uniform(-1, 1, x.shape) * NOISE, u))
+    return out
+
+
+def sets_of(fit: co.Fit, conform: str = "all") -> UncertaintySets:
+    return UncertaintySets(fit.X0, fit.U, fit.V, DT, 1.0, conform)
+
+
+def enclosed(abstraction: Abstraction, sets: UncertaintySets, trials: list[co.Trial], every: int = 7) -> bool:
+    """By the prediction function itself, window by window."""
+    H = round(sets.horizon / sets.dt)
+    for x, u in trials:
+        for s in range(0, len(x) - 1, every):
+            last = min(H, len(x) - 1 - s)
+            lo, hi = predicted_tube(abstraction, sets, x[s], u[s : s + last])
+            d = x[s + 1 : s + last + 1]
+            if not (np.all(d >= lo[1:]) and np.all(d <= hi[1:])):
+                return False
+    return True
+
+
+def test_two_simulations_are_the_exact_hull_for_any_friction_curve() -> None:
+    """Trap P22; solutions from anywhere in X0 under torques anywhere in U, changing all the time, stay inside and reach it."""
+    model, X0, U = model_1(), Box.symmetric([0.01, 0.01, 0.1, 0.1]), TORQUE
+    u = motor(1, 150)
+    lo, hi = two_simulations(model, np.zeros(4), u, DT, X0, U)
+    rng = np.random.default_rng(0)
+    # the midpoint rule of `truth` and the corner's Runge-Kutta differ by about (rate h)^2 / 24 of the motion
+    tolerance = 2e-6
+    linear = replace(model, order=1, viscous=CURVED[:, :1])
+    left = 0.0
+    for k in range(40):
+        start = rng.uniform(X0.lo, X0.hi) if k > 1 else (X0.lo, X0.hi)[k]
+        push = rng.uniform(U.lo, U.hi, (150, 2)) if k > 1 else np.tile((U.lo, U.hi)[k], (150, 1))
+        x = truth(CURVED, start, u + push)
+        assert np.all(x >= lo - tolerance) and np.all(x <= hi + tolerance)
+        naive_lo, naive_hi = predicted_tube(linear, UncertaintySets(X0, U, Box.symmetric(np.zeros(4)), DT, 1.5), np.zeros(4), u)
+        left = max(left, float(np.maximum(x - naive_hi, naive_lo - x).max()))
+        if k < 2:
+            assert np.abs(x - (lo, hi)[k]).max() < tolerance  # the bounds are attained
+    assert left > 0.05  # the linear model of the same joint is left by far
+
+
+def test_known_disturbances_are_found_again() -> None:
+    trials = disturbed(CURVED)
+    fit, factor = co.fit_cooperative(trials, model_1(), ("a", "b"), Box.symmetric(NOISE), DT, 150)
+    # a torque at its corner for 25 steps moves the speed by more than the noise by far
+    assert np.abs(fit.U.lo - TORQUE.lo).max() < 0.02 and np.abs(fit.U.hi - TORQUE.hi).max() < 0.02
+    assert np.all(factor < 1.05)
+    # the start is a reading: X0 inside -V (trap P12)
+    assert np.all(fit.X0.lo >= -fit.V.hi) and np.all(fit.X0.hi <= -fit.V.lo)
+    sets = sets_of(fit)
+    assert enclosed(model_1(), sets, trials)
+    for side in ("lo", "hi"):
+        U = Box(fit.U.lo + 0.02 * (side == "lo"), fit.U.hi - 0.02 * (side == "hi"))
+        assert not enclosed(model_1(), replace(sets, U=U), trials)
+
+
+def test_the_linear_model_needs_wider_sets_on_the_same_data() -> None:
+    trials = disturbed(CURVED)
+    widths = {}
+    for name, model in (("curved", model_1()), ("linear", model_1(CURVED[:, :1] * 0.85))):
+        widths[name] = co.fit_cooperative(trials, model, ("a", "b"), Box.symmetric(NOISE), DT, 100)[0].U.width
+    assert np.all(widths["curved"] < 0.9 * widths["linear"])
+
+
+@pytest.mark.parametrize("conform", ["all", "position"])
+def test_straight_friction_gives_the_exact_linear_programs_sets(conform: str) -> None:
+    straight = CURVED[:, :1]
+    model, trials, steps = model_1(straight), disturbed(straight, 6, 200), 80
+    deviations = Deviations(model, DT, steps, "sliding")
+    envelope = deviations.empty()
+    for k, (x, u) in enumerate(trials):
+        t = np.arange(len(x)) * DT
+        deviations.add(envelope, Recording("open_loop", 0, k, k, t, x[:, :2], x[:, 2:], u), u)
+    noise = Box.symmetric(NOISE)
+    want = fit_sets(envelope, responses(model, DT, steps), noise, model, ("a", "b"), conform)
+    got, _ = co.fit_cooperative(trials, model, ("a", "b"), noise, DT, steps, conform)
+    # the linear program keeps 2e-7 of slack in every row, some per mille of the noise; the search stops within 1e-4
+    assert got.cost == pytest.approx(want.cost, rel=2e-3)
+    assert np.abs(got.U.width - want.U.width).max() < 0.01 * want.U.width.max()
+
+
+def test_a_search_per_dimension_depends_on_the_order() -> None:
+    """Trap P19; and it is never cheaper than the program."""
+    trials = disturbed(CURVED, 4, 150)
+    problem = co.problems(trials, model_1(), ("a", "b"), Box.symmetric(NOISE), DT, 100)[0]
+    best, _ = co.verified(problem, co.search(problem))
+    wide = co.scaled(problem, best, 2.0)
+    assert problem.conformant(wide)
+    dimensions = [co.Q_LO, co.Q_HI, co.V_LO, co.V_HI, co.U_LO, co.U_HI]
+    answers = [co.binary_search(wide, problem.conformant, order) for order in (dimensions, dimensions[::-1])]
+    for z in answers:
+        assert problem.conformant(z)
+        assert problem.cost @ z > 1.02 * (problem.cost @ best)
+    widths = [z[co.U_HI] - z[co.U_LO] for z in answers]
+    assert widths[0] > 1.5 * widths[1]  # the start's bounds first leave U no way down, the other order does
+
+
+def test_the_common_scaling_is_smallest_and_sound() -> None:
+    trials = disturbed(CURVED, 4, 150)
+    problem = co.problems(trials, model_1(), ("a", "b"), Box.symmetric(NOISE), DT, 100)[1]
+    z = co.search(problem)
+    centre = 0.5 * (z[co.U_LO] + z[co.U_HI])
+    small = z.copy()
+    small[[co.U_LO, co.U_HI]] = centre + 0.6 * (z[[co.U_LO, co.U_HI]] - centre)
+    assert not problem.conformant(small)
+    out, factor = co.verified(problem, small)
+    assert problem.conformant(out) and factor > 1.05
+    assert not problem.conformant(co.scaled(problem, small, factor - 0.001))
+
+
+def test_a_friction_curve_outside_its_range_is_refused() -> None:
+    """Trap P10: a fitted cubic that pushes beyond its range cannot enclose fast motion; a sentence, not a number."""
+    pushing = np.array([[1.0, 0.0, -60.0], [1.0, 0.0, -60.0]])
+    with pytest.raises(NotConformant, match="joint a"):
+        co.fit_cooperative(disturbed(CURVED, 3, 150), model_1(pushing), ("a", "b"), Box.symmetric(NOISE), DT, 100)
+
+
+def test_along_a_straight_model_it_is_the_linear_flowpipe() -> None:
+    Minv = np.linalg.inv(np.array([[2.0, 0.6], [0.6, 0.8]]))
+    model = Abstraction(1, 1, Minv, np.array([[6.0], [3.0]]))
+    H, dt = 60, 0.02
+    u = np.random.default_rng(0).normal(size=(H, 2))
+    x = nominal(model, np.zeros((1, 4)), u[None], dt)[0]
+    got, want = along(model, x, u, dt), responses(model, dt, H)
+    assert np.abs(got.E1 - want.E1).max() < 1e-12  # series of the exponential, 12 terms of a norm below 0.2
+    # both are exact where K keeps its sign; where it turns within a step, the linear one covers the turn more
+    # cautiously
+    assert np.all(got.plus <= want.plus + 1e-12) and np.all(got.minus >= want.minus - 1e-12)
+    assert np.abs(got.plus - want.plus).max() < 0.03 * np.abs(want.plus).max()
+
+
+PLANAR_FRICTION = np.array([[3.0, 0.0, -0.2], [2.0, 0.0, -0.1]])
+PUSH = Box.of([-0.3, -0.1], [0.2, 0.2])
+
+
+def planar(kind: int, order: int) -> Abstraction:
+    return build(kind, order, two_link(), ROTOR, PLANAR_FRICTION)
+
+
+def planar_trials(model: Abstraction, number: int = 12, N: int = 100, dt: float = 0.02) -> list[co.Trial]:
+    rng = np.random.default_rng(5)
+    t = np.arange(N) * dt
+    out = []
+    for k in range(number):
+        u = np.column_stack([2.5 * np.sin(t * (1 + k % 4)), 1.5 * np.sin(2 * t + k)])
+        push = np.where(rng.integers(0, 2, (N // 10 + 1, 2)), PUSH.hi, PUSH.lo).repeat(10, axis=0)[:N]
+        x0 = np.concatenate([rng.uniform(-1, 1, 2), np.zeros(2)])
+        x = nominal(model, x0[None], (u + push)[None, :-1], dt)[0]
+        out.append((x + rng.uniform(-1, 1, x.shape) * NOISE, u))
+    return out
+
+
+@pytest.mark.parametrize(("kind", "order"), [(2, 5), (3, 3), (1, 3)])
+def test_sets_of_coupled_models_enclose_and_are_tight(kind: int, order: int) -> None:
+    model = planar(kind, order)
+    trials = planar_trials(model)
+    sets = fit_nonlinear(trials, model, ("a", "b"), Box.symmetric(NOISE), 0.02, 1.0)
+    assert enclosed(model, sets, trials, every=13)
+    assert not enclosed(model, replace(sets, U=Box(sets.U.lo + 0.1, sets.U.hi - 0.1)), trials, every=2)
+    assert np.abs(sets.U.lo - PUSH.lo).max() < 0.12 and np.abs(sets.U.hi - PUSH.hi).max() < 0.12
+
+
+def test_position_only_needs_no_more_torque() -> None:
+    model = planar(2, 5)
+    trials = planar_trials(model)
+    noise = Box.symmetric(NOISE)
+    widths = {c: fit_nonlinear(trials, model, ("a", "b"), noise, 0.02, 1.0, c) for c in ("all", "position")}
+    assert widths["position"].U.width.sum() < 1.05 * widths["all"].U.width.sum()
+    lo, hi = predicted_tube(model, widths["position"], trials[0][0][0], trials[0][1][:50])
+    assert np.all(np.isinf(lo[:, 2:])) and np.all(np.isinf(hi[:, 2:]))
+
+
+def test_the_worse_model_pays_with_wider_sets() -> None:
+    """Data of the arm with Coriolis torques: model 1 must swallow them in U."""
+    trials = planar_trials(planar(2, 5))
+    U = {k: fit_nonlinear(trials, planar(k, 5), ("a", "b"), Box.symmetric(NOISE), 0.02, 1.0).U.width.sum() for k in (1, 2)}
+    assert U[2] < 0.9 * U[1]
+
+
+def test_what_the_linearisation_leaves_out_is_measured() -> None:
+    model = planar(2, 5)
+    x, u = planar_trials(model, 1)[0]
+    small = UncertaintySets(Box.symmetric([1e-3] * 4), Box.symmetric([0.1, 0.1]), Box.symmetric(NOISE), 0.02, 1.0)
+    large = replace(small, U=Box.symmetric([3.0, 3.0]))
+    a, b = leak(model, small, x[0], u[:50]), leak(model, large, x[0], u[:50])
+    assert a < 0.03  # second order in the deviation
+    assert b > 3 * a  # and growing with it
+
+
+def test_a_divergent_model_is_named() -> None:
+    model = replace(planar(2, 5), viscous=np.array([[-40.0, 0, 0], [-40.0, 0, 0]]))
+    with pytest.raises(NotConformant, match="diverges from the recorded motion"):
+        fit_nonlinear(planar_trials(planar(2, 5), 2), model, ("a", "b"), Box.symmetric(NOISE), 0.02, 1.5)
+
+
+def test_coarser_grid_keeps_the_input_s_integral() -> None:
+    x, u = np.arange(22.0).reshape(11, 2), np.arange(11.0)[:, None]
+    (cx, cu) = coarser([(x, u)], 3)[0]
+    assert np.array_equal(cx, x[[0, 3, 6, 9]])
+    assert np.allclose(cu[:3, 0] * 3, [0 + 1 + 2, 3 + 4 + 5, 6 + 7 + 8])
