@@ -1,0 +1,5 @@
+"""Design of the experiments: what to drive, and what each part of it will tell."""
+
+from stopset.offline.plan.design import Plan, Wishes, design, write_plan
+
+__all__ = ["Plan", "Wishes", "design", "write_plan"]

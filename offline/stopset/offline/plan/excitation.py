@@ -1,0 +1,136 @@
+"""Excitation trajectories: Fourier series whose regressor is as well conditioned as the limits allow.
+
+Minimised is the log of the condition number of the base-parameter regressor (rows weighted by torque limit, columns
+scaled to natural sizes), rotor inertias included, over amplitudes and phases; every candidate is first scaled into the
+limits, so the search never leaves them.
+
+Source: Swevers et al. (1997), Optimal robot excitation and identification; Presse & Gautier (1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from stopset.offline.nominal.unknown import parameter_scale
+from stopset.offline.plan.motion import Envelope, Path, fitted, heights
+from stopset.recording.types import Array
+from stopset.robot import Robot
+from stopset.robot.rigid import regressors
+
+HARMONICS = 5
+SAMPLES = 80  # per candidate in the search
+FADE = 1.5  # [s] from rest into the series and back
+
+
+def _series(x: Array, period: float, t: Array, n: int) -> tuple[Array, Array, Array]:
+    """Position about zero, speed, acceleration of the series with coefficients ``x`` (2 HARMONICS, n)."""
+    c = x.reshape(2, HARMONICS, n)
+    k = np.arange(1, HARMONICS + 1)
+    w = 2 * np.pi * k / period
+    s, co = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    a, b = c[0] / w[:, None], c[1] / w[:, None]
+    return s @ a - co @ b, (co * w) @ a + (s * w) @ b, -(s * w**2) @ a + (co * w**2) @ b
+
+
+def _faded(x: Array, period: float, e: Envelope, t: Array) -> tuple[Array, Array, Array]:
+    """The series scaled into position and speed limits, blended to rest at both ends (smooth to the acceleration)."""
+    n = len(e.dq)
+    q, dq, ddq = _series(x, period, t, n)
+    u = np.clip(np.minimum(t, t[-1] - t) / FADE, 0.0, 1.0)
+    sign = np.where(t < 0.5 * t[-1], 1.0, -1.0)
+    f = u**3 * (10 - 15 * u + 6 * u**2)
+    df = sign * 30 * u**2 * (1 - u) ** 2 / FADE
+    ddf = (60 * u - 180 * u**2 + 120 * u**3) / FADE**2
+    f, df, ddf = f[:, None], df[:, None], ddf[:, None]
+    q, dq, ddq = f * q, f * dq + df * q, f * ddq + 2 * df * dq + ddf * q
+    middle, half = e.q.mean(axis=1), 0.5 * (e.q[:, 1] - e.q[:, 0])
+    scale = np.minimum(half / np.maximum(np.abs(q).max(axis=0), 1e-9), e.dq / np.maximum(np.abs(dq).max(axis=0), 1e-9))
+    return middle + scale * q, scale * dq, scale * ddq
+
+
+def rows(robot: Robot, q: Array, dq: Array, ddq: Array, weight: Array) -> Array:
+    """(N n, 11 n) regressor of link parameters (natural sizes) and rotor inertias, rows times ``weight`` (n,)."""
+    n = robot.n
+    rotor = np.zeros((len(q), n, n))
+    rotor[:, range(n), range(n)] = ddq
+    X = np.concatenate([regressors(robot.chain, q, dq, ddq) * parameter_scale(robot), rotor], axis=2)
+    return np.asarray((X * weight[:, None]).reshape(-1, 11 * n))
+
+
+def directions(robot: Robot, e: Envelope, weight: Array, rng: np.random.Generator) -> Array:
+    """(11 n, r) orthonormal combinations that torques can tell, a rotor beside its own link's inertia counted once."""
+    n, N = robot.n, 300
+    q = rng.uniform(e.q[:, 0], e.q[:, 1], (N, n))
+    dq, ddq = e.dq * rng.uniform(-1, 1, (N, n)), 5 * e.dq * rng.uniform(-1, 1, (N, n))
+    _, s, Vt = np.linalg.svd(rows(robot, q, dq, ddq, weight), full_matrices=False)
+    return np.ascontiguousarray(Vt[s > 1e-8 * s[0]].T)
+
+
+def information(robot: Robot, q: Array, dq: Array, ddq: Array, weight: Array, V: Array) -> Array:
+    """(r, r) information about the combinations ``V``, per sample."""
+    X = rows(robot, q, dq, ddq, weight) @ V
+    return np.asarray(X.T @ X / len(q))
+
+
+def condition(G: Array) -> float:
+    """Condition number of the regressor behind an information matrix, columns scaled to unit length."""
+    d = 1 / np.sqrt(np.maximum(np.diag(G), 1e-30))
+    values = np.linalg.eigvalsh(d[:, None] * G * d)
+    return float(np.sqrt(values[-1] / max(values[0], 1e-30)))
+
+
+def excitations(
+    robot: Robot,
+    e: Envelope,
+    count: int,
+    period: float,
+    rate: float,
+    evaluations: int,
+    rng: np.random.Generator,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[list[Path], float, float]:
+    """``count`` trajectories of one ``period`` [s] each, together as well conditioned as the search finds.
+
+    Returns them with the condition number of all together, and that of the same number of random ones.
+    Each next trajectory is optimised for what those before it tell together with it.
+    """
+    n = robot.n
+    weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
+    V = directions(robot, e, weight, rng)
+    t = np.linspace(0.0, period, SAMPLES)
+    total = np.zeros((V.shape[1], V.shape[1]))
+    blind = total.copy()
+    paths: list[Path] = []
+
+    def cost(x: Array, told: Array) -> tuple[float, Array]:
+        q, dq, ddq = _faded(x, period, e, t)
+        G = information(robot, q, dq, ddq, weight, V)
+        low = 0.0 if e.floor is None else max(e.floor - float(heights(robot, q[::4]).min()), 0.0)
+        return np.log(condition(told + G)) + 50 * low, G
+
+    for k in range(count):
+        best, best_cost, first = np.zeros(0), np.inf, None
+        tries = max(20, evaluations // 8)
+        for _ in range(tries):
+            x = rng.normal(size=(2 * HARMONICS, n)).ravel()
+            c, G = cost(x, total)
+            first = G if first is None else first
+            if c < best_cost:
+                best, best_cost = x, c
+        step = 0.5
+        for i in range(evaluations - tries):  # (1+1) evolution with the one-fifth rule: no gradients, no local traps at start
+            x = best + step * rng.normal(size=best.shape) * (rng.random(best.shape) < 0.3)
+            c, _ = cost(x, total)
+            if c < best_cost:
+                best, best_cost, step = x, c, min(step * 1.4, 1.0)
+            else:
+                step = max(step * 0.92, 1e-3)
+            if i % 50 == 0:
+                progress(k)
+        total = total + cost(best, total)[1]
+        blind = blind + (first if first is not None else 0.0)
+        fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)
+        paths.append(fitted(robot, e, Path(fine, *_faded(best, period, e, fine))))
+    return paths, condition(total), condition(blind)
