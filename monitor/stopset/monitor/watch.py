@@ -20,7 +20,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
 
 Array = NDArray[np.float64]
-MAX_PREDICTIONS = 256
+MAX_PREDICTIONS = 1500  # rows of the comparison: 0.3 ms; longer horizons start fewer predictions
 
 
 class Conformance(StrEnum):
@@ -113,10 +113,11 @@ class Watch:
     _Bd: Array = field(init=False)
     _lo: Array = field(init=False)
     _hi: Array = field(init=False)
-    _e: Array = field(init=False)  # (m, 2n) measured minus predicted, one row per prediction
+    _e: Array = field(init=False)  # (m, 2n) measured minus predicted, one row per prediction, newest overwrites oldest
     _w: Array = field(init=False)  # (m, 2n) what bus rounding can have added to that along the way
-    _age: NDArray[np.int64] = field(init=False)
+    _age: NDArray[np.int64] = field(init=False)  # (m,) in steps, -1 where no prediction is
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
+    _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
     _since: int = 0
@@ -134,8 +135,11 @@ class Watch:
         rounding = len(tube.ages) * 3 * n * 2.0**-53 * 32.0
         here = np.concatenate([self.quantum.q, self.quantum.dq]) + rounding
         self._lo, self._hi = tube.lo - here, tube.hi + here
-        self.stride = max(1, -(-(len(tube.ages) - 1) // MAX_PREDICTIONS))
-        self._forget()
+        steps = len(tube.ages) - 1
+        self.stride = max(1, -(-steps // MAX_PREDICTIONS))
+        rows = steps // self.stride + 1
+        self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
+        self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
 
     @property
     def horizon(self) -> float:
@@ -143,12 +147,9 @@ class Watch:
         return float(self.ages[-1])
 
     def _forget(self) -> None:
-        n = self.model.n
-        self._e, self._w = np.empty((0, 2 * n)), np.empty((0, 2 * n))
-        self._age = np.empty(0, np.int64)
-        self._foreign = np.empty(0, bool)
+        self._age[:] = -1
         self._u = None
-        self._since = 0
+        self._since = self._next = 0
 
     def step(self, sample: Sample) -> Verdict:
         """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
@@ -205,26 +206,26 @@ class Watch:
         return tuple(out)
 
     def _compare(self, x: Array, before: Sample | None, outside: tuple[str, ...]) -> Verdict:
-        if self._u is None or before is None or not len(self._age):
+        if self._u is None or before is None or not self._age.max(initial=-1) >= 0:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
         residual = x - np.concatenate([before.q, before.dq]) @ self._Ad.T - self._Bd @ u
-        self._e = self._e @ self._Ad.T + residual
-        self._w = self._w @ np.abs(self._Ad).T + np.abs(self._Bd) @ du
-        self._age = self._age + 1
-        self._foreign |= bool(outside)
-        keep = self._age < len(self.ages)
-        if not keep.all():
-            self._e, self._w, self._age, self._foreign = self._e[keep], self._w[keep], self._age[keep], self._foreign[keep]
-        if not len(self._age):
+        self._age[self._age >= 0] += 1
+        self._age[self._age >= len(self.ages)] = -1
+        live = np.flatnonzero(self._age >= 0)
+        if not len(live):
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
-        lo, hi = self._lo[self._age] - self._w, self._hi[self._age] + self._w
-        over, under = self._e - hi, lo - self._e
-        deviations = self._deviations(x, over, "above") + self._deviations(x, under, "below")
+        age = self._age[live]
+        e = self._e[live] = self._e[live] @ self._Ad.T + residual
+        w = self._w[live] = self._w[live] @ np.abs(self._Ad).T + np.abs(self._Bd) @ du
+        self._foreign[live] |= bool(outside)
+        lo, hi = self._lo[age] - w, self._hi[age] + w
+        over, under = e - hi, lo - e
+        deviations = self._deviations(x, over, "above", live) + self._deviations(x, under, "below", live)
         with np.errstate(invalid="ignore", divide="ignore"):
             room = (-np.maximum(over, under) / (0.5 * (hi - lo))).min(axis=0)
         room[~np.isfinite(room)] = 1.0
-        common = dict(compared=len(self._age), oldest=float(self.ages[self._age.max()]), outside=outside, room=room)
+        common = dict(compared=len(live), oldest=float(self.ages[age.max()]), outside=outside, room=room)
         if deviations:
             worst = max(deviations, key=lambda d: d.fraction)
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
@@ -233,12 +234,13 @@ class Watch:
             return Verdict(Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}", **common)  # type: ignore[arg-type]
         return Verdict(Conformance.CONFORMANT, "inside every prediction", **common)  # type: ignore[arg-type]
 
-    def _deviations(self, x: Array, beyond: Array, side: str) -> tuple[Deviation, ...]:
+    def _deviations(self, x: Array, beyond: Array, side: str, live: NDArray[np.int64]) -> tuple[Deviation, ...]:
         """The worst contradicted prediction of each state on one side; ``beyond``: (m, 2n), positive outside."""
         out = []
         n = self.model.n
+        age = self._age[live]
         for i in np.flatnonzero((beyond > 0).any(axis=0)):
-            width = self._hi[self._age, i] - self._lo[self._age, i]
+            width = self._hi[age, i] - self._lo[age, i]
             row = int(np.argmax(beyond[:, i] / np.maximum(width, 1e-300)))
             excess = float(beyond[row, i])
             out.append(
@@ -246,12 +248,12 @@ class Watch:
                     joint=self.model.joints[i % n],
                     state="q" if i < n else "dq",
                     side=side,
-                    age=float(self.ages[self._age[row]]),
+                    age=float(self.ages[age[row]]),
                     excess=excess,
                     fraction=excess / max(float(width[row]), 1e-300),
                     measured=float(x[i]),
                     bound=float(x[i]) - excess if side == "above" else float(x[i]) + excess,
-                    in_domain=not bool(self._foreign[row]),
+                    in_domain=not bool(self._foreign[live[row]]),
                 )
             )
         return tuple(out)
@@ -265,11 +267,11 @@ class Watch:
         self._since = 0
         q = self.quantum
         assert q is not None
-        n2 = 2 * self.model.n
-        self._e = np.vstack([self._e, np.zeros(n2)])
-        self._w = np.vstack([self._w, np.concatenate([q.q, q.dq])])
-        self._age = np.append(self._age, 0)
-        self._foreign = np.append(self._foreign, foreign)
+        row, self._next = self._next, (self._next + 1) % len(self._age)
+        self._e[row] = 0.0
+        self._w[row] = np.concatenate([q.q, q.dq])
+        self._age[row] = 0
+        self._foreign[row] = foreign
 
 
 def check_cycle(model: Model, cycle_s: float) -> None:
