@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 # these enter the abstraction itself (its damping polynomial, its inertia), not the compensation
 IN_ABSTRACTION = frozenset({"viscous", "cubic_viscous", "rotor_inertia", "payload"})
+# what no instantaneous compensation can take off stays in U: the link's swing, and a torque that is reported late
+LEFT_TO_U = frozenset({"elasticity", "delay"})
+GAIN = "torque_gain"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +48,10 @@ class InputMap:
         self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None
     ) -> Array:
         """``u`` (N, n) [N m] for samples ``q, dq, tau`` (N, n) in time order; ``temp`` (N, n) [degC], ``warm`` 0 to 1."""
-        u = tau - self.offset
+        u = tau / self._gain() - self.offset
         if self.effort != "compensated_torque":
             u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
-        active = [f for f in self.effects if f.effect not in IN_ABSTRACTION]
+        active = [f for f in self.effects if f.effect not in IN_ABSTRACTION | LEFT_TO_U | {GAIN}]
         if not active:
             return np.asarray(u)
         more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t}
@@ -61,6 +64,14 @@ class InputMap:
         back = effect_torques(self.robot, active, q, rest, way=-1.0, **more)
         held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
         return np.where(still, u - held, moving)
+
+    def _gain(self) -> Array:
+        """(n,) recorded torque per true torque."""
+        gain = np.ones(self.robot.n)
+        for f in self.effects:
+            if f.effect == GAIN and f.joint is not None:
+                gain[self.robot.joints.index(f.joint)] += f.values["e"]
+        return gain
 
 
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:

@@ -17,12 +17,13 @@ from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
 from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
-from stopset.offline.conform.sets import Conformance, Options, conform
+from stopset.offline.conform.linear import STOP_TIME
+from stopset.offline.conform.sets import Conformance, Options, Pairs, conform
 from stopset.offline.errors import joint_figures
 from stopset.offline.effect_names import parse_effect
 from stopset.offline.output_error import fit_joint
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
-from stopset.offline.survey import Survey, on_grid, survey
+from stopset.offline.survey import Source, Survey, on_grid, survey
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -88,8 +89,34 @@ def identify(
     tell("reading the recordings")
     found = survey(source)
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
-    nominal = _compensated(robot, found, chosen) if meta.effort == "compensated_torque" else _motor(robot, paths, found, chosen)
+    nominal = fit_nominal(robot, meta, source, found, chosen)
     return _with_sets(robot, meta, source, found, nominal, chosen, tell)
+
+
+def fit_nominal(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings) -> NominalPart:
+    """Everything that must be known before the sets, from all trials of ``source``."""
+    if meta.effort == "compensated_torque":
+        return _compensated(robot, found, settings)
+    return _motor(robot, source, found, settings)
+
+
+def nominal_figures(
+    robot: Robot, paths: Sequence[str | Path], settings: Settings, train: Callable[[Recording], bool],
+    held: Callable[[Recording], bool],
+) -> dict[str, dict[str, Any]]:  # fmt: skip
+    """Errors per joint on the ``held`` trials of a nominal model fitted to the ``train`` trials alone."""
+    meta = _meta(paths)
+    everything = survey(lambda: stream_recordings(paths, robot))
+
+    def part(keep: Callable[[Recording], bool]) -> Source:
+        # poses at rest belong to no motion: both halves may know them
+        return lambda: (r for r in stream_recordings(paths, robot) if r.phase == "static" or keep(r))
+
+    found = replace(survey(part(train)), repeats=everything.repeats, places=everything.places)
+    nominal = fit_nominal(robot, meta, part(train), found, settings)
+    judged = replace(survey(part(held)), repeats=everything.repeats, places=everything.places)
+    pairs = _pairs(part(held), judged, nominal, meta.effort)
+    return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))[0]
 
 
 def _meta(paths: Sequence[str | Path]) -> Meta:
@@ -121,12 +148,12 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
     return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
 
 
-def _motor(robot: Robot, paths: Sequence[str | Path], found: Survey, settings: Settings) -> NominalPart:
+def _motor(robot: Robot, source: Source, found: Survey, settings: Settings) -> NominalPart:
     """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
     from stopset.offline.nominal import identify_nominal
 
     effects = ("coulomb", "viscous", *(e for e in settings.effects if e not in ("coulomb", "viscous")))
-    nominal = identify_nominal(robot, stream_recordings(paths, robot), effects)
+    nominal = identify_nominal(robot, source(), effects)
     arm = nominal.robot(robot)
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of U
@@ -140,11 +167,9 @@ def _motor(robot: Robot, paths: Sequence[str | Path], found: Survey, settings: S
     return NominalPart(arm, nominal.rotor, nominal.friction, abstraction, notes)
 
 
-def _with_sets(
-    robot: Robot, meta: Meta, source: Callable[[], Iterator[Recording]], found: Survey, nominal: NominalPart,
-    settings: Settings, tell: Tell,
-) -> Identification:  # fmt: skip
-    to_input = input_map(nominal.robot, nominal.effects, meta.effort, nominal.abstraction)
+def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:
+    """(motion, trial on the grid, input) of the surveyed phase, anew at every call."""
+    to_input = input_map(nominal.robot, nominal.effects, effort, nominal.abstraction)
 
     def pairs() -> Iterator[tuple[int, Recording, Array]]:
         for r in source():
@@ -152,6 +177,13 @@ def _with_sets(
                 g = on_grid(r, found.dt)
                 yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
 
+    return pairs
+
+
+def _with_sets(
+    robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
+) -> Identification:  # fmt: skip
+    pairs = _pairs(source, found, nominal, meta.effort)
     motions = sorted(set(found.motion.values()))
     horizon = min(settings.horizon, found.longest)
     tell(f"{len(motions)} independent motions; identifying the sets up to {horizon:.2f} s ahead")
@@ -187,6 +219,8 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
         "settings_sha256": settings.sha256,
+        # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
+        "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
         "data": {name: digest for name, digest in meta.sources},
         "phase": found.phase,
         "trials": found.trials,

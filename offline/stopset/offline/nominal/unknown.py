@@ -16,6 +16,7 @@ from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
+PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OPEN = 0.9  # a parameter whose variance fell by less than a tenth was not told
 SURE = 0.5  # relative standard error above which friction or rotor is called undetermined
 RANK = 1e-8  # relative singular value: below it a combination of parameters has no effect on any torque
@@ -59,6 +60,19 @@ def told(robot: Robot, precision: Array, covariance: Array, ratio: float = OPEN)
     return int(np.sum(left < ratio)), len(left)
 
 
+def kept(robot: Robot, precision: Array, covariance: Array) -> dict[str, list[str]]:
+    """By joint, the link parameters that torques could show but these data did not: their variance is still the prior's."""
+    n = robot.n
+    V = base_directions(robot)
+    seen = np.sqrt(np.sum(V**2, axis=1))  # 0: no torque depends on it alone
+    before = np.diag(np.linalg.inv(precision[: 10 * n, : 10 * n]))
+    left = np.diag(covariance)[: 10 * n] / before
+    out: dict[str, list[str]] = {}
+    for k in np.flatnonzero((seen > 0.3) & (left > OPEN)):
+        out.setdefault(robot.joints[k // 10], []).append(PARAMETERS[k % 10])
+    return out
+
+
 def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit) -> tuple[str, ...]:
     """Sentences on what stayed open and where it was kept."""
     out: list[str] = []
@@ -68,7 +82,12 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
     known, count = told(robot, prior.precision / result.prior_scale**2, result.covariance)
     if known < count:
-        out.append(f"{count - known} of {count} base parameters of the links stayed at the CAD: these motions do not show them")
+        names = kept(robot, prior.precision / result.prior_scale**2, result.covariance)
+        of = "; ".join(f"{joint}: {', '.join(p)}" for joint, p in names.items())
+        out.append(
+            f"{count - known} of {count} base parameters of the links stayed at the CAD, these motions do not show them"
+            + (f" ({of})" if of else "")
+        )
     std = np.sqrt(np.diag(result.covariance))
     for j in range(n):
         if data.rows_moving[:, j].sum() == 0:

@@ -1,0 +1,100 @@
+"""Add an effect to a model: a new revision that re-identifies everything, judged on data the fit has not seen.
+
+The judgement comes first and is cheap: the nominal model with and without the effect is fitted on one half of the motions
+(or of the repetitions, where there are few motions) and simulated on the other.  Only then is the whole model identified
+again.  An effect that does not help is refused, with the numbers, unless forced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from stopset.artifact import Model, Revision
+from stopset.errors import EffectError
+from stopset.offline.effect_names import parse_effect
+from stopset.offline.identify import Settings, identify, nominal_figures
+from stopset.recording import Recording
+from stopset.robot import Robot
+from stopset.robot.arm import robot_from_text
+
+Tell = Callable[[str], None]
+
+# an effect helps if one error falls by this share on held-out data while the other does not rise by as much
+HELPS = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Revised:
+    """Outcome of `add`: the new model (None if refused), held-out errors and model figures before and after."""
+
+    model: Model | None
+    before: dict[str, float]
+    after: dict[str, float]
+    helps: bool
+    judged_on: str
+
+
+def add(
+    model: Model, effect: str, joint: str | None, paths: Sequence[str | Path], force: bool = False, tell: Tell = lambda _: None
+) -> Revised:
+    """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
+
+    Raises `EffectError` if the effect or joint is unknown or already part of the model.
+    """
+    robot = description(model)
+    name = f"{effect}:{joint}" if joint else effect
+    parse_effect(name, robot)
+    settings = settings_of(model)
+    if name in settings.effects:
+        raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
+    more = replace(settings, effects=(*settings.effects, name))
+    tell(f"judging {name} on held-out data")
+    held, judged_on = _halves(model)
+    old = nominal_figures(robot, paths, settings, lambda r: not held(r), held)
+    new = nominal_figures(robot, paths, more, lambda r: not held(r), held)
+    before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
+    helps = _helps(before, after)
+    if not helps and not force:
+        return Revised(None, before, after, False, judged_on)
+    tell("identifying the new revision")
+    fresh = identify(robot, paths, more, tell).model
+    before |= dict(model.revisions[-1].after) if model.revisions else {}
+    after |= dict(fresh.revisions[-1].after)
+    number = model.revisions[-1].number + 1 if model.revisions else 1
+    note = "" if helps else "forced: it does not help on held-out data"
+    revision = Revision(number, name, before, after, note)
+    return Revised(replace(fresh, revisions=(*model.revisions, revision)), before, after, helps, judged_on)
+
+
+def description(model: Model) -> Robot:
+    """The robot as it was described (CAD and data sheet), from the texts in the model."""
+    return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
+
+
+def settings_of(model: Model) -> Settings:
+    """The settings a model was identified with."""
+    kept = dict(model.provenance.get("settings", {}))
+    kept["effects"] = tuple(kept.get("effects", ()))
+    return Settings(**kept)
+
+
+def _halves(model: Model) -> tuple[Callable[[Recording], bool], str]:
+    """What is held out: every other motion where there are at least four, else every other repetition."""
+    if int(model.provenance.get("motions", 0)) >= 4:
+        return (lambda r: r.suite % 2 == 1), "every other motion"
+    return (lambda r: r.trial % 2 == 1), "every other repetition"
+
+
+def _sums(figures: dict[str, dict[str, float]], prefix: str) -> dict[str, float]:
+    """RMS over joints for torque [N m], velocity [rad/s] and position [rad]."""
+    keys = ("torque_rmse", "velocity_rmse", "position_rmse")
+    return {prefix + k: float(np.sqrt(np.mean([row[k] ** 2 for row in figures.values()]))) for k in keys}
+
+
+def _helps(before: dict[str, float], after: dict[str, float]) -> bool:
+    change = [after[k] / before[k] - 1.0 for k in ("held_out_torque_rmse", "held_out_position_rmse")]
+    return min(change) <= -HELPS and max(change) < HELPS
