@@ -131,9 +131,7 @@ def _longest(start: Array, J: Array, radius: Array, link: int) -> float:
 
 
 @njit(cache=True)
-def point_motion(
-    chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array
-) -> tuple[float, float, Array]:
+def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
     """How far and how fast a point of ``link`` can move from where it was: length [m], speed [m/s], box (3, 2) [m].
 
     ``q +- q_radius``: the angles at the cut; ``point``: (3,) in the link's frame [m]; the box is in base coordinates.

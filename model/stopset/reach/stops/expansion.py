@@ -19,6 +19,7 @@ from numba import njit
 
 from stopset.robot.rigid import Array, Chain, link_frames
 
+
 class Curvature(NamedTuple):
     """Bounds over all poses: ``|d2 M_ij/dq_k dq_l|`` (n, n, n, n), ``|d2 g_i/dq_k dq_l|`` (n, n, n), and the slope of the
     Christoffel symbols ``|d Gamma_ikl/dq_m|`` (n, n, n, n)."""

@@ -47,6 +47,8 @@ class Momentum(NamedTuple):
     P_hi: Array
     up: Array
     down: Array
+    needed: Array  # least brake impulse [N m s] that can have ended the first excursion so far; inf before it can end
+    drive: Array  # least momentum, along the first excursion, that all but the brake has left to the joint
     restart_up: Array  # largest of M_ii v_i + sum_j M_ij v_j - up, over times the joint may start
     restart_down: Array
 
@@ -100,35 +102,66 @@ def start_momentum(at: Local, v_lo: Array, v_hi: Array, b: Bands) -> Momentum:
         if b.sign[i] == 0.0:
             pull, most = _pull(i, at, v_lo, v_hi), at.M[i, i] + at.dM[i, i]
             restart_up[i], restart_down[i] = pull[1] + most * v_hi[i], pull[0] + most * v_lo[i]
-    return Momentum(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), restart_up, restart_down)
+    zero = np.zeros(n)
+    return Momentum(
+        zero, zero.copy(), zero.copy(), zero.copy(), np.full(n, np.inf), zero.copy(), restart_up, restart_down
+    )  # fmt: skip
 
 
 @njit(cache=True)
 def carry_on(
-    m: Momentum, at: Local, u_lo: Array, u_hi: Array, D_lo: Array, D_hi: Array, B_lo: Array, B_hi: Array,
-    before: Bands, after: Bands, x_lo: Array, x_hi: Array, h: float,
+    m: Momentum, at: Local, start: Local, u_lo: Array, u_hi: Array, D_lo: Array, D_hi: Array, F_hi: Array,
+    B_lo: Array, B_hi: Array, B_later: Array, before: Bands, after: Bands, v0_lo: Array, v0_hi: Array,
+    x_lo: Array, x_hi: Array, h: float,
 ) -> None:  # fmt: skip
     """Integrate over a step of ``h`` seconds on which speeds lie in ``[x_lo, x_hi]``, bands going from before to after."""
     for i in range(x_lo.shape[0]):
         up, down = m.up[i], m.down[i]
-        m.up[i] += h * (at.e_hi[i] + u_hi[i] - B_lo[i])
-        m.down[i] += h * (at.e_lo[i] + u_lo[i] + B_lo[i])
+        m.up[i] += h * (at.e_hi[i] + u_hi[i] - B_later[i])
+        m.down[i] += h * (at.e_lo[i] + u_lo[i] + B_later[i])
         if after.rested[i] > 0.0:  # it may rest, and start, at any time of this step
             pull = _pull(i, at, x_lo, x_hi)
             m.restart_up[i] = max(m.restart_up[i], pull[1] - min(up, m.up[i]))
             m.restart_down[i] = min(m.restart_down[i], pull[0] - max(down, m.down[i]))
-        if after.alive[i] > 0.0:
+        if before.alive[i] > 0.0:
             slow = min(abs(before.first_lo[i]), abs(before.first_hi[i]))
             slow = min(slow, min(abs(after.first_lo[i]), abs(after.first_hi[i])))
             fast = max(abs(before.first_lo[i]), abs(before.first_hi[i]))
             fast = max(fast, max(abs(after.first_lo[i]), abs(after.first_hi[i])))
             least, most = B_lo[i] + D_lo[i] * slow, B_hi[i] + D_hi[i] * fast
+            drive = m.drive[i]
+            push = at.e_lo[i] + u_lo[i] if b_forward(after, i) else -at.e_hi[i] - u_hi[i]
+            m.drive[i] += h * (push - F_hi[i] - D_hi[i] * fast)
+            if after.rested[i] > 0.0:
+                kept = min(drive, m.drive[i]) + _left(i, after.sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi)
+                m.needed[i] = min(m.needed[i], kept)
             if b_forward(after, i):
                 m.P_lo[i] += h * (at.e_lo[i] + u_lo[i] - most)
                 m.P_hi[i] += h * (at.e_hi[i] + u_hi[i] - least)
             else:
                 m.P_lo[i] += h * (at.e_lo[i] + u_lo[i] + least)
                 m.P_hi[i] += h * (at.e_hi[i] + u_hi[i] + most)
+
+
+@njit(cache=True)
+def _left(i: int, sign: float, at: Local, start: Local, v0_lo: Array, v0_hi: Array, x_lo: Array, x_hi: Array) -> float:
+    """Least of ``sign (M_ii v0_i - sum_{l != i} M_il (v - v0)_l - (M - M0) v0)``: what friction must take for joint i to rest."""
+    lo, hi = 0.0, 0.0
+    for o in range(v0_lo.shape[0]):
+        change = at.M[i, o] - start.M[i, o]
+        rad = at.M_rad[i, o] + start.M_rad[i, o]
+        rad += abs(at.Mp[i, o] - start.Mp[i, o]) + at.Mp_rad[i, o] + start.Mp_rad[i, o]
+        a = rad * max(abs(v0_lo[o]), abs(v0_hi[o]))
+        lo += min(-change * v0_lo[o], -change * v0_hi[o]) - a
+        hi += max(-change * v0_lo[o], -change * v0_hi[o]) + a
+        y_lo, y_hi = x_lo[o] - v0_hi[o], x_hi[o] - v0_lo[o]
+        if o == i:
+            y_lo, y_hi = -v0_hi[o], -v0_lo[o]
+        m, r = at.M[i, o], at.dM[i, o]
+        p, q, s, t = -(m - r) * y_lo, -(m + r) * y_lo, -(m - r) * y_hi, -(m + r) * y_hi
+        lo += min(min(p, q), min(s, t))
+        hi += max(max(p, q), max(s, t))
+    return lo if sign > 0.0 else -hi
 
 
 @njit(cache=True, inline="always")

@@ -36,26 +36,29 @@ def pivot(A: Array, k: int, into: bool) -> None:
 
 @njit(cache=True)
 def accelerations(
-    M: Array, dM: Array, s_lo: Array, s_hi: Array, own_up: Array, own_down: Array, B_lo: Array, B_hi: Array,
+    M: Array, dM: Array, s_lo: Array, s_hi: Array, own_up: Array, own_down: Array, B_lo: Array, B_hi: Array, B_later: Array, sign: Array,
     plus: Array, minus: Array, zero: Array, a_far: Array,
     out: Array, work: Array,
 ) -> None:  # fmt: skip
-    """Hull over all moving sets of each joint's acceleration; rows of ``out`` (6, n): see below.
+    """Hull over all moving sets of each joint's acceleration, into ``out`` (10, n).
 
     ``s``: torque without dry friction; ``own_up``: by how much the viscous torque of the joint itself exceeds its
     smallest value when it moves at the upper speed bound (``own_down``: at the lower bound, below its largest value).
-    ``plus, minus, zero``: which signs are possible (1.0 or 0.0).  Rows 0-3: forward lo, hi, backward lo, hi;
-    row 4: forward hi at the upper speed bound, row 5: forward lo at the lower; rows 6, 7 the same backward.
+    ``plus, minus, zero``: which signs are possible (1.0 or 0.0).  Rows of ``out`` 0-3: forward lo, hi, backward lo, hi;
+    row 4: forward hi at the upper speed bound, row 5: forward lo at the lower; rows 6, 7 the same backward; rows 8, 9:
+    forward hi and backward lo of a joint that has rested before, whose dry friction is at least ``B_later``.
+    ``sign``: direction in which a joint can move with less than that, 0 for both.
     """
     n = M.shape[0]
     r_lo, r_hi = work[0], work[1]  # any sign that is possible
-    f_lo, f_hi, b_lo, b_hi = work[2], work[3], work[4], work[5]  # forward, backward
+    f_lo, f_hi, b_lo, b_hi, later = work[2], work[3], work[4], work[5], work[6]  # forward, backward
     for i in range(n):
         push = 0.0
         for j in range(n):
             push += dM[i, j] * a_far[j]
-        f_lo[i], f_hi[i] = s_lo[i] - push - B_hi[i], s_hi[i] + push - B_lo[i]
-        b_lo[i], b_hi[i] = s_lo[i] - push + B_lo[i], s_hi[i] + push + B_hi[i]
+        f_lo[i], f_hi[i] = s_lo[i] - push - B_hi[i], s_hi[i] + push - (B_lo[i] if sign[i] >= 0.0 else B_later[i])
+        b_lo[i], b_hi[i] = s_lo[i] - push + (B_lo[i] if sign[i] <= 0.0 else B_later[i]), s_hi[i] + push + B_hi[i]
+        later[i] = B_later[i] - B_lo[i]
         if plus[i] > 0.0 and minus[i] > 0.0:
             r_lo[i], r_hi[i] = f_lo[i], b_hi[i]
         elif minus[i] > 0.0:
@@ -63,9 +66,9 @@ def accelerations(
         else:
             r_lo[i], r_hi[i] = f_lo[i], f_hi[i]
     for i in range(n):
-        for row in (0, 2, 5, 7):
+        for row in (0, 2, 5, 7, 9):
             out[row, i] = np.inf
-        for row in (1, 3, 4, 6):
+        for row in (1, 3, 4, 6, 8):
             out[row, i] = -np.inf
     A = M.copy()
     inside = np.zeros(n, np.bool_)
@@ -104,11 +107,13 @@ def accelerations(
                 out[1, i] = max(out[1, i], hi + w * f_hi[i])
                 out[4, i] = max(out[4, i], hi + w * (f_hi[i] - own_up[i]))
                 out[5, i] = min(out[5, i], lo + w * (f_lo[i] + own_down[i]))
+                out[8, i] = max(out[8, i], hi + w * (f_hi[i] - (later[i] if sign[i] >= 0.0 else 0.0)))
             if zero[i] > 0.0 or minus[i] > 0.0:
                 out[2, i] = min(out[2, i], lo + w * b_lo[i])
                 out[3, i] = max(out[3, i], hi + w * b_hi[i])
                 out[6, i] = max(out[6, i], hi + w * (b_hi[i] - own_up[i]))
                 out[7, i] = min(out[7, i], lo + w * (b_lo[i] + own_down[i]))
+                out[9, i] = min(out[9, i], lo + w * (b_lo[i] + (later[i] if sign[i] <= 0.0 else 0.0)))
         subset += 1
         if subset >= 1 << count:
             break
@@ -118,10 +123,10 @@ def accelerations(
         k = open_[bit]
         pivot(A, k, not inside[k])
         inside[k] = not inside[k]
-    for row in range(8):
+    for row in range(10):
         for i in range(n):
             slack = ROUNDING * (abs(out[row, i]) + 1.0)
-            if row in (0, 2, 5, 7):
+            if row in (0, 2, 5, 7, 9):
                 out[row, i] -= slack
             else:
                 out[row, i] += slack

@@ -102,11 +102,7 @@ def friction_of(model: Model) -> Friction:
         elif f.effect in ("thermal_coulomb", "thermal_viscous"):
             array, symbol = (F, "k_C") if f.effect == "thermal_coulomb" else (D, "k_T")
             # levelling off only brings the change closer to zero where warm, and away from it where cold
-            gain = (
-                1.0
-                if f.effect == "thermal_coulomb" or warm[0] >= 0
-                else float(np.exp(-f.values.get("b", 0.0) * warm[0]))
-            )
+            gain = 1.0 if f.effect == "thermal_coulomb" or warm[0] >= 0 else float(np.exp(-f.values.get("b", 0.0) * warm[0]))
             products = [k * w * (gain if w < 0 else 1.0) for k in _interval(f, symbol) for w in warm] + [0.0]
             array[i] += (min(products), max(products))
         elif f.effect == "spring":
@@ -119,9 +115,7 @@ def friction_of(model: Model) -> Friction:
         else:
             left_out.append(f.label)
     unknown = ~known_viscous
-    D[unknown] += model.abstraction.viscous[
-        unknown, :1
-    ]  # the abstraction's linear friction, where nothing better is known
+    D[unknown] += model.abstraction.viscous[unknown, :1]  # the abstraction's linear friction, where nothing better is known
     lower, upper = 1.0 - FRICTION_TOLERANCE, 1.0 + FRICTION_TOLERANCE
     return Friction(
         dry=Box.of(np.maximum(F[:, 0], 0.0) * lower, np.maximum(F[:, 1], 0.0) * upper),
@@ -166,9 +160,7 @@ class Setting:
     assumptions: tuple[str, ...]
 
 
-def setting_of(
-    model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None
-) -> Setting | None:
+def setting_of(model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
     ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the

@@ -30,7 +30,7 @@ from numba import njit
 
 from stopset.reach.stops.expansion import Curvature, empty_expansion, expand_into
 from stopset.reach.stops.local import Local, Parts, box_terms, empty_local
-from stopset.reach.stops.momentum import Bands, carry_on, start_bands, start_momentum, tighten, total
+from stopset.reach.stops.momentum import Bands, Momentum, carry_on, start_bands, start_momentum, tighten, total
 from stopset.reach.stops.moving import accelerations
 from stopset.robot.rigid import Array, Chain
 
@@ -162,13 +162,13 @@ def _verified(out: Array, claim: Array, plus: Array, minus: Array, zero: Array) 
 def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
     """Bands at the end of a step of ``h`` seconds, from the verified accelerations ``out`` (see `accelerations`)."""
     for i in range(zero.shape[0]):
-        start_up, start_down = h * max(0.0, out[1, i]), h * min(0.0, out[2, i])
+        start_up, start_down = h * max(0.0, out[8, i]), h * min(0.0, out[9, i])
         end.alive[i], end.rested[i] = b.alive[i], b.rested[i]
         end.later_lo[i], end.later_hi[i] = 0.0, 0.0
         if b.rested[i] > 0.0:
             # the rate refined at the bound's own speed belongs to the first excursion while that may last
-            up = out[1, i] if b.alive[i] > 0.0 else out[4, i]
-            down = out[2, i] if b.alive[i] > 0.0 else out[7, i]
+            up = out[8, i] if b.alive[i] > 0.0 else out[4, i]
+            down = out[9, i] if b.alive[i] > 0.0 else out[7, i]
             end.later_hi[i] = max(b.later_hi[i] + h * up, 0.0) if b.later_hi[i] > 0.0 else start_up
             end.later_lo[i] = min(b.later_lo[i] + h * down, 0.0) if b.later_lo[i] < 0.0 else start_down
         if b.alive[i] == 0.0:
@@ -189,9 +189,7 @@ def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
 
 
 @njit(cache=True)
-def march(
-    plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h: float, steps: int, parts: Parts
-) -> Tube:
+def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h: float, steps: int, parts: Parts) -> Tube:
     """The tube from the box ``[q_lo, q_hi] x [v0_lo, v0_hi]`` at the cut, in steps of ``h`` seconds, at most ``steps``."""
     n = q_lo.shape[0]
     t = np.zeros(steps + 1)
@@ -202,11 +200,11 @@ def march(
     margin = np.full(n, -np.inf)
     v_lo[0], v_hi[0] = v0_lo, v0_hi
     claim, last = np.zeros((4, n)), np.zeros((4, n))  # forward lo, hi, backward lo, hi
-    out, work, wide = np.zeros((8, n)), np.zeros((8, n)), np.zeros((14, n))
+    out, work, wide = np.zeros((10, n)), np.zeros((8, n)), np.zeros((16, n))
     w_lo, w_hi, x_lo, x_hi = wide[0], wide[1], wide[2], wide[3]
     s_lo, s_hi, own_up, own_down = wide[4], wide[5], wide[6], wide[7]
     plus, minus, zero, a_far = wide[8], wide[9], wide[10], wide[11]
-    B_lo, B_hi = wide[12], wide[13]
+    B_lo, B_hi, B_later, way = wide[12], wide[13], wide[14], wide[15]
     at, start = empty_local(n), empty_local(n)
     middle = 0.5 * (q_lo + q_hi)
     E, scratch = empty_expansion(n)
@@ -231,6 +229,7 @@ def march(
         for i in range(n):
             B_lo[i] = plant.coulomb_lo[i] + plant.brake_lo[i] * _ramp(early, plant.delay_hi[i], plant.rise_hi[i])
             B_hi[i] = plant.coulomb_hi[i] + plant.brake_hi[i] * _ramp(late, plant.delay_lo[i], plant.rise_lo[i])
+        _later_friction(plant, now, b, momentum, B_lo, B_hi, B_later, way)
         _guess(claim, out, last, k)
         verified = False
         for _attempt in range(PASSES):
@@ -240,7 +239,9 @@ def march(
                 x_hi[i] = q_hi[i] + d_hi[k, i] + h * max(0.0, w_hi[i]) - E.q[i]
             box_terms(E, K, x_lo, x_hi, w_lo, w_hi, parts, at, work)
             _torques(plant, at, b, claim, h, v_lo[k], v_hi[k], w_lo, w_hi, s_lo, s_hi, own_up, own_down)
-            accelerations(at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, plus, minus, zero, a_far, out, work)
+            accelerations(
+                at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, B_later, way, plus, minus, zero, a_far, out, work
+            )
             if _verified(out, claim, plus, minus, zero):
                 verified = True
                 break
@@ -260,7 +261,8 @@ def march(
             for row in range(4):
                 rates[k, row, i] = out[row, i]
         carry_on(
-            momentum, at, plant.u_lo, plant.u_hi, plant.viscous_lo, plant.viscous_hi, B_lo, B_hi, b, end, x_lo, x_hi, h
+            momentum, at, start, plant.u_lo, plant.u_hi, plant.viscous_lo, plant.viscous_hi, plant.coulomb_hi,
+            B_lo, B_hi, B_later, b, end, v0_lo, v0_hi, x_lo, x_hi, h,
         )  # fmt: skip
         v_lo[k + 1], v_hi[k + 1] = e_lo[k], e_hi[k]
         tighten(end, momentum, at, start, v0_lo, v0_hi, v_lo[k + 1], v_hi[k + 1], work)
@@ -279,6 +281,28 @@ def march(
         result, t[: made + 1], d_lo[: made + 1], d_hi[: made + 1], v_lo[: made + 1], v_hi[: made + 1],
         e_lo[:made], e_hi[:made], rates[:made, 0], rates[:made, 1], rates[:made, 2], rates[:made, 3], margin,
     )  # fmt: skip
+
+
+@njit(cache=True)
+def _later_friction(plant: Plant, now: float, b: Bands, m: Momentum, B_lo: Array, B_hi: Array, later: Array, way: Array) -> None:
+    """Least dry friction of a joint that has come to rest by now, and the direction it can move in with less.
+
+    Its brake has given at least the impulse that ended the first excursion.  The brake's torque only grows, so it is now
+    at least that impulse over the time it can have worked; a ramp has given half of its torque times the time.
+    """
+    for i in range(B_lo.shape[0]):
+        later[i] = B_lo[i]
+        way[i] = 0.0
+        if b.sign[i] == 0.0:
+            continue
+        if b.alive[i] > 0.0:
+            way[i] = b.sign[i]
+        since = now - plant.delay_lo[i]
+        if b.rested[i] > 0.0 and m.needed[i] > 0.0 and m.needed[i] < np.inf and since > 0.0:
+            worked = max(0.5 * since, since - 0.5 * plant.rise_lo[i])
+            later[i] = min(max(B_lo[i], plant.coulomb_lo[i] + m.needed[i] / worked), B_hi[i])
+        if b.alive[i] == 0.0:
+            B_lo[i] = later[i]
 
 
 @njit(cache=True)

@@ -1,0 +1,214 @@
+"""STOP 1 and STOP 2: a ramp that works (nominal), and what remains if it does not (guaranteed).
+
+Nominal: each joint's speed falls from ``v0`` to rest in a fixed time, or with a fixed deceleration, after the control's
+delay, within tracking errors.  Guaranteed: the ramp fails as a whole; the arm goes on along its motion with a share
+``lambda`` of its speed, 0 to ``share``, until power is taken: after a fixed time (SS1-t), or when the monitored ramp
+is left (SS1-r).  Then it is a STOP 0 from wherever it got to.
+
+Source: IEC 61800-5-2 for SS1-t, SS1-r, SS2; stop notes of the project.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.errors import NotCovered
+from stopset.reach.stops.tube import Tube
+from stopset.robot.rigid import torque
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+KEY = "stop1_ramp"  # in a model's provenance
+KNOTS = 60
+CELL = 0.10  # [rad] sum over joints of a cell of positions at power-off
+SHARES = 3  # of the speed at power-off, cells from none to all of it
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """How the drives brake on request. ``kind`` 'time': ``value`` [s] from the speed to rest; 'deceleration': [rad/s^2].
+
+    ``value``, ``control``: (n,) boxes, the latter the delay [s] from request to the ramp's start; ``q_error`` [rad],
+    ``dq_error`` [rad/s]: (n,) tracking errors. ``off_after`` [s]: power is taken this long after the request whatever
+    happens (SS1-t); ``monitored``: whether the speed is compared with the ramp (SS1-r), and a violation found within
+    ``reaction`` [s] at ``tolerance`` (share of the speed at the request) above it. ``window`` [rad] and ``creep`` [rad/s]:
+    standstill window of STOP 2 and the speed at which leaving it is noticed. ``share``: largest speed a failed ramp can
+    reach, as a share of the speed at the request.
+    """
+
+    kind: Literal["time", "deceleration"]
+    value: Box
+    control: Box
+    q_error: Array
+    dq_error: Array
+    off_after: float | None = None
+    monitored: bool = False
+    reaction: float = 0.024
+    tolerance: float = 0.1
+    share: float = 1.0
+    window: float = 0.01
+    creep: float = 0.05
+    source: str = "stated"
+    notes: tuple[str, ...] = field(default=())
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the model file's provenance, under `KEY`."""
+        return {
+            "kind": self.kind, "value": [self.value.lo.tolist(), self.value.hi.tolist()],
+            "control": [self.control.lo.tolist(), self.control.hi.tolist()], "q_error": self.q_error.tolist(),
+            "dq_error": self.dq_error.tolist(), "off_after": self.off_after, "monitored": self.monitored,
+            "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "window": self.window,
+            "creep": self.creep, "source": self.source, "notes": list(self.notes),
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, d: Mapping[str, Any]) -> Ramp:
+        """From the model file's provenance."""
+        rest = {k: d[k] for k in ("off_after", "monitored", "reaction", "tolerance", "share", "window", "creep", "source")}
+        return cls(
+            kind=d["kind"], value=Box.of(*d["value"]), control=Box.of(*d["control"]), q_error=np.array(d["q_error"], float),
+            dq_error=np.array(d["dq_error"], float), notes=tuple(d["notes"]), **rest,
+        )  # fmt: skip
+
+    @classmethod
+    def stated(
+        cls, n: int, *, time: float | None = None, deceleration: float | None = None, control: float = 0.024,
+        off_after: float | None = None, monitored: bool = False,
+    ) -> Ramp:  # fmt: skip
+        """A ramp as a data sheet states it: exactly one of ``time`` [s] and ``deceleration`` [rad/s^2], no tracking error."""
+        given = time if time is not None else deceleration
+        if (time is None) == (deceleration is None) or given is None or not np.isfinite(given) or given <= 0:
+            raise NotCovered(
+                f"a ramp of time {time} s and deceleration {deceleration} rad/s^2; expected exactly one positive number"
+            )
+        zero = np.zeros(n)
+        return cls(
+            "time" if time is not None else "deceleration", Box.point(np.full(n, given)),
+            Box.of(zero, np.full(n, control)), zero, zero, off_after=off_after, monitored=monitored,
+        )  # fmt: skip
+
+
+def ramp_of(model: Model) -> Ramp | None:
+    """The ramp identified from stop1 recordings, if the model holds one."""
+    stored = model.provenance.get(KEY)
+    return Ramp.from_dict(stored) if isinstance(stored, Mapping) else None
+
+
+def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
+    """Displacement and speed bounds of the ramp from speeds ``[v_lo, v_hi]``, as knots that are monotone in between."""
+    n = v_lo.shape[0]
+    fast = np.maximum(np.abs(v_lo), np.abs(v_hi))
+    lasts = ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo
+    end = float(np.max(ramp.control.hi + lasts))
+    t = np.linspace(0.0, end, KNOTS + 1)
+    curves = [_curve(ramp, v, t, slow) for v in (v_lo, v_hi) for slow in (True, False)]
+    d = np.array([c[0] for c in curves])
+    v = np.array([c[1] for c in curves])
+    # tracking errors exist from the request on; the first knot is exact
+    after = (t > 0)[:, None]
+    d_lo, d_hi = d.min(axis=0) - after * ramp.q_error, d.max(axis=0) + after * ramp.q_error
+    w_lo, w_hi = v.min(axis=0) - ramp.dq_error, v.max(axis=0) + ramp.dq_error
+    nothing = np.zeros((KNOTS, n))
+    return Tube(
+        0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
+        nothing, nothing, nothing, nothing, np.full(n, np.nan),
+    )  # fmt: skip
+
+
+def _curve(ramp: Ramp, v: Array, t: Array, slow: bool) -> tuple[Array, Array]:
+    """Displacement and speed (T, n) of one corner: latest start and gentlest ramp, or the opposite."""
+    begin = ramp.control.hi if slow else ramp.control.lo
+    if ramp.kind == "time":
+        lasts = ramp.value.hi if slow else ramp.value.lo
+    else:
+        lasts = np.abs(v) / (ramp.value.lo if slow else ramp.value.hi)
+    s = np.clip((t[:, None] - begin) / np.maximum(lasts, 1e-12), 0.0, 1.0)
+    held = np.minimum(t[:, None], begin)
+    return v * (held + lasts * (s - 0.5 * s * s)), v * (1.0 - s)
+
+
+def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array:
+    """(n,) [s] from the request to rest."""
+    fast = np.maximum(np.abs(v_lo), np.abs(v_hi))
+    return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo)
+
+
+def infeasible(
+    model: Model, ramp: Ramp, bodies: tuple[Array, Array], rotor: Array, extra: Array, q: Array, dq: Array
+) -> str | None:
+    """Whether the drives have the torque for the ramp, checked densely; a sentence if not, None if they have.
+
+    ``bodies``: standard parameters at both ends of the payload's range; ``extra``: (n,) friction, viscous and U torque on
+    top [N m]. Between the points checked the torque is taken to change by as much as between its neighbours.
+    """
+    limit = model.robot.torque_limit
+    worst, where, need = np.inf, 0, 0.0
+    lasts = ramp.value.lo if ramp.kind == "time" else np.maximum(np.abs(dq), 1e-9) / ramp.value.hi
+    a = -dq / lasts
+    grid = np.linspace(0.0, 1.0, KNOTS + 1)
+    for pi in bodies:
+        tau = np.empty((len(grid), model.n))
+        for k, s in enumerate(grid):
+            t = s * float(np.max(lasts))
+            u = np.minimum(t / lasts, 1.0)
+            here = q + dq * lasts * (u - 0.5 * u * u)
+            acc = np.where(u < 1.0, a, 0.0)
+            tau[k] = torque(model.robot.chain, pi, here, dq * (1.0 - u), acc) + rotor * acc
+        jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
+        asked = np.abs(tau).max(axis=0) + np.where(jump > 0.2 * limit, 0.0, jump) + extra
+        room = limit - asked
+        if room.min() < worst:
+            worst, where = float(room.min()), int(np.argmin(room))
+            need = float(asked[where])
+    if worst >= 0:
+        return None
+    return (
+        f"the ramp asks {need:.3g} N m of {model.joints[where]}, its drive has {limit[where]:.3g} N m: not credible; use a "
+        f"gentler ramp or the guaranteed stop"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Where a failed ramp can have got to: ``travel`` (lo, hi) in seconds at full speed, ``share`` (lo, hi) of the speed,
+    ``time`` [s] since the request."""
+
+    travel: tuple[float, float]
+    share: tuple[float, float]
+    time: float
+
+
+def failed_cells(ramp: Ramp, dq: Array) -> list[Cell]:
+    """All states in which power can be taken after the ramp failed, as cells small enough to bound one by one."""
+    top = ramp.share
+    speeds = [(top * k / SHARES, top * (k + 1) / SHARES) for k in range(SHARES)]
+    pace = max(float(np.abs(dq).sum()), 1e-9)
+
+    def travels(longest: float) -> list[tuple[float, float]]:
+        count = max(1, int(np.ceil(longest * pace / CELL)))
+        return [(longest * k / count, longest * (k + 1) / count) for k in range(count)]
+
+    if ramp.monitored:
+        lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
+        control = float(np.max(ramp.control.hi))
+        cells = []
+        steps = 8
+        # noticed in slice k: the speed was below the line's value at the slice's start until then
+        for k in range(steps + 1):
+            begin, end = control + lasts * k / steps - lasts / steps, control + lasts * k / steps
+            line = min(top, 1.0 - max(k - 1, 0) / steps + ramp.tolerance)
+            s = min(max(end - control, 0.0) / lasts, 1.0)
+            way = control * top + lasts * (s - 0.5 * s * s) + (ramp.tolerance * s * lasts) + ramp.reaction * line
+            if k == 0:
+                begin = 0.0
+            cells += [Cell(x, (0.0, line), max(begin, 0.0) + lasts / steps + ramp.reaction) for x in travels(way)]
+        return cells
+    if ramp.off_after is None:
+        return []
+    return [Cell(x, s, ramp.off_after) for x in travels(top * ramp.off_after) for s in speeds]
