@@ -1,5 +1,6 @@
-"""Sets: boxes, and what one may do with them without losing a point."""
+"""Sets: boxes and zonotopes, and what one may do with them without losing a point."""
 
 from stopset.sets.box import Box
+from stopset.sets.zonotope import Zonotope
 
-__all__ = ["Box"]
+__all__ = ["Box", "Zonotope"]

@@ -1,0 +1,120 @@
+"""Zonotopes: centre plus generators, each in [-1, 1]; slanted sets for disturbances that come together.
+
+A box says what each joint may suffer; a zonotope also says what the joints do not suffer at once.  Linear maps and
+Minkowski sums of zonotopes are zonotopes, exactly, which is why reachable sets of linear systems are made of them.
+
+Source: Kuehn (1998), Rigorously computed orbits of dynamical systems without the wrapping effect; Girard (2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stopset.sets.box import Box
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Zonotope:
+    """The set ``{centre + generators @ b : -1 <= b <= 1}``; ``centre``: (d,), ``generators``: (d, m)."""
+
+    centre: Array
+    generators: Array
+
+    def __post_init__(self) -> None:
+        if self.centre.ndim != 1 or self.generators.ndim != 2 or len(self.generators) != len(self.centre):
+            raise ValueError(
+                f"zonotope of centre {self.centre.shape} and generators {self.generators.shape}; expected (d,) and (d, m)"
+            )
+        if not (np.all(np.isfinite(self.centre)) and np.all(np.isfinite(self.generators))):
+            raise ValueError("zonotope with a centre or generator that is not finite; expected numbers")
+
+    @classmethod
+    def of_box(cls, box: Box) -> Zonotope:
+        """A box as a zonotope, one generator per axis."""
+        return cls(box.centre, np.diag(box.radius))
+
+    @property
+    def dim(self) -> int:
+        return int(self.centre.shape[0])
+
+    def support(self, direction: ArrayLike) -> Array:
+        """``max l'x`` over the set for each row ``l`` of ``direction`` (..., d), rounded outward."""
+        L = np.asarray(direction, float)
+        size = np.abs(L @ self.generators).sum(axis=-1)
+        reach = np.abs(L) @ np.abs(self.centre) + np.abs(L) @ np.abs(self.generators).sum(axis=1)
+        # d products and d + m sums of rounding 2^-53 each
+        return np.asarray(L @ self.centre + size + 2.0**-52 * (2 * self.dim + self.generators.shape[1]) * reach)
+
+    def width(self, direction: ArrayLike) -> Array:
+        """``max l'x - min l'x`` for each row ``l`` of ``direction`` (..., d)."""
+        return np.asarray(2.0 * np.abs(np.asarray(direction, float) @ self.generators).sum(axis=-1))
+
+    @property
+    def box(self) -> Box:
+        """Smallest box around it, rounded outward."""
+        axes = np.eye(self.dim)
+        return Box(-self.support(-axes), self.support(axes))
+
+    @property
+    def volume(self) -> float:
+        """Volume; one determinant per choice of d generators. Source: Shephard (1974), eq. (57)."""
+        d, m = self.generators.shape
+        return float(2.0**d * sum(abs(np.linalg.det(self.generators[:, k])) for k in map(list, combinations(range(m), d))))
+
+    def mapped(self, E: Array) -> Zonotope:
+        """``{E x}`` for a matrix ``E`` (k, d)."""
+        return Zonotope(E @ self.centre, E @ self.generators)
+
+    def __add__(self, other: Zonotope) -> Zonotope:
+        """Minkowski sum."""
+        return Zonotope(self.centre + other.centre, np.hstack([self.generators, other.generators]))
+
+    def inflated(self, factor: float) -> Zonotope:
+        """Grown about its centre by ``factor`` (>= 1)."""
+        return Zonotope(self.centre, max(1.0, factor) * self.generators)
+
+    def reduced(self, order: int) -> Zonotope:
+        """A zonotope around it with at most ``order * d`` generators: the least slanted ones become a box.
+
+        Source: Girard (2005), Reachability of uncertain linear systems using zonotopes, sec. 3.4.
+        """
+        d, m = self.generators.shape
+        if m <= order * d:
+            return self
+        size = np.abs(self.generators).sum(axis=0) - np.abs(self.generators).max(axis=0)
+        rank = np.argsort(size)
+        few, kept = rank[: m - (order - 1) * d], rank[m - (order - 1) * d :]
+        hull = np.nextafter(np.abs(self.generators[:, few]).sum(axis=1) * (1.0 + m * 2.0**-52), np.inf)
+        return Zonotope(self.centre, np.hstack([self.generators[:, kept], np.diag(hull)]))
+
+    def facets(self) -> Iterator[Array]:
+        """Unit normals (d,) of all facets (both signs follow by symmetry); d - 1 generators span each."""
+        d, m = self.generators.shape
+        if d == 1:
+            yield np.ones(1)
+            return
+        for k in combinations(range(m), d - 1):
+            spanned = self.generators[:, k]
+            normal = np.array([(-1.0) ** i * np.linalg.det(np.delete(spanned, i, axis=0)) for i in range(d)])
+            length = float(np.linalg.norm(normal))
+            if length > 1e-12 * float(np.prod(np.linalg.norm(spanned, axis=0))) and length > 0.0:
+                yield normal / length
+
+    def contains(self, x: ArrayLike) -> bool:
+        """Whether every row of ``x`` (d,) or (N, d) lies inside, by all facets (for few dimensions and generators).
+
+        A set without interior (fewer than d independent generators) holds nothing but by chance; then the answer is
+        False.
+        """
+        y = np.atleast_2d(np.asarray(x, float)) - self.centre
+        if np.linalg.matrix_rank(self.generators) < self.dim:
+            return False
+        normals = np.array(list(self.facets()))
+        return bool(np.all(np.abs(y @ normals.T) <= self.width(normals) / 2.0 + 2.0**-45 * np.abs(self.generators).sum()))
