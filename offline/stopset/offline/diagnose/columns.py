@@ -14,6 +14,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, mass_matrix, regressors, torques
 
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
+SWING_ROUNDS = 4  # each round shrinks the error by about the bend in radians, 0.1 at worst
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
 
@@ -32,13 +33,20 @@ class Source:
     robot: Robot
     data: Prepared
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
+    built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     _cache: dict[str, Array] = field(default_factory=dict)
     _signals: dict[int, Signals] = field(default_factory=dict)
 
     def set_friction(self, friction: Array) -> None:
-        """Coulomb and viscous coefficients (n, 2), which the modelled torque then holds."""
+        """Coulomb and viscous coefficients (n, 2), which the modelled torque then holds; what of it the poses show."""
         self.friction = friction
+        if len(self.data.q_still):
+            half = np.median(self.data.spread_still, axis=0)
+            self.built_up = np.clip(half / np.maximum(friction[:, 0], 1e-9), 0.0, 1.0)
         self._signals.clear()
+
+    def __post_init__(self) -> None:
+        self.built_up = np.zeros(self.data.n)
 
     def _get(self, key: str, make) -> Array:  # type: ignore[no-untyped-def]
         if key not in self._cache:
@@ -190,9 +198,21 @@ def columns(
             if effect.states:
                 s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
             moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
-        rest = replace(source.still(i), memory=tuple(np.zeros(len(d.q_still)) for _ in effect.states))
-        still = [np.broadcast_to(np.asarray(c, float), (len(d.q_still),)) for c in effect.columns(rest, shapes)]
-        out[i] = (moving, np.stack(still, axis=1))
+        out[i] = (moving, _at_rest(source, effect, i, shapes))
+    return out
+
+
+def _at_rest(source: Source, effect: Effect, joint: int, shapes: Mapping[str, float]) -> Array:
+    """(P, k) columns of the poses: the mean over approaches from both sides, as far as friction had built up there."""
+    P = len(source.data.q_still)
+    rest = replace(source.still(joint), memory=tuple(np.zeros(P) for _ in effect.states))
+
+    def law(way: float) -> Array:
+        made = effect.columns(replace(rest, way=np.full(P, way), memory=tuple(np.full(P, way) for _ in effect.states)), shapes)
+        return np.stack([np.broadcast_to(np.asarray(c, float), (P,)) for c in made], axis=1)
+
+    none, both = law(0.0), 0.5 * (law(1.0) + law(-1.0))
+    out: Array = none + source.built_up[joint] * (both - none)
     return out
 
 
@@ -276,13 +296,32 @@ def _swing(source: Source, joint: int, K: float, D: float, exact: bool) -> dict[
     The link torque is calmed unless ``exact``, see `_calm`.
     """
     d, M, g, first = source.data, source.mass, source.stiff(joint, False), source.first
-    link = source.link[:, joint] if exact else _calm(source.link[:, joint], first)
-    x, ddx = _link_filter(
-        link, M[:, joint, joint], g[:, joint], first, K, D, d.step * d.kernel.dt, SUBSTEPS
-    )
+    dt = d.step * d.kernel.dt
+    if exact:
+        moving = _true_swing(source, joint, K, D, dt)
+    else:
+        calm = _calm(source.link[:, joint], first)
+        x, _, ddx = _link_filter(calm, M[:, joint, joint], g[:, joint], first, K, D, dt, SUBSTEPS)
+        moving = M[:, :, joint] * ddx[:, None] + g * x[:, None]
     g_still = source.stiff(joint, True)
     x_still = -source.load_still[:, joint] / (K + g_still[:, joint])
-    return {i: ((M[:, i, joint] * ddx + g[:, i] * x)[:, None], (g_still[:, i] * x_still)[:, None]) for i in range(d.n)}
+    return {i: (moving[:, i, None], (g_still[:, i] * x_still)[:, None]) for i in range(d.n)}
+
+
+def _true_swing(source: Source, joint: int, K: float, D: float, dt: float) -> Array:
+    """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration."""
+    d, robot, first = source.data, source.robot, source.first
+    unit = np.eye(d.n)[joint]
+    x = dx = ddx = np.zeros(len(d.q))
+    none = np.zeros_like(d.q[:, 0])
+    bent = source.link
+    for _ in range(SWING_ROUNDS):
+        M = _mass_matrices(robot.chain, robot.pi, d.q + x[:, None] * unit)[:, joint, joint]
+        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx, M, none, first, K, D, dt, SUBSTEPS)
+        position, speed, acceleration = (a + b[:, None] * unit for a, b in ((d.q, x), (d.dq, dx), (d.ddq, ddx)))
+        bent = torques(robot.chain, robot.pi, position, speed, acceleration)
+    out: Array = bent - source.link
+    return out
 
 
 @njit(cache=True)
@@ -314,12 +353,13 @@ def _calm(x: Array, first: Mask) -> Array:
 @njit(cache=True)
 def _link_filter(
     link: Array, M: Array, g: Array, first: Mask, K: float, D: float, dt: float, sub: int
-) -> tuple[Array, Array]:
-    """Position and acceleration of the link against the motor, by Newmark's rule; starts bent by the load, at rest."""
-    out, acc = np.zeros(link.shape[0]), np.zeros(link.shape[0])
+) -> tuple[Array, Array, Array]:
+    """Position, speed, acceleration of the link against the motor, by Newmark's rule; starts bent by the load, at rest."""
+    N = link.shape[0]
+    out, rate, acc = np.zeros(N), np.zeros(N), np.zeros(N)
     h = dt / sub
     x = dx = 0.0
-    for k in range(link.shape[0]):
+    for k in range(N):
         if first[k]:
             x, dx = -link[k] / (K + g[k]), 0.0
         else:
@@ -331,6 +371,6 @@ def _link_filter(
                 ddx = (f - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
                 x += h * dx + 0.5 * h * h * ddx
                 dx += h * ddx
-        out[k] = x
+        out[k], rate[k] = x, dx
         acc[k] = (-link[k] - D * dx - (K + g[k]) * x) / M[k]
-    return out, acc
+    return out, rate, acc

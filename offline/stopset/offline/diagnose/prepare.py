@@ -72,7 +72,8 @@ class Prepared:
     Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``way`` smoothed direction, ``ok`` the row of this joint says
     something, ``temp`` [degC] or None, ``warm`` (N,) place in the session, ``trial`` (N,) index, ``centre`` (N,) its sample.
     Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine, temp_fine``.
-    Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides.
+    Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
+    difference.
     ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
     """
 
@@ -99,6 +100,7 @@ class Prepared:
     start_fine: Mask
     q_still: Array
     tau_still: Array
+    spread_still: Array
     torque_noise: Array
     position_noise: Array
 
@@ -159,7 +161,7 @@ def prepare(recordings: Recordings) -> Prepared:
     dq, way = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
-    q_still, tau_still = _standstill(recordings)
+    q_still, tau_still, spread_still = _standstill(recordings)
     noise = [(_white(g["tau"]), _white(g["q"])) for _, g in grids if len(g["t"]) > 20]
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
@@ -168,7 +170,7 @@ def prepare(recordings: Recordings) -> Prepared:
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), temp_fine=temp_fine,
-        warm_fine=fine["warm"], start_fine=start, q_still=q_still, tau_still=tau_still,
+        warm_fine=fine["warm"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
     )  # fmt: skip
 
@@ -198,7 +200,7 @@ def _moving(dq_fine: Array, way: Array, centre: Index, kernel: Kernel) -> Mask:
     return (np.abs(way) > 1 - 1e-6) & ~slow
 
 
-def _standstill(recordings: Recordings) -> tuple[Array, Array]:
+def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
     """One row per pose approached at least twice: friction is what the controller left, but its mean is small."""
     poses: dict[int, list[Recording]] = {}
     for r in recordings:
@@ -207,10 +209,11 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array]:
     kept: Sequence[list[Recording]] = [rs for rs in poses.values() if len(rs) > 1]
     n = len(recordings.meta.joints)
     if not kept:
-        return np.zeros((0, n)), np.zeros((0, n))
+        return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
     q = np.array([np.mean([r.q.mean(axis=0) for r in rs], axis=0) for rs in kept])
     tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in kept])
-    return q, tau
+    spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in kept])
+    return q, tau, spread
 
 
 def _white(x: Array) -> Array:
