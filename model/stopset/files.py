@@ -15,23 +15,41 @@ from stopset.errors import OutputError
 def writable(path: str | Path) -> Path:
     """``path`` if a file can be created there, checked before hours of work; raises `OutputError` otherwise."""
     target = Path(path)
-    if target.is_dir():
-        raise OutputError(f"{target} is a directory; expected the name of the file to write: add one")
-    if not target.parent.is_dir():
-        raise OutputError(f"{target.parent} does not exist; create the directory or choose another --out")
-    if not os.access(target.parent, os.W_OK):
-        raise OutputError(f"{target.parent} is not writable; change its permissions or choose another --out")
+    try:
+        if target.is_dir():
+            raise OutputError(f"{target} is a directory; expected the name of the file to write: add one")
+        if not target.parent.is_dir():
+            raise OutputError(f"{target.parent} does not exist; create the directory or choose another place")
+        # a trial file tells more than permission bits do: the file system itself may refuse
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}."):
+            pass
+    except OSError as e:
+        raise _failure(target, e) from e
     return target
+
+
+# what the system says when there is no room: the disk, the user's share of it, the largest file allowed
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def _failure(target: Path, e: OSError) -> OutputError:
+    if e.errno in NO_ROOM:
+        what = "the disk is full" if e.errno == errno.ENOSPC else f"no room to write it ({e.strerror})"
+        return OutputError(f"{target}: {what}; nothing was written: free space or choose another place, then run again")
+    if e.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return OutputError(f"{target.parent} is not writable ({e.strerror}); change its permissions or choose another place")
+    return OutputError(f"{target} cannot be written ({e.strerror or e}); choose another place")
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its name when the block ends well, and vanishes when it does not."""
     target = writable(path)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix)
-    os.close(handle)
-    part = Path(name)
+    part: Path | None = None
     try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix)
+        os.close(handle)
+        part = Path(name)
         yield part
         umask = os.umask(0)
         os.umask(umask)
@@ -40,11 +58,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
             os.fsync(f.fileno())
         part.replace(target)
     except OSError as e:
-        if e.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise OutputError(f"{target}: the disk is full; nothing was written: free space and run again") from e
-        raise OutputError(f"{target} cannot be written ({e.strerror or e}); choose another place") from e
+        raise _failure(target, e) from e
     finally:
-        part.unlink(missing_ok=True)
+        if part is not None:
+            part.unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -134,18 +134,20 @@ def load_model(path: str | Path) -> Model:
         body = json.loads(raw)
     except json.JSONDecodeError as e:
         raise ModelFileError(f"{p} is damaged: not JSON at line {e.lineno}; restore it or identify again") from e
+    except RecursionError as e:
+        raise ModelFileError(f"{p} is not a stopset model file: its JSON is nested without end; give the right file") from e
     if not isinstance(body, dict) or body.get("format") != FORMAT:
         raise ModelFileError(f'{p} is not a stopset model file; expected JSON with "format": "{FORMAT}"')
     if body.get("schema") != SCHEMA_VERSION:
         raise ModelFileError(
-            f"{p} has schema {body.get('schema')!r}, this stopset reads {SCHEMA_VERSION}; identify again or use a matching version"
+            f"{p} has schema {body.get('schema')!r}, this stopset reads {SCHEMA_VERSION}; identify again or match versions"
         )
     if body.get("sha256") != _digest(body):
         raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
     content = {k: v for k, v in body.items() if k not in ("format", "schema", "units")}
     try:
         model = _build(Model, content, "model")
-    except (ValueError, TypeError, KeyError, IndexError, RobotError) as e:
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RobotError) as e:
         raise ModelFileError(f"{p} cannot be used ({type(e).__name__}: {e}); identify again") from e
     assert isinstance(model, Model)
     _check_shapes(model, p)

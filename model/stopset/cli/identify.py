@@ -29,6 +29,13 @@ def margin(text: str) -> float | None:
     return value
 
 
+def order(text: str) -> int:
+    """A polynomial order."""
+    if not text.isdecimal() or not 1 <= int(text) <= 20:
+        raise argparse.ArgumentTypeError(f"{text!r} is no order; expected a whole number from 1 to 20")
+    return int(text)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument(
@@ -37,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
     parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
-    parser.add_argument("--order", type=int, metavar="P", help="polynomial order (default: by held-out error)")
+    parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
     parser.add_argument(
         "--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)"

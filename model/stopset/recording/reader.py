@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,7 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             f"{path}: column {what} missing (it has {', '.join(columns[:8])}{' ...' if len(columns) > 8 else ''}); "
             "expected suite, trial, t and q_, dq_, tau_ of every joint"
         )
+    _check_types(path, schema)
     raw = (schema.metadata or {}).get(b"recording")
     sources = ((path.name, _sha256(path)),)
     if raw is None:
@@ -116,6 +118,18 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
                 "wrong length; expected i_<joint> columns and one torque constant [N m/A] per joint"
             )
     return meta
+
+
+def _check_types(path: Path, schema: pa.Schema) -> None:
+    for field in schema:
+        signal = field.name == "t" or field.name.startswith(("q_", "dq_", "tau_", "temp_", "i_"))
+        kind, wanted = field.type, "numbers"
+        # a CSV column without a value has no type yet: what it should hold is checked row by row
+        ok = pa.types.is_floating(kind) or pa.types.is_integer(kind) or (pa.types.is_null(kind) and field.name != "t")
+        if field.name in ("suite", "trial"):
+            signal, ok, wanted = True, pa.types.is_integer(kind), "whole numbers"
+        if signal and not ok:
+            raise RecordingError(f"{path}: column {field.name} holds {kind}; expected {wanted}: convert it")
 
 
 def read_meta(path: str | Path) -> Meta:
@@ -206,7 +220,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
             names = np.full(rows, "open_loop", object) if phase is None else phase
             change = (np.diff(columns["suite"]) != 0) | (np.diff(columns["trial"]) != 0) | (names[1:] != names[:-1])
             edges = [0, *(np.flatnonzero(change) + 1).tolist(), rows]
-            for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+            for lo, hi in pairwise(edges):
                 here = (str(names[lo]), int(columns["suite"][lo]), int(columns["trial"][lo]))
                 if here[0] not in PHASES:
                     raise RecordingError(f"{path}: phase {here[0]!r}; expected one of {', '.join(PHASES)}")
