@@ -110,9 +110,7 @@ def test_smooth_motion_agrees_with_an_independent_integrator() -> None:
     late = np.full(6, 1.0)
     zero = np.zeros((1, 6))
     for q0, v0, _ in starts(5, 3):
-        exact = solve_ivp(
-            f, (0, 0.5), np.concatenate([q0, v0]), method="DOP853", rtol=1e-11, atol=1e-12, t_eval=[0.5]
-        ).y[:, -1]
+        exact = solve_ivp(f, (0, 0.5), np.concatenate([q0, v0]), method="DOP853", rtol=1e-11, atol=1e-12, t_eval=[0.5]).y[:, -1]
         errors = []
         for dt in (1e-3, 5e-4):
             q, v = stop(dt, q0, v0, zero, 0.5, fc=np.zeros(6), delay=late)

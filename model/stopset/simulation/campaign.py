@@ -110,9 +110,8 @@ def stop_jobs(cell: Cell, plan: Plan, phase: str) -> list[Job]:
 def schedule(cell: Cell, plan: Plan) -> list[Job]:
     """All recordings in the order they are made: rounds from cold to warm, varied stops before and after them."""
     rounds: list[list[Job]] = [[] for _ in range(ROUNDS + 2)]
-    static = static_jobs(cell, plan)
-    for k, job in enumerate(static):
-        rounds[1 + k * ROUNDS // len(static)].append(job)
+    for job in static_jobs(cell, plan):
+        rounds[1 + job.suite * ROUNDS // plan.poses].append(job)
     closed = closed_loop_jobs(cell, plan)
     for k, job in enumerate(closed):
         rounds[1 + k * ROUNDS // len(closed)].append(job)

@@ -35,9 +35,11 @@ WORK_BETWEEN = 1800.0  # [s] of work between the recordings, in all
 STATIC_WORK = 0.1  # of it before a static pose, compared with other recordings
 RUN_UP_TICKS = 25
 RAN_AWAY = 12.0  # [rad]
+SATURATED = 0.1  # share of a recording at the torque limit that makes it useless
 RAMP = 0.35  # [s] of a nominal STOP 1
 HOLD = 0.2  # [s] after it: the brakes close after 0.06 s, power goes off 0.07 s later, the recording ends
 BRAKES_AFTER, CUT_AFTER = 0.06, 0.13
+BELIEVED = 0.9  # share of the true friction that the controller's feedforward knows
 BANDWIDTH, DAMPING = 10.0, 0.9  # [rad/s], [-] of the joint controllers
 
 
@@ -102,8 +104,10 @@ def feedforward(cell: Cell, job: Job) -> Array:
     plant, cad = cell.truth.plant, cell.cad
     q, dq, ddq = job.motion
     out = torques(cad.chain, cad.pi, q, dq, ddq) + cad.rotor * ddq
-    if job.phase != "static":  # creeping into a pose, the controller's error alone builds up the friction
-        out += 0.9 * (plant.fc * np.tanh(dq / 0.05) + plant.fv * dq)
+    friction = BELIEVED * (plant.fc * np.tanh(dq / 0.05) + plant.fv * dq)
+    if job.phase == "static":  # creeping in, with the friction of that direction to the very end
+        friction = np.broadcast_to(BELIEVED * plant.fc * np.sign(dq[0]), q.shape)
+    out += friction
     return out
 
 
@@ -150,8 +154,9 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
     noise = rng.normal(0, SPEED_NOISE, (K, n)) * (job.trial >= 0)
     if job.feedforward is not None:
         kp, kd, q0 = np.zeros(n), np.zeros(n), q0 + rng.normal(0, 0.0005, n)
-    if job.phase == "static":  # already under way, friction fully built up
-        q0 = q0 - np.sign(v0) * plant.fc / kp
+    if job.phase == "static":  # stiff, so that an unknown load does not push it back; already under way
+        kp, kd = 4 * kp, 2 * kd
+        q0 = q0 - np.sign(v0) * (1 - BELIEVED) * plant.fc / kp
     brake_at = cut_at = K
     trigger = RUN_UP_TICKS if job.phase in ("stop0", "stop1") else K
     if job.phase == "stop0":
@@ -167,11 +172,7 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
     half = 0.5 * cell.space.speed
     heating = COOLING * cell.warmth / (half * (plant.fc + plant.fv * half))
     q, dq, tau, warm, link, speed = run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK)
-    if not np.abs(link).max() < RAN_AWAY:
-        raise RobotError(
-            f"the simulated arm ran away in {job.phase} suite {job.suite} (beyond {RAN_AWAY} rad); expected joints that their "
-            "drives can hold: check inertias and torque limits of the robot"
-        )
+    _check(cell, job, link, tau)
     if job.trial >= 0:
         tau = reported(cell, tau, link, speed) + rng.normal(0, 1, (K, n)) * cell.torque_noise
     dq, tau = np.round(dq / SPEED_STEP) * SPEED_STEP, np.round(tau / TORQUE_STEP) * TORQUE_STEP
@@ -184,6 +185,17 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
         temp=thermometer[keep] if cell.truth.thermometer else None,
         stop_trigger=triggered[keep],
     )  # fmt: skip
+
+
+def _check(cell: Cell, job: Job, q: Array, tau: Array) -> None:
+    """Raise `RobotError` where the arm ran away or its drives are too weak for it."""
+    advice = "expected joints that their drives can hold: check inertias and torque limits of the robot"
+    if not np.abs(q).max() < RAN_AWAY:
+        raise RobotError(f"the simulated arm ran away in {job.phase} suite {job.suite}, beyond {RAN_AWAY} rad; {advice}")
+    spent = (np.abs(tau) >= cell.truth.plant.limit).mean(axis=0)
+    if job.phase == "closed_loop" and spent.max() > SATURATED:
+        j = int(np.argmax(spent))
+        raise RobotError(f"the drive of {cell.cad.joints[j]} is at its torque limit {spent[j]:.0%} of the time; {advice}")
 
 
 def _motor_angle(plant: Plant, reading: Array) -> Array:

@@ -126,7 +126,7 @@ def creep(target: Array, direction: Array, period: float) -> Motion:
 
     The reference dies away over more than the controller's own time, so the joint never swings back.
     """
-    away, run, still = 0.02, 0.7, 0.06
+    away, run, still = 0.06, 0.8, 0.06
     t = np.arange(round((run + still) / period)) * period
     x = np.clip(t / run, 0.0, 1.0)
     s, ds, dds = (1 - x) ** 3, -3 * (1 - x) ** 2 / run, 6 * (1 - x) / run**2
