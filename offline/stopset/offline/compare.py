@@ -93,7 +93,7 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, _worst(model, deviations, tube, r, u)))
-    figures, _ = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
+    figures = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
     return Comparison(figures, tuple(rows), found, tube)
 
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
 AVERAGING = 0.2  # [s] torque errors are averages over such windows, a stop's length: momentum balance, no differentiation
+KINDS = ("torque", "velocity", "position")
 TOGETHER = 128  # trials simulated side by side
 LONGEST = 5.0  # [s] open-loop predictions are compared up to here
 
@@ -38,81 +39,104 @@ def torque_error(abstraction: Abstraction, dt: float, q: Array, dq: Array, u: Ar
     return np.asarray((gained - (impulse[edges + m] - impulse[edges])) / (m * dt))
 
 
-class _Sums:
-    """Sums of squares per joint and the spread between repetitions of a suite."""
+class Figures:
+    """Errors per joint, fed trial by trial; parts fed elsewhere can be merged, with the same bits as fed in one go.
 
-    def __init__(self, n: int) -> None:
-        self.torque, self.velocity, self.position = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.windows = self.rows = 0
-        self.repeats: dict[tuple[str, int], list[Array]] = {}  # count, sum and sum of squares per window of a suite
-        self.hull: Box | None = None
+    ``roll`` simulates effects at the simulated state; without it the inputs carry them at the measured one.
+    """
 
-    def add_repeat(self, motion: tuple[str, int], e: Array) -> None:
-        if motion not in self.repeats:
-            self.repeats[motion] = [np.zeros(len(e)), np.zeros_like(e), np.zeros_like(e)]
-        count, total, square = self.repeats[motion]
-        m = min(len(count), len(e))
-        count[:m] += 1
-        total[:m] += e[:m]
-        square[:m] += e[:m] ** 2
+    def __init__(self, abstraction: Abstraction, dt: float, roll: RollOut | None = None) -> None:
+        self._abstraction, self._dt, self._roll = abstraction, dt, roll
+        self._rows: list[tuple[int, Array]] = []  # (place, sums of squares and counts of one trial)
+        self._repeats: dict[tuple[str, int], list[tuple[int, Array]]] = {}
+        self._waiting: list[Recording] = []
+        self.u: Box | None = None  # hull of the inputs seen
 
-    def add_open_loop(self, r: Recording, x: Array) -> None:
+    def add(self, r: Recording, u: Array) -> None:
+        """Take a trial on the grid and its input (N, n) in."""
+        self.u = Box.hull(u) if self.u is None else self.u | Box.hull(u)
+        e = torque_error(self._abstraction, self._dt, r.q, r.dq, u)
+        self._put(r.place, "torque", e)
+        if r.phase == "open_loop":
+            self._repeats.setdefault(r.motion, []).append((r.place, e))
+        last = min(len(r.t), round(LONGEST / self._dt) + 1)
+        if self._roll is None:
+            x = predict(self._abstraction, self._dt, np.concatenate([r.q[0], r.dq[0]]), u[:last])
+            self._open_loop(r.cut(0, last), x)
+            return
+        self._waiting.append(r.cut(0, last))
+        if len(self._waiting) == TOGETHER:
+            self._flush()
+
+    def merge(self, other: Figures) -> Figures:
+        """Both together."""
+        for part in (self, other):
+            part._flush()
+        out = Figures(self._abstraction, self._dt, self._roll)
+        out._rows = self._rows + other._rows
+        for repeats in (self._repeats, other._repeats):
+            for motion, rows in repeats.items():
+                out._repeats.setdefault(motion, []).extend(rows)
+        out.u = self.u | other.u if self.u is not None and other.u is not None else self.u or other.u
+        return out
+
+    def result(self, joints: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+        """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse`` (SI).
+
+        Velocity and position are those of the open-loop prediction from each trial's start, at most `LONGEST` long; the
+        floor is the scatter between repetitions of the same torques, null without repetitions.
+        """
+        self._flush()
+        rms = {name: self._rms(name) for name in ("torque", "velocity", "position")}
+        floor = self._floor()
+        return {
+            j: {
+                "torque_rmse": None if rms["torque"] is None else float(rms["torque"][k]),
+                "torque_rmse_floor": None if floor is None else float(floor[k]),
+                "velocity_rmse": None if rms["velocity"] is None else float(rms["velocity"][k]),
+                "position_rmse": None if rms["position"] is None else float(rms["position"][k]),
+            }
+            for k, j in enumerate(joints)
+        }
+
+    def _put(self, place: int, name: str, e: Array) -> None:
+        # one row per trial and kind, summed in campaign order at the end: the sum does not depend on who added what
+        self._rows.append((3 * place + KINDS.index(name), np.concatenate([(e**2).sum(axis=0), [len(e)]])))
+
+    def _open_loop(self, r: Recording, x: Array) -> None:
         n = r.q.shape[1]
-        self.position += ((x[:, :n] - r.q) ** 2).sum(axis=0)
-        self.velocity += ((x[:, n:] - r.dq) ** 2).sum(axis=0)
-        self.rows += len(r.t)
+        self._put(r.place, "position", x[:, :n] - r.q)
+        self._put(r.place, "velocity", x[:, n:] - r.dq)
 
-    def add_rolled(self, trials: Sequence[Recording], states: Sequence[Array]) -> None:
-        for r, x in zip(trials, states, strict=True):
-            self.add_open_loop(r, x)
+    def _flush(self) -> None:
+        if self._waiting and self._roll is not None:
+            for r, x in zip(self._waiting, self._roll(self._waiting, self._dt), strict=True):
+                self._open_loop(r, x)
+            self._waiting = []
 
-    def floor(self) -> Array | None:
+    def _rms(self, name: str) -> Array | None:
+        rows = [row for key, row in sorted(self._rows, key=lambda p: p[0]) if key % 3 == KINDS.index(name)]
+        total = np.sum(rows, axis=0) if rows else np.zeros(1)
+        return np.asarray(np.sqrt(total[:-1] / total[-1])) if total[-1] > 0 else None
+
+    def _floor(self) -> Array | None:
         """RMS deviation from the mean of the repetitions (n,), None without repetitions."""
-        freedom, spread = 0.0, np.zeros_like(self.torque)
-        for count, total, square in self.repeats.values():
-            twice = count >= 2
-            freedom += float((count[twice] - 1).sum())
-            spread += (square[twice] - total[twice] ** 2 / count[twice, None]).sum(axis=0)
-        return np.sqrt(np.maximum(spread, 0.0) / freedom) if freedom > 0 else None
+        freedom, spread = 0.0, np.zeros(self._abstraction.n)
+        for motion in sorted(self._repeats):
+            rows = [e for _, e in sorted(self._repeats[motion], key=lambda p: p[0])]
+            m = min(len(e) for e in rows)
+            if len(rows) >= 2 and m > 0:
+                block = np.stack([e[:m] for e in rows])
+                freedom += (len(rows) - 1) * m
+                spread += ((block - block.mean(axis=0)) ** 2).sum(axis=(0, 1))
+        return np.asarray(np.sqrt(spread / freedom)) if freedom > 0 else None
 
 
 def joint_figures(
     pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], dt: float, roll: RollOut | None = None
-) -> tuple[dict[str, dict[str, Any]], Box]:
-    """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse`` (SI), and the hull of the inputs seen.
-
-    Velocity and position are those of the open-loop prediction from each trial's start, at most `LONGEST` long; the floor is
-    the scatter between repetitions of the same torques, null without repetitions.  ``roll`` simulates effects at the
-    simulated state; without it the inputs carry them at the measured one.
-    """
-    sums = _Sums(len(joints))
-    waiting: list[Recording] = []
+) -> dict[str, dict[str, Any]]:
+    """`Figures` over all ``pairs``."""
+    figures = Figures(abstraction, dt, roll)
     for _, r, u in pairs():
-        sums.hull = Box.hull(u) if sums.hull is None else sums.hull | Box.hull(u)
-        e = torque_error(abstraction, dt, r.q, r.dq, u)
-        sums.torque += (e**2).sum(axis=0)
-        sums.windows += len(e)
-        if r.phase == "open_loop":
-            sums.add_repeat(r.motion, e)
-        last = min(len(r.t), round(LONGEST / dt) + 1)
-        if roll is None:
-            sums.add_open_loop(r.cut(0, last), predict(abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), u[:last]))
-            continue
-        waiting.append(r.cut(0, last))
-        if len(waiting) == TOGETHER:
-            sums.add_rolled(waiting, roll(waiting, dt))
-            waiting = []
-    if roll is not None and waiting:
-        sums.add_rolled(waiting, roll(waiting, dt))
-    floor = sums.floor()
-    assert sums.hull is not None
-    out = {
-        j: {
-            "torque_rmse": float(np.sqrt(sums.torque[k] / sums.windows)) if sums.windows else None,
-            "torque_rmse_floor": None if floor is None else float(floor[k]),
-            "velocity_rmse": float(np.sqrt(sums.velocity[k] / sums.rows)),
-            "position_rmse": float(np.sqrt(sums.position[k] / sums.rows)),
-        }
-        for k, j in enumerate(joints)
-    }
-    return out, sums.hull
+        figures.add(r, u)
+    return figures.result(joints)

@@ -18,8 +18,10 @@ from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.conform.linear import STOP_TIME
-from stopset.offline.conform.sets import Conformance, Options, Pairs, conform
-from stopset.offline.errors import joint_figures
+from stopset.offline.conform.guarantee import split
+from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, conform, few_motions, gather
+from stopset.offline.errors import Figures, joint_figures
+from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.effect_names import parse_effect
 from stopset.offline.output_error import fit_joint
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
@@ -116,7 +118,7 @@ def nominal_figures(
     nominal = fit_nominal(robot, meta, part(train), found, settings)
     judged = replace(survey(part(held)), repeats=everything.repeats, places=everything.places)
     pairs = _pairs(part(held), judged, nominal, meta.effort)
-    return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))[0]
+    return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))
 
 
 def _meta(paths: Sequence[str | Path]) -> Meta:
@@ -183,14 +185,27 @@ def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> 
 def _with_sets(
     robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
 ) -> Identification:  # fmt: skip
-    pairs = _pairs(source, found, nominal, meta.effort)
-    motions = sorted(set(found.motion.values()))
+    motions = len(set(found.motion.values()))
     horizon = min(settings.horizon, found.longest)
-    tell(f"{len(motions)} independent motions; identifying the sets up to {horizon:.2f} s ahead")
+    tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     options = Options(settings.conform, settings.windows, settings.margin)
-    result = conform(pairs, motions, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
-    tell("errors per joint")
-    errors, u_hull = joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, found))
+
+    def part(trials: Range) -> tuple[Gathered, Figures]:
+        figures = Figures(nominal.abstraction, found.dt, roller(nominal, meta.effort, found))
+
+        def pairs() -> Iterator[tuple[int, Recording, Array]]:
+            for motion, r, u in _pairs(within(source, trials), found, nominal, meta.effort)():
+                figures.add(r, u)
+                yield motion, r, u
+
+        few = few_motions(len(split(list(range(motions))).used))
+        return gather(pairs, nominal.abstraction, found.dt, horizon, options.windows, few), figures
+
+    gathered, figures = in_parts(part, found.places)
+    tell("identifying the sets")
+    result = conform(gathered, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
+    errors, u_hull = figures.result(robot.joints), figures.u
+    assert u_hull is not None
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,

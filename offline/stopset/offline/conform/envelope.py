@@ -66,7 +66,7 @@ class Envelope:
         return ActiveBound(bound, label, float(at[1]) * self.dt, age * self.dt, name)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _update_decoupled(
     a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
 ) -> None:

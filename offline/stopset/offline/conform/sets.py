@@ -51,22 +51,46 @@ class Conformance:
     notes: tuple[str, ...] = field(default=())
 
 
-def collect(pairs: Pairs, deviations: Deviations, motions: Iterable[int]) -> dict[int, Envelope]:
-    """Envelope of every motion, in one pass."""
-    parts = {m: deviations.empty() for m in motions}
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What one pass over the trials leaves: envelopes by motion, from the trials' starts, and of even and odd repetitions."""
+
+    parts: dict[int, Envelope]
+    start: Envelope
+    halves: tuple[Envelope, Envelope]
+
+    def merge(self, later: Gathered) -> Gathered:
+        """Both together; ``later`` holds trials that come after this one's, so that ties keep the first."""
+        parts = dict(self.parts)
+        for m, env in later.parts.items():
+            parts[m] = parts[m].merge(env) if m in parts else env
+        halves = (self.halves[0].merge(later.halves[0]), self.halves[1].merge(later.halves[1]))
+        return Gathered(dict(sorted(parts.items())), self.start.merge(later.start), halves)
+
+
+def gather(pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, windows: str, few_motions: bool) -> Gathered:
+    """One pass over ``pairs``: running envelopes in constant memory."""
+    steps = round(horizon / dt)
+    main = Deviations(abstraction, dt, steps, windows)
+    from_start = Deviations(abstraction, dt, steps, "start")
+    out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
-        deviations.add(parts[motion], r, u)
-    return parts
+        if motion not in out.parts:
+            out.parts[motion] = main.empty()
+        main.add(out.parts[motion], r, u)
+        from_start.add(out.start, r, u)
+        if few_motions:
+            main.add(out.halves[r.trial % 2], r, u)
+    return replace(out, parts=dict(sorted(out.parts.items())))
 
 
 def conform(
-    pairs: Pairs, motions: Sequence[int], abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float,
-    horizon: float, options: Options, trials: int,
+    found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
+    options: Options, trials: int,
 ) -> Conformance:  # fmt: skip
-    """Identify ``X0``, ``U``, ``V`` of a linear abstraction over all ``motions`` up to ``horizon`` [s]."""
-    steps = round(horizon / dt)
-    R = responses(abstraction, dt, steps)
-    parts = collect(pairs, Deviations(abstraction, dt, steps, options.windows), motions)
+    """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s]."""
+    R = responses(abstraction, dt, round(horizon / dt))
+    parts = found.parts
     division = g.split(list(parts))
     used = {m: parts[m] for m in division.used}
     everything = g.union(list(parts.values()))
@@ -78,7 +102,7 @@ def conform(
 
     fit = fitted(list(used.values()))
     alone = abstraction.decoupled
-    factors, notes = _margin(pairs, abstraction, dt, steps, options, used, fitted, R)
+    factors, notes = _margin(found.halves, abstraction, options, used, fitted, R)
     chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
     grown = g.inflated(fit, chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
@@ -102,10 +126,15 @@ def conform(
     other = "position" if options.conform == "all" else "all"
     second = fitted(list(used.values()), other)
     table = {options.conform: fit, other: second}
-    table |= _variants(pairs, abstraction, joints, dt, steps, motions, noise, R)
+    table |= _variants(found.start, abstraction, joints, noise, R)
     grown = g.inflated(second, chosen)
     companion = packed(_enclosing(grown, R, everything, alone))
     return Conformance(packed(final), companion, promise, factors, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
+
+
+def few_motions(used: int) -> bool:
+    """Whether there are too few motions (after holding out) to calibrate a margin across them."""
+    return used < g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY
 
 
 def _enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
@@ -120,14 +149,14 @@ def _enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
 
 
 def _margin(
-    pairs: Pairs, abstraction: Abstraction, dt: float, steps: int, options: Options, used: dict[int, Envelope],
+    halves: tuple[Envelope, Envelope], abstraction: Abstraction, options: Options, used: dict[int, Envelope],
     fitted: Callable[[Sequence[Envelope]], Fit], R: Responses,
 ) -> tuple[Array, list[str]]:  # fmt: skip
     """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts."""
     alone = abstraction.decoupled
     if options.margin is not None:
         return np.full(abstraction.n, options.margin), []
-    if len(used) >= g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY:
+    if not few_motions(len(used)):
         keys = sorted(used)
         folds = [keys[k :: g.FOLDS] for k in range(g.FOLDS)]
         factors = np.ones(abstraction.n)
@@ -136,13 +165,6 @@ def _margin(
             unseen = g.union([used[m] for m in fold])
             factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, alone))
         return factors, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
-    deviations = Deviations(abstraction, dt, steps, options.windows)
-    halves = [deviations.empty(), deviations.empty()]
-    count: dict[tuple[str, int], int] = {}
-    for _, r, u in pairs():
-        k = count.get(r.motion, 0)
-        count[r.motion] = k + 1
-        deviations.add(halves[k % 2], r, u)
     if min(len(h.labels) for h in halves) < 2:
         return np.ones(abstraction.n), ["one trial only: no margin could be calibrated"]
     needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], alone) for a in (0, 1)]
@@ -155,11 +177,9 @@ def _range(factors: Array) -> str:
 
 
 def _variants(
-    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], dt: float, steps: int, motions: Sequence[int],
-    noise: Box, R: Responses,
-) -> dict[str, Fit]:  # fmt: skip
+    start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, R: Responses
+) -> dict[str, Fit]:
     """What the paper's own definition gives on the same data: from the trial's start, with and without the noise set."""
-    start = g.union(list(collect(pairs, Deviations(abstraction, dt, steps, "start"), motions).values()))
     none = Box.symmetric(np.zeros_like(noise.hi))
     return {
         "start, all": fit_sets(start, R, noise, abstraction, joints, "all"),

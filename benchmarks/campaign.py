@@ -1,0 +1,75 @@
+"""The paper's whole campaign, synthesised, and what it costs to identify a model from it.
+
+2,280 trials in 152 suites of 38 motions, 5 s at 250 Hz, 6 joints (Liu & Althoff 2018, sec. V-B).  Prints wall time, memory
+and the cost per recording at a tenth, a third and all of it.  Run: python benchmarks/campaign.py [--trials 2280]
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+from stopset.recording import Meta, Recording, write_recordings
+from stopset.robot import load_robot
+
+RATE, SECONDS = 250.0, 5.0
+REPEATS, STARTS = 15, 4
+
+
+def trials(count: int, joints: int, seed: int = 0) -> Iterator[Recording]:
+    """Open-loop trials of independent first-order joints with torque disturbances, offsets and encoder noise."""
+    rng = np.random.default_rng(seed)
+    N, dt = int(RATE * SECONDS), 1.0 / RATE
+    J = np.array([1.9, 12.0, 1.9, 1.8, 0.55, 0.43])[:joints]
+    v = np.array([12.6, 27.0, 9.0, 8.1, 3.5, 4.0])[:joints]
+    t = dt * np.arange(N)
+    place = 0
+    while place < count:
+        suite = place // REPEATS
+        if suite % STARTS == 0 or place == 0:
+            shape = np.random.default_rng(seed + 1 + suite // STARTS)
+            amplitude, phase = shape.uniform(0.2, 0.6, joints) * v, shape.uniform(0, 2 * np.pi, joints)
+            whole = amplitude * np.sin(2 * np.pi * np.outer(np.arange(2 * N) * dt, shape.uniform(0.1, 0.4, joints)) + phase)
+        u = whole[N - (suite % STARTS) * (N // 8) :][:N]
+        push = lfilter([0.02], [1, -0.98], rng.normal(size=(N, joints)), axis=0) * 0.3 * v + rng.normal(size=joints) * 0.02 * v
+        decay = np.exp(-v * dt / J)
+        drive = (1 - decay) / v * (u + push)
+        dq = np.stack([lfilter([1.0], [1.0, -a], np.r_[0.0, d[:-1]]) for a, d in zip(decay, drive.T, strict=True)], axis=1)
+        q = np.vstack([np.zeros(joints), np.cumsum(0.5 * dt * (dq[1:] + dq[:-1]), axis=0)])
+        noisy_q = np.round((q + rng.normal(0, 2e-5, q.shape)) / 2**-14) * 2**-14
+        yield Recording("open_loop", suite, place % REPEATS, place, t, noisy_q, dq + rng.normal(0, 1e-3, dq.shape), u)
+        place += 1
+
+
+def measure(count: int, folder: Path) -> tuple[float, float]:
+    """Wall seconds and peak MiB of `stopset identify` on ``count`` trials, in a process of its own."""
+    robot = load_robot("lwa4p")
+    data = folder / f"{count}.parquet"
+    meta = Meta(joints=robot.joints, robot="LWA-4P, synthetic", effort="compensated_torque", rate_hz=RATE)
+    write_recordings(data, meta, trials(count, robot.n))
+    start = time.monotonic()
+    command = [sys.executable, "-m", "stopset.cli.main", "identify", "--robot", "lwa4p", "--data", str(data), "--out", str(folder / "m.json")]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=2280)
+    whole = parser.parse_args().trials
+    with tempfile.TemporaryDirectory() as name:
+        for count in (whole // 10, whole // 3, whole):
+            seconds, memory = measure(count, Path(name))
+            print(f"{count:6d} trials: {seconds:7.1f} s, {1e3 * seconds / count:6.1f} ms per trial, peak {memory:6.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()
