@@ -19,6 +19,7 @@ from stopset.artifact import Abstraction, Model, load_model
 from stopset.artifact.inputs import input_map
 from stopset.offline.conform.cooperative import Trial
 from stopset.offline.conform.zonotopes import ZonotopeFit, directions, fit_zonotope, template, torque_deviations
+from stopset.offline.survey import survey
 from stopset.recording import stream_recordings
 from stopset.robot.rigid import Array, link_frames
 from stopset.sets import Box
@@ -28,14 +29,15 @@ STARTS = 10  # a window starts every so many samples of the grid
 
 
 def tool_directions(model: Model, poses: Array) -> Array:
-    """Unit directions (3 per pose, n) in joint space along which the tool moves in x, y, z."""
+    """Unit directions (up to 3 per pose, n) in joint space along which the tool moves in x, y, z."""
     rows = []
     for q in poses:
         R, o = link_frames(model.robot.chain, q)
         tip = o[-1] + R[-1] @ model.robot.tip
         axes = np.einsum("irk,ik->ir", R, model.robot.chain.axis)
         J = np.cross(axes, tip - o).T
-        rows.append(J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-9))
+        length = np.linalg.norm(J, axis=1)
+        rows.append(J[length > 1e-3] / length[length > 1e-3, None])  # [m]; a direction the tool cannot move in says nothing
     return np.vstack(rows)
 
 
@@ -60,6 +62,7 @@ def main() -> None:
     args = parser.parse_args()
     model = load_model(args.model)
     to_input = input_map(model.robot, model.effects, model.effort, model.abstraction)
+    found = survey(lambda: stream_recordings(args.data, model.robot))
     trials, dt = [], GRID
     for r in stream_recordings(args.data, model.robot):
         if r.phase != args.phase or len(r.t) < 10:
@@ -72,7 +75,7 @@ def main() -> None:
         trials.append((np.hstack([r.q, r.dq])[: steps * every + 1 : every], np.vstack([mean, mean[-1:]])))
     poses = np.vstack([x[:: max(1, len(x) // 3), : model.n] for x, _ in trials[:: max(1, len(trials) // 4)]])
     tool = tool_directions(model, poses[:6])
-    fits = compare(trials, model.abstraction, model.powered.V, tool, dt, args.horizon)
+    fits = compare(trials, model.abstraction, found.noise, tool, dt, args.horizon)
     D = torque_deviations(trials, model.abstraction, dt)
     print(
         "correlation of the torque deviations between joints, largest:", np.abs(np.corrcoef(D.T) - np.eye(model.n)).max().round(2)

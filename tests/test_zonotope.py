@@ -125,7 +125,7 @@ def test_a_zonotope_is_never_worse_than_a_box() -> None:
 def tube(fit: ZonotopeFit, model: Abstraction, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # noqa: E741
     E1, middle, size = reach(model, l, fit.U.generators, DT, 60)
     rows = np.vstack([np.hstack([l, 0 * l]), np.hstack([0 * l, l])])
-    spread = np.abs(E1) @ NOISE.hi + np.abs(rows) @ fit.V.hi + size.sum(axis=2)
+    spread = np.abs(E1) @ fit.V.hi + np.abs(rows) @ fit.V.hi + size.sum(axis=2)
     return middle @ fit.U.centre - spread, middle @ fit.U.centre + spread
 
 

@@ -32,7 +32,7 @@ from stopset.sets import Box, Zonotope
 Array = NDArray[np.float64]
 
 AVERAGING = 0.2  # [s] torque deviations are averages over a stop's length: momentum balance, no differentiation
-AGES = 40  # ages per direction that give rows, evenly in the logarithm; the check takes all
+FIRST, ROUNDS = 400, 40  # of constraint generation: rows at a time, and how often; the check takes all rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,37 +131,45 @@ def fit_zonotope(seen: Directions, abstraction: Abstraction, G: Array, noise: Bo
     """Lengths of the generators ``G`` (n, m), centre, and velocity noise, for the narrowest tube that encloses
     ``seen``.
 
-    Starts are readings, within ``noise`` (2n,) of the state; ``noise`` is also the least of V. Raises `NotConformant`.
+    ``noise`` (2n,): symmetric; V of the angles, and the least V of the speeds.  Raises `NotConformant`.
     """
     n, m, k = abstraction.n, G.shape[1], len(seen.l)
     H = len(seen.hi) - 1
     E1, middle, size = reach(abstraction, seen.l, G, seen.dt, H)
-    spread = np.abs(E1) @ noise.hi  # X0 = -V at most, symmetric
     across = np.abs(seen.l)
+    # the start is a reading too: X0 = -V, symmetric; angles by their noise, speeds by what V is found to be
+    spread = np.abs(E1[:, :, :n]) @ noise.hi[:n]
     spread[:, :k] += across @ noise.hi[:n]
-    wide = np.zeros((2 * k, n))
-    wide[k:] = across  # what velocity noise adds to each row
+    wide = np.abs(E1[:, :, n:])
+    wide[:, k:] += across
     importance = age_weights(H, seen.dt)
     weight = np.where(np.arange(2 * k) < k, 1.0, STOP_TIME) / k
     price = 2.0 * np.einsum("h,hki,k->i", importance, size[1:], weight)
-    cost = np.concatenate([np.zeros(n), price + 1e-9 * price.max(), 2.0 * wide.T @ weight])
+    noisy_price = 2.0 * np.einsum("h,hki,k->i", importance, wide[1:], weight)
+    cost = np.concatenate([np.zeros(n), price + 1e-9 * price.max(), noisy_price])
 
     def rows(ages: NDArray[np.int64]) -> tuple[Array, Array]:
-        noisy = np.broadcast_to(wide, (len(ages), 2 * k, n))
-        top = np.concatenate([middle[ages], size[ages], noisy], axis=2).reshape(-1, n + m + n)
-        bottom = np.concatenate([-middle[ages], size[ages], noisy], axis=2).reshape(-1, n + m + n)
+        top = np.concatenate([middle[ages], size[ages], wide[ages]], axis=2).reshape(-1, n + m + n)
+        bottom = np.concatenate([-middle[ages], size[ages], wide[ages]], axis=2).reshape(-1, n + m + n)
         need = np.concatenate([(seen.hi[ages] - spread[ages]).ravel(), (-seen.lo[ages] - spread[ages]).ravel()])
         return np.vstack([top, bottom]), need
 
-    A, b = rows(np.unique(np.geomspace(1, H, AGES).astype(int)))
-    scale = np.maximum(np.abs(A).max(axis=1), 1e-12)
     bounds: list[tuple[float | None, float | None]] = [(None, None)] * n + [(0.0, None)] * m
     bounds += [(v, None) for v in noise.hi[n:].tolist()]
-    result = linprog(cost, A_ub=-A / scale[:, None], b_ub=-(b / scale + SOLVER_SLACK), bounds=bounds, method="highs-ds")
-    if result.status != 0:
-        raise NotConformant(f"no zonotope encloses the data ({result.message.splitlines()[0].strip()}); check the signals")
-    z = np.asarray(result.x)
     A, b = rows(np.arange(1, H + 1))
+    scale = np.maximum(np.abs(A).max(axis=1), 1e-12)
+    unit, need = A / scale[:, None], b / scale + SOLVER_SLACK
+    chosen = np.unique(np.linspace(0, len(need) - 1, FIRST).astype(int))
+    for _ in range(ROUNDS):
+        result = linprog(cost, A_ub=-unit[chosen], b_ub=-need[chosen], bounds=bounds, method="highs-ds")
+        if result.status != 0:
+            raise NotConformant(f"no zonotope encloses the data ({result.message.splitlines()[0].strip()}); check the signals")
+        z = np.asarray(result.x)
+        short = need - unit @ z
+        new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
+        if not len(new):
+            break
+        chosen = np.union1d(chosen, new[np.argsort(-short[new])[:FIRST]])
     centre = np.concatenate([z[:n], np.zeros(m + n)])
     radius = A @ (z - centre)
     factor = max(1.0, float(((b - A @ centre) / np.maximum(radius, 1e-300)).max())) * (1.0 + 1e-12)
