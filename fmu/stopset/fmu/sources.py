@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.fmu.energy import stop_data
 from stopset.fmu.laws import effect_laws
 from stopset.fmu.variables import Variable, Variables
 from stopset.ring.ctext import PRELUDE
@@ -85,9 +86,11 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
         "R": chain.R, "p": chain.p, "axis": chain.axis, "gravity": chain.gravity, "pi": model.robot.pi,
         "tip": model.robot.tip, "standstill": model.input.standstill, "q_a": model.provenance.get("q_a", np.zeros(n)),
     }  # fmt: skip
+    stop = stop_data(model)
+    numbers |= stop.arrays()
     whole = {
         "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",
-        "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None,
+        "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None, "has_brakes": stop.brakes,
     }  # fmt: skip
     rows = [f"    .{k} = {_array(v)}," for k, v in numbers.items()]
     rows += [f"    .{k} = {int(v)}," for k, v in whole.items()]
@@ -119,6 +122,7 @@ def sources(model: Model, variables: Variables) -> tuple[dict[str, str], str]:
     text |= {name: (core / "include" / name).read_text() for name in FMI_HEADERS}
     laws = effect_laws(model)
     flags = {"HAS_EFFECTS": int(laws.effects), "HAS_DIRECTION": int(laws.direction), "HAS_LOAD": int(laws.load)}
+    flags["HAS_INDICATORS"] = int(variables.count("INDICATOR") > 0)
     text["model_config.h"] = _config(variables, model.n, flags)
     content = _data(model, variables, laws.c, "") + "".join(text[k] for k in sorted(text))
     token = "{" + str(uuid.UUID(hashlib.sha256(content.encode()).hexdigest()[:32])) + "}"

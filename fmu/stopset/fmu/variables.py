@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters
+from stopset.reach.stops.plant import brakes_of
 
 Kind = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["independent", "input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable"]
+STOP1_TIME = 0.5  # [s] a common controlled ramp; the controller's own value belongs here
 KINDS: tuple[Kind, ...] = ("Real", "Integer", "Boolean")
 
 
@@ -126,7 +128,7 @@ def _outputs(m: Model) -> list[Variable]:
         Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", reach),
         Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
     ]
-    if effect_laws(m).direction:
+    if effect_laws(m).direction or brakes_of(m) is not None:
         margin = "positive while the direction of friction holds, {}"
         out += _joints(m, "friction_margin", "local", "", margin, group="INDICATOR")
     return out
@@ -146,12 +148,14 @@ def _conditions(m: Model) -> list[Variable]:
         Variable(f"payload_com_{a}", "PAYLOAD_COM", "Real", "parameter", "m", what.format(a), float(x), "fixed")
         for a, x in zip("xyz", m.robot.tip, strict=True)
     ]
+    ramp = "length of the controller's STOP 1 ramp, all joints alike; set yours"
     session = "place in the session, 0 cold to 1 warm"
     return [
         *_joints(m, "q_start", "parameter", "rad", "position at the start, {}", start_posture(m), "fixed"),
         *_joints(m, "dq_start", "parameter", "rad/s", "velocity at the start, {}", 0.0, "fixed"),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0),
         *com,
+        Variable("stop1_time", "STOP1_TIME", "Real", "parameter", "s", ramp, STOP1_TIME, "fixed"),
         Variable("warm", "WARM", "Real", "parameter", "1", session, 0.0, "tunable"),
     ]
 

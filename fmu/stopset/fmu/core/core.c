@@ -78,6 +78,7 @@ const char *stopset_setup(StopsetState *s, double t0) {
     }
     s->as_identified = (uint8_t)as_identified(s);
     s->violated = 0;
+    s->stopping = 0;
     s->outputs_ready = 0;
     s->i[IX_VERDICT] = VERDICT_NONE;
     s->i[IX_VIOLATED_JOINT] = 0;
@@ -102,12 +103,49 @@ int stopset_restart(StopsetState *s, double ahead) {
     return 1;
 }
 
+const char *stopset_trigger(StopsetState *s) {
+    if (!s->i[IX_STOP] || s->stopping) return 0;
+    if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes)
+        return "a STOP 0 is asked for, but the model knows no brakes; give their torque, delay and rise in robot.json and identify again";
+    if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
+    s->outputs_ready = 0;
+    stopset_outputs(s); /* the bounds of this moment */
+    for (int i = 0; i < NJ; i++) {
+        int known = s->b[IX_STOP_CERTIFIED];
+        s->stop_q[i] = s->r[VR_Q + i];
+        s->stop_dq[i] = s->r[VR_DQ + i];
+        s->stop_lo[i] = known ? s->r[VR_Q_LO + i] - s->r[VR_STOP_ANGLE + i] : (double)NAN;
+        s->stop_hi[i] = known ? s->r[VR_Q_HI + i] + s->r[VR_STOP_ANGLE + i] : (double)NAN;
+        if (!known) s->stop_speed[i] = (double)NAN;
+    }
+    s->stop_start = s->r[VR_TIME];
+    s->stopping = (uint8_t)s->i[IX_STOP];
+    s->h_try = 0.0;
+    s->outputs_ready = 0;
+    return 0;
+}
+
+/* STOP 1: every joint ramps to rest in the same time, then holds. */
+static void ramp(StopsetState *s, double t) {
+    double T = s->r[VR_STOP1_TIME], x = fmin(fmax(t - s->stop_start, 0.0), T);
+    for (int i = 0; i < NJ; i++) {
+        s->r[VR_Q + i] = s->stop_q[i] + s->stop_dq[i] * (x - 0.5 * x * x / T);
+        s->r[VR_DQ + i] = s->stop_dq[i] * (1.0 - x / T);
+    }
+}
+
 const char *stopset_step(StopsetState *s, double h) {
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
     stopset_check(s);
-    stopset_restart(s, h);
+    if (!s->stopping) stopset_restart(s, h);
+    const char *wrong = stopset_trigger(s);
+    if (wrong) return wrong;
     s->outputs_ready = 0;
+    if (s->stopping == 2) {
+        ramp(s, s->r[VR_TIME] + h);
+        return 0;
+    }
     if (!stopset_exact(s)) return stopset_integrate(s, h);
     if (s->step.h != h) stopset_phi(s->Av, h, &s->step);
     double u[NJ], push[NJ], q[NJ], dq[NJ];
@@ -166,7 +204,15 @@ static int covered(const StopsetState *s) {
 void stopset_outputs(StopsetState *s) {
     if (s->outputs_ready) return;
     double lo[NX], hi[NX];
-    bounds(s, lo, hi);
+    if (s->stopping) {
+        for (int i = 0; i < NJ; i++) {
+            lo[i] = s->stop_lo[i];
+            hi[i] = s->stop_hi[i];
+            lo[NJ + i] = -s->stop_speed[i];
+            hi[NJ + i] = s->stop_speed[i];
+        }
+    } else
+        bounds(s, lo, hi);
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q_LO + i] = lo[i];
         s->r[VR_Q_HI + i] = hi[i];

@@ -274,14 +274,18 @@ int stopset_completed_step(Instance *c) {
     return c->now.s.i[IX_VERDICT] != before;
 }
 
-void stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
+Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
     StopsetState *s = &c->now.s;
     stopset_check(s);
-    *states_changed = stopset_restart(s, 0.0);
+    *states_changed = s->stopping ? 0 : stopset_restart(s, 0.0);
+    const char *wrong = stopset_trigger(s);
+    if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
     /* an importer finds the zero crossing of a velocity within its own tolerance */
     if (stopset_update_modes(s, 1e-7)) *states_changed = 1;
     s->outputs_ready = 0;
     /* the bounds were tested up to the horizon: the flag `covered` changes there */
     *next = s->tube_start + stopset_model.horizon;
-    *next_defined = *next > s->r[VR_TIME];
+    if (s->stopping == 2) *next = s->stop_start + s->r[VR_STOP1_TIME]; /* the ramp ends */
+    *next_defined = s->stopping != 1 && *next > s->r[VR_TIME];
+    return LEVEL_OK;
 }

@@ -163,7 +163,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     GIVEN(c);
     if (stopset_expect(c, __func__, IN(PHASE_EVENT))) return fmi2Error;
     int changed, defined;
-    stopset_update_discrete(c, &changed, &defined, &info->nextEventTime);
+    if (stopset_update_discrete(c, &changed, &defined, &info->nextEventTime)) return fmi2Error;
     info->newDiscreteStatesNeeded = info->terminateSimulation = info->nominalsOfContinuousStatesChanged = fmi2False;
     info->valuesOfContinuousStatesChanged = changed ? fmi2True : fmi2False;
     info->nextEventTimeDefined = defined ? fmi2True : fmi2False;

@@ -325,7 +325,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boole
     GIVEN(c);
     if (stopset_expect(c, __func__, IN(PHASE_EVENT))) return fmi3Error;
     int changed, defined;
-    stopset_update_discrete(c, &changed, &defined, next);
+    if (stopset_update_discrete(c, &changed, &defined, next)) return fmi3Error;
     *more = *terminate = *nominalsChanged = fmi3False;
     *statesChanged = changed != 0;
     *nextDefined = defined != 0;

@@ -16,25 +16,34 @@ static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
 static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
 
+/* Whether friction depends on the direction of motion now. */
+static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
+
 int stopset_exact(const StopsetState *s) {
     if (NV > 1 || s->stopping) return 0;
     return (!stopset_model.motor_torque && !HAS_EFFECTS) || s->b[IX_MEASURED];
 }
 
 /* u of eq. (11) at the state (q, dq): torque without gravity and without the effects that the model compensates. */
-static void input_at(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ], double u[NJ]) {
+static void input_at(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const double way[NJ], double u[NJ]) {
+    const int off = s->stopping == 1; /* drives without power: gravity and brakes are left */
     double load[NJ], effect[NJ];
     memset(load, 0, sizeof load);
     memset(effect, 0, sizeof effect);
-    if (stopset_model.motor_torque || HAS_LOAD) {
+    if (stopset_model.motor_torque || HAS_LOAD || off) {
         double pi[NJ][10];
         stopset_loaded_links(s, pi);
         stopset_gravity_torque(pi, stopset_model.gravity, q, load);
     }
     if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, effect);
     for (int i = 0; i < NJ; i++) {
-        u[i] = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - effect[i];
-        if (stopset_model.motor_torque) u[i] -= load[i];
+        u[i] = (off ? 0.0 : s->r[VR_TAU + i]) - s->r[VR_OFFSET + i] - effect[i];
+        if (stopset_model.motor_torque || off) u[i] -= load[i];
+        if (off) {
+            double since = t - s->stop_start - stopset_model.brake_delay[i], rise = stopset_model.brake_rise[i];
+            double share = since <= 0.0 ? 0.0 : since >= rise ? 1.0 : since / rise;
+            u[i] -= stopset_model.brake_mid[i] * share * way[i];
+        }
     }
 }
 
@@ -43,7 +52,7 @@ void stopset_input(const StopsetState *s, double u[NJ]) {
     double way[NJ];
     const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED];
     for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
-    input_at(s, q, dq, way, u);
+    input_at(s, s->r[VR_TIME], q, dq, way, u);
 #if HAS_EFFECTS
     if (!stopset_model.motor_torque) return;
     double rest[NJ], load[NJ], ahead[NJ], back[NJ], pi[NJ][10];
@@ -69,17 +78,17 @@ static double viscous(const StopsetState *s, int i, double dq) {
 }
 
 /* Torque left for acceleration on each joint, friction directions as given. */
-static void net_torque(const StopsetState *s, const double q[NJ], const double dq[NJ], const int32_t mode[NJ], double net[NJ]) {
+static void net_torque(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const int32_t mode[NJ], double net[NJ]) {
     double way[NJ];
     for (int i = 0; i < NJ; i++) way[i] = mode[i];
-    input_at(s, q, dq, way, net);
+    input_at(s, t, q, dq, way, net);
     for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, dq[i]);
 }
 
 /* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
 static void accelerate(const StopsetState *s, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
     int held = 0;
-    if (HAS_DIRECTION)
+    if (directional(s))
         for (int i = 0; i < NJ; i++) held += mode[i] == 0;
     if (!held || stopset_model.decoupled) {
         for (int r = 0; r < NJ; r++) {
@@ -102,10 +111,10 @@ static void accelerate(const StopsetState *s, const int32_t mode[NJ], const doub
     }
 }
 
-static void derivative(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
+static void derivative(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
     double net[NJ];
     const double *q = y, *dq = y + NJ;
-    net_torque(s, q, dq, mode, net);
+    net_torque(s, t, q, dq, mode, net);
     accelerate(s, mode, net, dy + NJ);
     memcpy(dy, dq, NJ * sizeof *dy);
 #if NV > 1
@@ -122,7 +131,7 @@ static void derivative(const StopsetState *s, const double y[NY], const int32_t 
 }
 
 /* One step of length h; returns the error over the tolerance. */
-static double dormand_prince(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double h, double out[NY]) {
+static double dormand_prince(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double h, double out[NY]) {
     static const double A[7][6] = {
         {0},
         {1.0 / 5},
@@ -132,16 +141,17 @@ static double dormand_prince(const StopsetState *s, const double y[NY], const in
         {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
         {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84},
     };
+    static const double C[7] = {0.0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1.0, 1.0};
     static const double E[7] = {71.0 / 57600,      0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
     double k[7][NY];
-    derivative(s, y, mode, k[0]);
+    derivative(s, t, y, mode, k[0]);
     for (int stage = 1; stage < 7; stage++) {
         for (int i = 0; i < NY; i++) {
             double sum = 0.0;
             for (int j = 0; j < stage; j++) sum += A[stage][j] * k[j][i];
             out[i] = y[i] + h * sum;
         }
-        derivative(s, out, mode, k[stage]);
+        derivative(s, t + C[stage] * h, out, mode, k[stage]);
     }
     double worst = 0.0;
     for (int i = 0; i < NY; i++) {
@@ -154,7 +164,7 @@ static double dormand_prince(const StopsetState *s, const double y[NY], const in
 }
 
 /* Who of the joints at rest begins to slide, and which way: torque with the friction of either direction decides. */
-static void settle(const StopsetState *s, double y[NY], int32_t mode[NJ]) {
+static void settle(const StopsetState *s, double t, double y[NY], int32_t mode[NJ]) {
     double up[NJ], down[NJ], ddq[NJ], net[NJ];
     int32_t trial[NJ];
     for (int i = 0; i < NJ; i++) {
@@ -163,9 +173,9 @@ static void settle(const StopsetState *s, double y[NY], int32_t mode[NJ]) {
         if (mode[i] == 0) y[NJ + i] = 0.0;
     }
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
-    net_torque(s, y, y + NJ, trial, up);
+    net_torque(s, t, y, y + NJ, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
-    net_torque(s, y, y + NJ, trial, down);
+    net_torque(s, t, y, y + NJ, trial, down);
     for (int sweep = 0; sweep < 2 * NJ; sweep++) {
         int changed = 0;
         for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
@@ -187,7 +197,7 @@ static void settle(const StopsetState *s, double y[NY], int32_t mode[NJ]) {
 }
 
 /* Whether the state asks for other friction directions than `mode`. */
-static int event(const StopsetState *s, const double y[NY], const int32_t mode[NJ]) {
+static int event(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ]) {
     double copy[NY];
     int32_t next[NJ];
     int resting = 0;
@@ -197,7 +207,7 @@ static int event(const StopsetState *s, const double y[NY], const int32_t mode[N
     }
     if (!resting) return 0;
     memcpy(copy, y, sizeof copy);
-    settle(s, copy, next);
+    settle(s, t, copy, next);
     for (int i = 0; i < NJ; i++)
         if (mode[i] == 0 && next[i] != 0) return 1;
     return 0;
@@ -221,13 +231,13 @@ const char *stopset_integrate(StopsetState *s, double h) {
     double y[NY], next[NY];
     int32_t mode[NJ];
     int events = 0;
-    double left = h, step = s->h_try > 0.0 ? s->h_try : h;
+    double t = s->r[VR_TIME], left = h, step = s->h_try > 0.0 ? s->h_try : h;
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
-    if (HAS_DIRECTION) settle(s, y, mode);
+    if (directional(s)) settle(s, t, y, mode);
     while (left > 0.0) {
         double now = step < left ? step : left;
-        double error = dormand_prince(s, y, mode, now, next);
+        double error = dormand_prince(s, t, y, mode, now, next);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
         double factor = error > 0.0 ? 0.9 * pow(error, -0.2) : 4.0;
         if (error > 1.0 && now > 1e-12) {
@@ -235,24 +245,25 @@ const char *stopset_integrate(StopsetState *s, double h) {
             continue;
         }
         if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
-        if (HAS_DIRECTION && events < EVENTS && event(s, next, mode)) {
+        if (directional(s) && events < EVENTS && event(s, t + now, next, mode)) {
             double early = 0.0, late = now;
             for (int k = 0; k < 60 && late - early > 1e-15; k++) {
                 double middle = 0.5 * (early + late);
-                dormand_prince(s, y, mode, middle, next);
-                if (event(s, next, mode))
+                dormand_prince(s, t, y, mode, middle, next);
+                if (event(s, t + middle, next, mode))
                     late = middle;
                 else
                     early = middle;
             }
             now = late;
-            dormand_prince(s, y, mode, now, next);
+            dormand_prince(s, t, y, mode, now, next);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
-            settle(s, next, mode);
+            settle(s, t + now, next, mode);
             events++;
         }
         memcpy(y, next, sizeof y);
+        t += now;
         left = left - now > 1e-14 * h ? left - now : 0.0;
     }
     s->h_try = step;
@@ -266,8 +277,13 @@ const char *stopset_integrate(StopsetState *s, double h) {
 }
 
 void stopset_accelerations(const StopsetState *s, double ddq[NJ]) {
+    const double t = s->r[VR_TIME];
     double y[NY], net[NJ];
     int32_t mode[NJ];
+    if (s->stopping == 2) {
+        for (int i = 0; i < NJ; i++) ddq[i] = t - s->stop_start < s->r[VR_STOP1_TIME] ? -s->stop_dq[i] / s->r[VR_STOP1_TIME] : 0.0;
+        return;
+    }
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (stopset_exact(s)) {
@@ -276,42 +292,46 @@ void stopset_accelerations(const StopsetState *s, double ddq[NJ]) {
     } else {
         if (s->modes_by_events)
             memcpy(mode, s->mode, sizeof mode);
-        else if (HAS_DIRECTION)
-            settle(s, y, mode);
-        net_torque(s, y, y + NJ, mode, net);
+        else if (directional(s))
+            settle(s, t, y, mode);
+        net_torque(s, t, y, y + NJ, mode, net);
     }
     accelerate(s, mode, net, ddq);
 }
 
 int stopset_update_modes(StopsetState *s, double slack) {
+    const double t = s->r[VR_TIME];
     double y[NY];
     int changed = 0;
     for (int i = 0; i < NJ; i++) s->mode[i] = 1;
-    if (!HAS_DIRECTION || stopset_exact(s)) return 0;
+    if (!directional(s) || stopset_exact(s)) return 0;
     take(s, y);
     for (int i = 0; i < NJ; i++)
         if (fabs(y[NJ + i]) <= slack && y[NJ + i] != 0.0) {
             y[NJ + i] = s->r[VR_DQ + i] = 0.0;
             changed = 1;
         }
-    settle(s, y, s->mode);
+    settle(s, t, y, s->mode);
     return changed;
 }
 
 /* Positive while the friction directions hold: speed of a sliding joint, margin of a sticking one [N m]. */
 void stopset_indicators(const StopsetState *s, double z[NJ]) {
+    const double t = s->r[VR_TIME];
+    for (int i = 0; i < NJ; i++) z[i] = 1.0;
+    if (!directional(s) || stopset_exact(s) || s->stopping == 2) return;
     double y[NY], up[NJ], down[NJ], net[NJ], ddq[NJ];
     int32_t trial[NJ];
     take(s, y);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : 1;
-    net_torque(s, y, y + NJ, trial, up);
+    net_torque(s, t, y, y + NJ, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : -1;
-    net_torque(s, y, y + NJ, trial, down);
+    net_torque(s, t, y, y + NJ, trial, down);
     for (int i = 0; i < NJ; i++) net[i] = s->mode[i] >= 0 ? up[i] : down[i];
     accelerate(s, s->mode, net, ddq);
     for (int i = 0; i < NJ; i++) {
         z[i] = s->mode[i] * y[NJ + i];
-        if (s->mode[i] || stopset_exact(s)) continue;
+        if (s->mode[i]) continue;
         double coupling = 0.0;
         for (int j = 0; j < NJ; j++)
             if (j != i) coupling += s->M[i][j] * ddq[j];

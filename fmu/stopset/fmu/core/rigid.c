@@ -103,6 +103,28 @@ void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]) 
     }
 }
 
+/* Angular velocity and velocity of the origin of each link frame, in it; distance of the flange from each axis [m]. */
+void stopset_link_motion(const double q[NJ], const double dq[NJ], double w[NJ][3], double v[NJ][3], double radius[NJ]) {
+    const StopsetModel *m = &stopset_model;
+    double R[NJ][3][3], x[3], y[3], zero[3] = {0, 0, 0}, tip[3];
+    for (int i = 0; i < NJ; i++) {
+        const double *wp = i ? w[i - 1] : zero, *vp = i ? v[i - 1] : zero;
+        joint_rotation(i, q[i], R[i]);
+        cross(wp, m->p[i], x);
+        for (int r = 0; r < 3; r++) x[r] += vp[r];
+        transposed(R[i], x, v[i]);
+        transposed(R[i], wp, w[i]);
+        for (int r = 0; r < 3; r++) w[i][r] += m->axis[i][r] * dq[i];
+    }
+    memcpy(tip, m->tip, sizeof tip);
+    for (int i = NJ - 1; i >= 0; i--) { /* tip: the flange seen from link frame i */
+        cross(m->axis[i], tip, y);
+        radius[i] = sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]);
+        times(R[i], tip, x);
+        for (int r = 0; r < 3; r++) tip[r] = m->p[i][r] + x[r];
+    }
+}
+
 /* Mass matrix of a point mass at `com` [m] in the last link's frame, at posture q: mass J'J. */
 void stopset_point_mass(double mass, const double com[3], const double q[NJ], double M[NJ][NJ]) {
     const StopsetModel *m = &stopset_model;

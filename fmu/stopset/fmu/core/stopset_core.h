@@ -31,8 +31,11 @@ typedef struct {
     double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
     double standstill[NJ];                         /* speed below which a joint counts as still [rad/s] */
+    /* STOP 0: rotors [kg m^2], least brake torque and dry friction [N m], longest delay and rise [s], disturbance [N m] */
+    double rotor[NJ], rotor_hi[NJ], brake_lo[NJ], brake_delay_hi[NJ], brake_rise_hi[NJ], dry_lo[NJ], stop_u_lo[NJ], stop_u_hi[NJ];
+    double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
-    int decoupled, signed_response, position_only, motor_torque, has_domain_temp;
+    int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
     double start_real[N_REAL];
     int32_t start_int[N_INT];
     uint8_t start_bool[N_BOOL];
@@ -62,14 +65,18 @@ typedef struct {
     double tube_F[NJ][NJ], tube_G[NJ][NJ], plus[NX][NJ], minus[NX][NJ];
     double h_try;                    /* step size that the nonlinear integrator takes up again */
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
+    double stop_q[NJ], stop_dq[NJ], stop_lo[NJ], stop_hi[NJ], stop_speed[NJ]; /* of the moment a stop was asked for */
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
-    uint8_t as_identified, violated, outputs_ready, stopping;
+    uint8_t as_identified, violated, outputs_ready;
+    uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
 } StopsetState;
 
 void stopset_defaults(StopsetState *s);
 /* Take over start values and parameters at time t0; returns 0 or a sentence what is wrong. */
 const char *stopset_setup(StopsetState *s, double t0);
+/* Begin a stop that is asked for; returns 0 or a sentence. */
+const char *stopset_trigger(StopsetState *s);
 /* Advance by h with the inputs held; returns 0 or a sentence. */
 const char *stopset_step(StopsetState *s, double h);
 /* Bounds, flags and accelerations at the present time and state. */
@@ -98,12 +105,15 @@ const char *stopset_integrate(StopsetState *s, double h);
 void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
 /* stop.c */
 void stopset_stop_bounds(StopsetState *s);
+int stopset_energy_stop(const StopsetState *s, const double q[NJ], const double dq[NJ], const double rq[NJ], const double rdq[NJ],
+                        double angle[NJ], double speed[NJ], double *time, double *tcp);
 /* model_data.c: torque of the model's effects beyond the viscous polynomial [N m] */
 void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
                      const double load[NJ], double tau[NJ]);
 /* rigid.c */
 void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
 void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
+void stopset_link_motion(const double q[NJ], const double dq[NJ], double w[NJ][3], double v[NJ][3], double radius[NJ]);
 void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]);
 void stopset_gravity_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], double tau[NJ]);
 void stopset_point_mass(double mass, const double com[3], const double q[NJ], double M[NJ][NJ]);

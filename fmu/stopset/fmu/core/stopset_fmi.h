@@ -51,10 +51,10 @@ Level stopset_set_time(Instance *c, double t);
 Level stopset_set_states(Instance *c, const double x[], size_t n);
 Level stopset_get_states(Instance *c, double x[], size_t n);
 Level stopset_get_derivatives(Instance *c, double dx[], size_t n);
-enum { N_INDICATORS = HAS_DIRECTION ? NJ : 0 };
+enum { N_INDICATORS = HAS_INDICATORS ? NJ : 0 };
 Level stopset_get_indicators(Instance *c, double z[], size_t n);
 int stopset_completed_step(Instance *c); /* whether an event has to be handled */
-void stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next);
+Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next);
 
 #define IN(phase) (1u << (phase))
 #define RUNNING (IN(PHASE_EVENT) | IN(PHASE_CONTINUOUS) | IN(PHASE_STEP))
