@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.robot import Robot, load_robot

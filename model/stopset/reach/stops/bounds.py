@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.ramp import Cell, Ramp, failed_cells, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.split import certify
-from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.robot.rigid import gravity_torque

@@ -1,0 +1,157 @@
+"""``stopset stops``: how far and how long, as tables for the safety file or for one pose."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+HELP = "stop-time and stop-distance tables: STOP 0, 1 (nominal and guaranteed) and 2; or one pose with --at"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    from stopset.cli.common import add_output_options
+
+    parser.add_argument("model", help="model file from `stopset identify`")
+    parser.add_argument("--at", metavar="Q1,Q2,..", help="one pose [rad] instead of the table, all axes at once")
+    parser.add_argument("--speed", metavar="V1,V2,..", help="with --at: speeds [rad/s], or one percentage like 100%%")
+    parser.add_argument("--payload", type=float, metavar="KG", help="payload [kg] instead of 33/66/100 %% of the model's range")
+    parser.add_argument("--payload-at", metavar="X,Y,Z", help="its centre in the last link [m]; default the flange")
+    parser.add_argument("--category", action="append", choices=("0", "1", "1 guaranteed", "2"), help="only this one; repeatable")
+    parser.add_argument("--ramp-time", type=float, metavar="S", help="STOP 1 and 2: every speed to rest in this time [s]")
+    parser.add_argument("--ramp-deceleration", type=float, metavar="A", help="or: with this deceleration [rad/s^2]")
+    parser.add_argument("--off-after", type=float, metavar="S", help="SS1-t: power is taken this long after the request [s]")
+    parser.add_argument("--monitored", action="store_true", help="SS1-r: the ramp is monitored")
+    parser.add_argument("--data", nargs="+", metavar="REC", help="recordings whose measured stops are drawn into the pictures")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows as CSV")
+    parser.add_argument("--pdf", type=Path, metavar="FILE", help="write tables and pictures as PDF")
+    group = parser.add_argument_group("separation distance (ISO/TS 15066 and ISO 13855); every term must be given")
+    group.add_argument("--separation", action="store_true", help="compute it for the longest stop of the rows")
+    group.add_argument("--v-human", type=float, metavar="M/S")
+    group.add_argument("--reaction", type=float, metavar="S", help="from detection of the person to the stop request")
+    group.add_argument("--intrusion", type=float, metavar="M", help="C")
+    group.add_argument("--person-uncertainty", type=float, metavar="M", help="Z_d")
+    group.add_argument("--robot-uncertainty", type=float, metavar="M", help="Z_r")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from stopset.artifact import load_model
+    from stopset.cli.common import check_outputs, say, write_json
+    from stopset.files import write_bytes, write_text
+    from stopset.offline.stops.measured import measured_stops
+    from stopset.offline.stops.page import build_page, build_pdf
+    from stopset.offline.stops.table import as_csv, loads, prepared
+    from stopset.recording import read_recordings
+
+    check_outputs(args.json, args.report, args.csv, args.pdf)
+    model = load_model(args.model)
+    rows, assumptions, question = _answer(args, model)
+    separations = _separations(args, rows)
+    if args.json:
+        write_json(args.json, [r.as_json() for r in rows])
+    if args.csv:
+        write_text(args.csv, as_csv(rows))
+    if args.report or args.pdf:
+        measured = []
+        if args.data:
+            recordings = read_recordings(args.data, model.robot)
+            kg = loads(model, question.payload)[0][1]
+            measured = measured_stops(prepared(model, kg, question), recordings)
+        if args.report:
+            build_page(model, rows, assumptions, measured, separations).save(args.report)
+        if args.pdf:
+            write_bytes(args.pdf, build_pdf(model, rows, assumptions, measured, separations))
+    _print(rows, assumptions, separations, say)
+    return 0 if any(r.certified for r in rows) else 1
+
+
+def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
+    from stopset.cli.common import progress
+    from stopset.errors import NotCovered
+    from stopset.offline.stops.table import Question, at_pose, stop_table, top_speed
+    from stopset.reach.stops import CATEGORIES, Ramp
+
+    ramp = None
+    if args.ramp_time is not None or args.ramp_deceleration is not None:
+        ramp = Ramp.stated(
+            model.n, time=args.ramp_time, deceleration=args.ramp_deceleration, off_after=args.off_after,
+            monitored=args.monitored,
+        )  # fmt: skip
+    elif args.off_after is not None or args.monitored:
+        raise NotCovered("--off-after and --monitored describe a ramp; add --ramp-time or --ramp-deceleration")
+    com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
+    categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
+    question = Question(ramp, categories, args.payload, com)
+    if args.at is None:
+        if args.speed is not None:
+            raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
+
+        def shown(items: Sequence[Any], what: str) -> Iterator[Any]:
+            return progress(items, len(items), what)
+
+        table = stop_table(model, question, shown)
+        return list(table.rows), table.assumptions, question
+    q = _numbers(args.at, model.n, "--at")
+    if args.speed is None:
+        raise NotCovered("--at needs --speed: the speeds of all axes [rad/s], or a percentage like 100%")
+    if args.speed.strip().endswith("%"):
+        dq = top_speed(model) * _numbers(args.speed.strip()[:-1], 1, "--speed")[0] / 100.0
+    else:
+        dq = _numbers(args.speed, model.n, "--speed")
+    rows, told = at_pose(model, q, dq, question)
+    assumptions = next((b.assumptions for b in told.values() if b.assumptions), ())
+    return rows, assumptions, question
+
+
+def _numbers(text: str, count: int, option: str) -> Any:
+    import numpy as np
+
+    from stopset.errors import NotCovered
+
+    try:
+        values = np.array([float(x) for x in text.split(",")])
+    except ValueError as e:
+        raise NotCovered(f"{option} {text!r} are not numbers; expected {count}, separated by commas") from e
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        raise NotCovered(f"{option} has {values.size} numbers; expected {count} finite ones, separated by commas")
+    return values
+
+
+def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
+    from stopset.errors import NotCovered
+    from stopset.offline.stops.separation import approach_distance, protective_separation
+
+    given = {
+        "v_h": args.v_human, "T_r": args.reaction, "C": args.intrusion, "Z_d": args.person_uncertainty,
+        "Z_r": args.robot_uncertainty,
+    }  # fmt: skip
+    if not args.separation:
+        if any(v is not None for v in given.values()):
+            raise NotCovered("terms of a separation distance were given without --separation; add it")
+        return []
+    proved = [r for r in rows if r.certified]
+    if not proved:
+        raise NotCovered("no stop of these rows is proved, so there is no separation distance; see their reasons")
+    time, way = max(r.time_s for r in proved), max(r.tcp_m for r in proved)
+    speed = max(r.tcp_speed for r in proved)
+    return [protective_separation(time, way, speed, given), approach_distance(time, given)]
+
+
+def _print(rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
+    say(f"{'category':<13}{'axis':<16}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
+    for r in rows:
+        axis = r.joint if len(r.joint) < 16 else f"{r.joint.count('+') + 1} axes at once"
+        head = f"{r.category:<13}{axis:<16}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
+        if r.certified:
+            say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}")
+        else:
+            say(f"{head}  {r.why}")
+    for s in separations:
+        say(f"separation distance, {s.standard}: {s.distance:.3f} m")
+        for symbol, value, unit, what in s.terms:
+            say(f"  {symbol:<4} {value:9.4f} {unit:<4} {what}")
+    for a in assumptions:
+        say(f"- {a}")
+    say("Monitoring aid, not a safety function: stop distances for a risk assessment must be measured.")

@@ -1,0 +1,1 @@
+"""Stops for the safety file: tables, pictures, separation distance, and the sampler that tries to break the bounds."""

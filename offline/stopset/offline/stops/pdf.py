@@ -1,0 +1,131 @@
+"""A small PDF writer: text, rules and curves on A4, in Helvetica, with no library."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+WIDTH, HEIGHT, MARGIN = 595.0, 842.0, 42.0  # [pt] A4
+
+
+class Document:
+    """Collects pages from top to bottom; `bytes` gives the file."""
+
+    def __init__(self, title: str, footer: str) -> None:
+        self._title, self._footer = title, footer
+        self._pages: list[list[str]] = []
+        self._y = 0.0
+        self._new_page()
+
+    def _new_page(self) -> None:
+        self._pages.append([])
+        self._y = HEIGHT - MARGIN
+        self._put(MARGIN, 24.0, self._footer, 6.5)
+        self._put(WIDTH - MARGIN - 20, 24.0, str(len(self._pages)), 6.5)
+
+    def _put(self, x: float, y: float, text: str, size: float, bold: bool = False) -> None:
+        safe = text.encode("cp1252", "replace").replace(b"\\", b"\\\\").replace(b"(", b"\\(").replace(b")", b"\\)")
+        font = "F2" if bold else "F1"
+        self._pages[-1].append(f"BT /{font} {size} Tf {x:.2f} {y:.2f} Td ({safe.decode('cp1252')}) Tj ET")
+
+    def _room(self, height: float) -> None:
+        if self._y - height < MARGIN:
+            self._new_page()
+
+    def heading(self, text: str, size: float = 13.0) -> None:
+        self._room(3 * size)
+        self._y -= 1.5 * size
+        self._put(MARGIN, self._y, text, size, bold=True)
+        self._y -= 0.5 * size
+
+    def text(self, text: str, size: float = 8.5) -> None:
+        """A paragraph, wrapped by an average letter's width."""
+        width = int((WIDTH - 2 * MARGIN) / (0.5 * size))
+        line = ""
+        for word in [*text.split(), ""]:
+            if len(line) + len(word) + 1 > width or not word:
+                self._room(1.3 * size)
+                self._y -= 1.3 * size
+                self._put(MARGIN, self._y, line, size)
+                line = word
+            else:
+                line = f"{line} {word}".strip()
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[float], size: float = 7.0) -> None:
+        """``widths``: shares of the text width."""
+        scale = (WIDTH - 2 * MARGIN) / sum(widths)
+        for k, row in enumerate([head, *rows]):
+            if self._y - 1.4 * size < MARGIN:
+                self._new_page()
+                k = 0
+                self._line(head, widths, scale, size, True)
+            self._line(row, widths, scale, size, k == 0)
+
+    def _line(self, row: Sequence[str], widths: Sequence[float], scale: float, size: float, bold: bool) -> None:
+        self._y -= 1.4 * size
+        x = MARGIN
+        for cell, w in zip(row, widths, strict=True):
+            self._put(x, self._y, cell[: max(1, int(w * scale / (0.46 * size)))], size, bold)
+            x += w * scale
+        self._pages[-1].append(f"0.8 G 0.3 w {MARGIN:.1f} {self._y - 2:.2f} m {WIDTH - MARGIN:.1f} {self._y - 2:.2f} l S 0 G")
+
+    def plot(
+        self, curves: Sequence[tuple[str, Sequence[float], Sequence[float]]], points: tuple[Sequence[float], Sequence[float]],
+        x_name: str, y_name: str, height: float = 150.0,
+    ) -> None:  # fmt: skip
+        """Curves (name, x, y) from the origin's corner, and measured points as crosses."""
+        self._room(height + 30)
+        x0, y0, w = MARGIN + 40, self._y - height, WIDTH - 2 * MARGIN - 160
+        xs = [v for c in curves for v in c[1]] + list(points[0])
+        ys = [v for c in curves for v in c[2]] + list(points[1])
+        x1, y1 = max(xs, default=1.0) or 1.0, max(ys, default=1.0) or 1.0
+        page = self._pages[-1]
+        page.append(f"0.5 w {x0:.1f} {y0:.1f} m {x0:.1f} {y0 + height:.1f} l S {x0:.1f} {y0:.1f} m {x0 + w:.1f} {y0:.1f} l S")
+        self._put(x0 + w - 60, y0 - 10, f"{x_name}, to {x1:.3g}", 6.5)
+        self._put(MARGIN - 10, y0 + height + 4, f"{y_name}, to {y1:.3g}", 6.5)
+        colours = ("0 0.45 0.7", "0.84 0.37 0", "0 0.62 0.45", "0.8 0.47 0.65")
+        for k, (name, cx, cy) in enumerate(curves):
+            path = " ".join(
+                f"{x0 + w * a / x1:.2f} {y0 + height * b / y1:.2f} {'m' if i == 0 else 'l'}"
+                for i, (a, b) in enumerate(zip(cx, cy, strict=True))
+            )
+            page.append(f"{colours[k % 4]} RG 1.2 w {path} S 0 G")
+            page.append(f"{colours[k % 4]} rg")
+            self._put(x0 + w + 8, y0 + height - 10 * (k + 1), name, 6.5)
+            page.append("0 g")
+        for a, b in zip(*points, strict=True):
+            x, y = x0 + w * a / x1, y0 + height * b / y1
+            page.append(
+                f"0.6 w {x - 1.5:.2f} {y - 1.5:.2f} m {x + 1.5:.2f} {y + 1.5:.2f} l {x - 1.5:.2f} {y + 1.5:.2f} m {x + 1.5:.2f} {y - 1.5:.2f} l S"
+            )
+        self._y = y0 - 22
+
+    def bytes(self) -> bytes:
+        """The PDF file."""
+        objects: list[bytes] = [b"<< /Type /Catalog /Pages 2 0 R >>", b""]
+        objects.append(b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>")
+        objects.append(b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica-Bold /Encoding /WinAnsiEncoding >>")
+        kids = []
+        for page in self._pages:
+            stream = zlib.compress("\n".join(page).encode("cp1252", "replace"))
+            objects.append(b"<< /Length %d /Filter /FlateDecode >>\nstream\n" % len(stream) + stream + b"\nendstream")
+            kids.append(len(objects) + 1)
+            objects.append(
+                b"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 %d %d] /Contents %d 0 R "
+                b"/Resources << /Font << /F1 3 0 R /F2 4 0 R >> >> >>" % (WIDTH, HEIGHT, len(objects))
+            )
+        objects[1] = b"<< /Type /Pages /Count %d /Kids [%s] >>" % (len(kids), b" ".join(b"%d 0 R" % k for k in kids))
+        title = self._title.encode("cp1252", "replace").replace(b"(", b"\\(").replace(b")", b"\\)")
+        objects.append(b"<< /Title (" + title + b") /Producer (stopset) >>")
+        out = bytearray(b"%PDF-1.4\n")
+        offsets = []
+        for k, body in enumerate(objects, 1):
+            offsets.append(len(out))
+            out += b"%d 0 obj\n" % k + body + b"\nendobj\n"
+        xref = len(out)
+        out += b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
+        out += b"".join(b"%010d 00000 n \n" % o for o in offsets)
+        out += b"trailer << /Size %d /Root 1 0 R /Info %d 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (
+            len(objects) + 1, len(objects), xref,
+        )  # fmt: skip
+        return bytes(out)

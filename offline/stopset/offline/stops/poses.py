@@ -1,0 +1,84 @@
+"""Test poses of stop tables: how far the arm is stretched, and where gravity hurts an axis most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.robot import Robot
+from stopset.robot.rigid import Chain, gravity_torques, link_frames
+
+Array = NDArray[np.float64]
+SAMPLES = 6000
+SWEEPS = 40  # of coordinate ascent
+SLACK = 0.02  # of the full reach: poses this close to the wanted extension count
+
+
+@njit(cache=True)
+def _radii(chain: Chain, q: Array, tip: Array) -> Array:
+    """Distance of the tool centre point from the first axis [m], for rows of ``q``."""
+    out = np.empty(q.shape[0])
+    n = q.shape[1]
+    for k in range(q.shape[0]):
+        R, o = link_frames(chain, q[k])
+        z = R[0] @ chain.axis[0]
+        d = o[n - 1] + R[n - 1] @ tip - o[0]
+        along = z[0] * d[0] + z[1] * d[1] + z[2] * d[2]
+        out[k] = np.sqrt(max(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 - along**2, 0.0))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Poses of an arm by extension: ``q`` (N, n) sorted arbitrarily, ``extension`` (N,) share of the full reach."""
+
+    robot: Robot
+    tip: Array
+    reach: float  # [m] largest distance of the tool centre point from the first axis
+    q: Array
+    extension: Array
+
+    @classmethod
+    def of(cls, robot: Robot, tip: Array, seed: int = 1) -> Poses:
+        """Random poses within the limits, and the fully stretched ones found from the best of them."""
+        rng = np.random.default_rng(seed)
+        lo, hi = np.maximum(robot.q_limit[:, 0], -np.pi), np.minimum(robot.q_limit[:, 1], np.pi)
+        q = rng.uniform(lo, hi, (SAMPLES, robot.n))
+        q[: SAMPLES // 2, robot.n // 2 + 1 :] = np.clip(0.0, lo, hi)[robot.n // 2 + 1 :]  # half with a straight wrist
+        radius = _radii(robot.chain, q, tip)
+        best = _stretched(robot, q[np.argsort(radius)[-12:]], lo, hi, tip)
+        q = np.vstack([q, best])
+        radius = _radii(robot.chain, q, tip)
+        return cls(robot, tip, float(radius.max()), q, radius / radius.max())
+
+    def worst_for(self, joint: int, extension: float, pi: Array) -> Array:
+        """The pose near an extension (share of the reach) where gravity loads ``joint`` most; ``pi``: with payload."""
+        near = np.abs(self.extension - extension) <= SLACK
+        if not np.any(near):
+            near = np.abs(self.extension - extension) <= np.abs(self.extension - extension).min() + SLACK
+        candidates = self.q[near]
+        load = np.abs(gravity_torques(self.robot.chain, pi, candidates)[:, joint])
+        # where gravity does not load the axis at all (a vertical one) the longest lever counts
+        return np.array(candidates[int(np.argmax(load + 1e-3 * self.extension[near]))])
+
+    def extension_of(self, q: Array) -> float:
+        """Share of the full reach of one pose."""
+        return float(_radii(self.robot.chain, q[None, :], self.tip)[0] / self.reach)
+
+
+def _stretched(robot: Robot, start: Array, lo: Array, hi: Array, tip: Array) -> Array:
+    """Coordinate ascent of the reach from several poses."""
+    out = start.copy()
+    step = 0.5
+    for _ in range(SWEEPS):
+        for j in range(robot.n):
+            trials = np.stack([out, out, out])
+            trials[1, :, j], trials[2, :, j] = out[:, j] - step, out[:, j] + step
+            trials = np.clip(trials, lo, hi)
+            radius = _radii(robot.chain, np.ascontiguousarray(trials.reshape(-1, robot.n)), tip).reshape(3, -1)
+            out = trials[np.argmax(radius, axis=0), np.arange(len(out))]
+        step *= 0.8
+    return out

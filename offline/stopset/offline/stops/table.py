@@ -1,0 +1,238 @@
+"""Stop-time and stop-distance tables as ISO 10218-1 asks: three axes, 33/66/100 % speed, payload and extension.
+
+One axis moves at a time, in its worst direction, from the pose near the extension where gravity loads it most; the three
+axes are those that move the tool centre point fastest.  Rows with all three axes at once stand beside them, since several
+axes together can take longer.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.errors import NotCovered
+from stopset.offline.stops.poses import Poses
+from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
+
+Array = NDArray[np.float64]
+SHARES = (33, 66, 100)
+PIECES = 64
+LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table. ``joint``: the axis, or several joined by '+'; None where nothing can be proved."""
+
+    category: Category
+    joint: str
+    speed_percent: float
+    payload_percent: float
+    extension_percent: float
+    speed: float  # [rad/s] of the axis, with its direction
+    payload: float  # [kg]
+    time_s: float | None
+    angle_rad: float | None
+    tcp_m: float | None
+    tcp_speed: float | None
+    certified: bool
+    why: str
+
+    def as_json(self) -> dict[str, Any]:
+        """With the keys that others rely on."""
+        keys = (
+            "category", "joint", "speed_percent", "payload_percent", "extension_percent", "time_s", "angle_rad", "tcp_m",
+            "certified", "why",
+        )  # fmt: skip
+        return {k: getattr(self, k) for k in keys}
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a table is asked for."""
+
+    ramp: Ramp | None = None
+    categories: tuple[Category, ...] = CATEGORIES
+    payload: float | None = None  # [kg] instead of 33/66/100 % of the model's range
+    payload_com: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows, and what they rest on."""
+
+    rows: tuple[Row, ...]
+    assumptions: tuple[str, ...]
+    top_speed: Array  # (n,) [rad/s] what 100 % means
+    reach: float  # [m]
+
+
+def top_speed(model: Model) -> Array:
+    """(n,) [rad/s]: 100 % speed: the robot's limit, or the fastest the model has seen if that is less (trap P25)."""
+    seen = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
+    return np.minimum(model.robot.dq_limit, np.where(seen > 0, seen, np.inf))
+
+
+def loads(model: Model, payload: float | None) -> list[tuple[float, float]]:
+    """(percent, kg) of the payloads of a table. Raises `NotCovered` beyond the model's domain."""
+    lo, hi = model.domain.payload
+    if payload is not None:
+        if not lo - 1e-9 <= payload <= hi + 1e-9:
+            raise NotCovered(
+                f"a payload of {payload:g} kg lies outside the model's domain of {lo:g} to {hi:g} kg; identify with "
+                f"recordings that carry it"
+            )
+        return [(100.0 * payload / hi if hi > 0 else 0.0, payload)]
+    if hi <= 0:
+        return [(0.0, 0.0)]
+    return [(float(s), max(lo, hi * s / 100.0)) for s in SHARES]
+
+
+def prepared(model: Model, kg: float, question: Question) -> StopBounds:
+    """Bounds for one payload, known within `LOAD_TOLERANCE`."""
+    lo, hi = model.domain.payload
+    slack = LOAD_TOLERANCE * hi
+    return StopBounds.of(model, (max(lo, kg - slack), min(hi, kg + slack)), question.payload_com, question.ramp, pieces=PIECES)
+
+
+def three_axes(model: Model, poses: Poses, speed: Array) -> list[int]:
+    """The axes that move the tool centre point fastest at full extension (all of a smaller arm)."""
+    q = poses.q[int(np.argmax(poses.extension))]
+    step = 1e-6
+    base = _tip(model, q, poses.tip)
+    pace = [
+        float(np.linalg.norm(_tip(model, q + step * np.eye(model.n)[j], poses.tip) - base)) / step * speed[j]
+        for j in range(model.n)
+    ]
+    # an axis along the stretched arm moves nothing there: its lever is that of the bent arm, which the poses contain
+    return sorted(np.argsort(pace)[::-1][:3].tolist())
+
+
+def _tip(model: Model, q: Array, tip: Array) -> Array:
+    from stopset.robot.rigid import link_frames
+
+    R, o = link_frames(model.robot.chain, q)
+    out: Array = o[-1] + R[-1] @ tip
+    return out
+
+
+def stop_table(model: Model, question: Question, progress: Callable[[Sequence[Any], str], Iterator[Any]]) -> Table:
+    """The whole table; ``progress(items, what)`` passes the items through and may tell how far it is."""
+    tip = model.robot.tip if question.payload_com is None else question.payload_com
+    poses = Poses.of(model.robot, tip)
+    speed = top_speed(model)
+    axes = three_axes(model, poses, speed)
+    rows: list[Row] = []
+    assumptions: tuple[str, ...] = ()
+    cases = [
+        (percent, kg, extension, group)
+        for percent, kg in loads(model, question.payload)
+        for extension in SHARES
+        for group in [*([j] for j in axes), axes]
+        if len(group) == 1 or extension == 100
+    ]
+    ready: dict[float, StopBounds] = {}
+    for percent, kg, extension, group in progress(cases, "stop bounds"):
+        bounds = ready.setdefault(kg, prepared(model, kg, question))
+        pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
+        q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
+        for share in SHARES:
+            told = _both_ways(bounds, q, group, speed * share / 100.0, question.categories)
+            for bound, dq in told:
+                rows.append(_row(model, bound, group, dq, share, percent, kg, extension))
+                assumptions = bound.assumptions or assumptions
+    order = {c: i for i, c in enumerate(CATEGORIES)}
+    rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
+    limits = ", ".join(f"{j} {v:.3g}" for j, v in zip(model.joints, speed, strict=True))
+    stated = (*assumptions, f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}")
+    return Table(tuple(rows), stated, speed, poses.reach)
+
+
+def _both_ways(
+    bounds: StopBounds, q: Array, group: Sequence[int], speed: Array, categories: Sequence[Category]
+) -> list[tuple[StopBound, Array]]:
+    """The worse of both directions, for each category."""
+    out: list[tuple[StopBound, Array]] = []
+    worst: dict[Category, tuple[StopBound, Array]] = {}
+    for sign in (1.0, -1.0):
+        dq = np.zeros(len(q))
+        dq[list(group)] = sign * speed[list(group)]
+        for c in categories:
+            bound = bounds.bound(q, dq, c)
+            known = worst.get(c)
+            if known is None or _badness(bound, group) > _badness(known[0], group):
+                worst[c] = (bound, dq)
+    out.extend(worst[c] for c in categories)
+    return out
+
+
+def _badness(bound: StopBound, group: Sequence[int]) -> float:
+    angle = bound.angle
+    return float("inf") if angle is None else float(angle[list(group)].max())
+
+
+def _row(
+    model: Model, bound: StopBound, group: Sequence[int], dq: Array, share: float, percent: float, kg: float, extension: float
+) -> Row:
+    angle = bound.angle
+    return Row(
+        category=bound.category, joint="+".join(model.joints[j] for j in group), speed_percent=float(share),
+        payload_percent=percent, extension_percent=float(extension), speed=float(dq[group[0]]), payload=kg,
+        time_s=None if bound.time is None else _up(float(bound.time.max())),
+        angle_rad=None if angle is None else _up(float(angle[list(group)].max())),
+        tcp_m=None if bound.tcp is None else _up(bound.tcp), tcp_speed=bound.tcp_speed, certified=bound.certified,
+        why=bound.why,
+    )  # fmt: skip
+
+
+def _up(x: float) -> float:
+    """Rounded outward to 1e-6, so that a printed number is still a bound."""
+    return float(np.ceil(x * 1e6) / 1e6)
+
+
+def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list[Row], dict[Category, StopBound]]:
+    """Rows for one pose and the speeds of all axes at once: one per joint and category, and the bounds behind them.
+
+    Raises `NotCovered` for a pose beyond the limits or a payload outside the domain.
+    """
+    limit = model.robot.dq_limit
+    if np.any(np.abs(dq) > limit * (1 + 1e-9)):
+        j = int(np.argmax(np.abs(dq) / limit))
+        raise NotCovered(
+            f"{model.joints[j]} at {dq[j]:.4g} rad/s is beyond its limit of {limit[j]:.4g} rad/s; give a speed within it"
+        )
+    tip = model.robot.tip if question.payload_com is None else question.payload_com
+    percent, kg = loads(model, question.payload if question.payload is not None else model.domain.payload[1])[0]
+    bounds = prepared(model, kg, question)
+    told = {c: bounds.bound(q, dq, c) for c in question.categories}
+    extension = 100.0 * Poses.of(model.robot, tip).extension_of(q)
+    rows = []
+    for bound in told.values():
+        for j in range(model.n):
+            row = _row(model, bound, [j], dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension)
+            own = None if bound.time is None else _up(float(bound.time[j]))
+            rows.append(replace(row, speed=float(dq[j]), time_s=own))
+    return rows, told
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """The rows as a CSV with units in its head."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(
+        ["category", "joint", "speed [%]", "speed [rad/s]", "payload [%]", "payload [kg]", "extension [%]", "time [s]",
+         "angle [rad]", "TCP [m]", "certified", "why"]
+    )  # fmt: skip
+    for r in rows:
+        out.writerow(
+            [r.category, r.joint, r.speed_percent, r.speed, r.payload_percent, r.payload, r.extension_percent, r.time_s,
+             r.angle_rad, r.tcp_m, r.certified, r.why]
+        )  # fmt: skip
+    return text.getvalue()
