@@ -54,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
     )  # fmt: skip
     parser.add_argument("--margin", type=margin, default=None, metavar="auto|FACTOR", help="growth of the sets (default auto)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="run the heavy pass on this Dask cluster (extra fleet)")
     add_output_options(parser)
 
 
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     def tell(text: str) -> None:
         sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n")
 
-    found = identify(robot, args.data, settings, tell)
+    found = identify(robot, args.data, settings, tell, args.scheduler)
     model = save_model(found.model, args.out)
     say(summary(found))
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")

@@ -76,11 +76,12 @@ class NominalPart:
 
 
 def identify(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None
-) -> Identification:
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
+    scheduler: str | None = None,
+) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
-    ``tell`` is told each step.  Raises `RecordingError`, `NotConformant`.
+    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on.  Raises `RecordingError`, `NotConformant`.
     """
     chosen = settings or Settings()
     meta = _meta(paths)
@@ -92,7 +93,7 @@ def identify(
     found = survey(source)
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     nominal = fit_nominal(robot, meta, source, found, chosen)
-    return _with_sets(robot, meta, source, found, nominal, chosen, tell)
+    return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
 
 
 def fit_nominal(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings) -> NominalPart:
@@ -133,8 +134,8 @@ def _meta(paths: Sequence[str | Path]) -> Meta:
 
 def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart:
     """Torque that already is ``u``: one lag per joint with its effects, by output error."""
-    sample = [on_grid(r, found.dt) for r in found.sample]
-    batches = joint_batches(robot, sample, [found.warm(r) for r in found.sample], found.dt)
+    sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
+    batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
     wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
     fits = []
     for joint, batch in zip(robot.joints, batches, strict=True):
@@ -177,6 +178,8 @@ def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> 
         for r in source():
             if r.phase == found.phase and len(r.t) >= 3:
                 g = on_grid(r, found.dt)
+                if len(g.t) < 3:  # samples closer than the grid
+                    continue
                 yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
 
     return pairs
@@ -184,24 +187,27 @@ def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> 
 
 def _with_sets(
     robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
+    scheduler: str | None,
 ) -> Identification:  # fmt: skip
     motions = len(set(found.motion.values()))
     horizon = min(settings.horizon, found.longest)
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     options = Options(settings.conform, settings.windows, settings.margin)
 
+    light = replace(found, sample=())  # what a part needs, without the trials kept in memory
+
     def part(trials: Range) -> tuple[Gathered, Figures]:
-        figures = Figures(nominal.abstraction, found.dt, roller(nominal, meta.effort, found))
+        figures = Figures(nominal.abstraction, found.dt, roller(nominal, meta.effort, light))
 
         def pairs() -> Iterator[tuple[int, Recording, Array]]:
-            for motion, r, u in _pairs(within(source, trials), found, nominal, meta.effort)():
+            for motion, r, u in _pairs(within(source, trials), light, nominal, meta.effort)():
                 figures.add(r, u)
                 yield motion, r, u
 
         few = few_motions(len(split(list(range(motions))).used))
         return gather(pairs, nominal.abstraction, found.dt, horizon, options.windows, few), figures
 
-    gathered, figures = in_parts(part, found.places)
+    gathered, figures = in_parts(part, found.places, scheduler)
     tell("identifying the sets")
     result = conform(gathered, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
     errors, u_hull = figures.result(robot.joints), figures.u

@@ -10,10 +10,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, Self, TypeVar
 
+from stopset.errors import StopsetError
 from stopset.offline.survey import Source
 from stopset.recording import Recording
 
 Range = tuple[int, int]  # trials by place in the campaign: first, one past the last
+PER_WORKER = 3  # parts per worker of a cluster, so that a lost one costs little
+CONNECT = 10  # [s] to reach a scheduler
 FEWEST = 64  # trials per part; below, dividing costs more than it saves
 
 
@@ -46,12 +49,34 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
 
 
-def in_parts(work: Callable[[Range], tuple[A, B]], trials: int) -> tuple[A, B]:
-    """``work`` on every part in threads (the heavy kernels release the interpreter), merged in order."""
-    parts = max(1, min(os.cpu_count() or 1, trials // FEWEST, 4))
-    with ThreadPoolExecutor(parts) as pool:
-        results = list(pool.map(work, ranges(trials, parts)))
+def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None) -> tuple[A, B]:
+    """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
+
+    ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
+    given to another one.  Raises `StopsetError` if there is no such scheduler or no worker left.
+    """
+    if scheduler is not None:
+        results = _on_cluster(work, trials, scheduler)
+    else:
+        parts = max(1, min(os.cpu_count() or 1, trials // FEWEST, 4))
+        with ThreadPoolExecutor(parts) as pool:
+            results = list(pool.map(work, ranges(trials, parts)))
     a, b = results[0]
     for more_a, more_b in results[1:]:
         a, b = a.merge(more_a), b.merge(more_b)
     return a, b
+
+
+def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str) -> list[tuple[A, B]]:
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=CONNECT, set_as_default=False)
+    except (OSError, ValueError) as e:
+        raise StopsetError(f"no Dask scheduler answers at {scheduler} ({type(e).__name__}); start one and name its address") from e
+    with client:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        if not workers:
+            raise StopsetError(f"the Dask scheduler at {scheduler} has no worker; start at least one that can read the recordings")
+        jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
+        return list(client.gather(jobs))
