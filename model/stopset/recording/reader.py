@@ -92,7 +92,7 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             effort=effort,
             velocity=str(d.get("velocity", "measured")),
             clock=str(d.get("clock", "recorded")),
-            rate_hz=float(d.get("rate_hz", "nan")),
+            rate_hz=float("nan" if d.get("rate_hz") is None else d["rate_hz"]),
             torque_constant=None if constant is None else tuple(float(c) for c in constant),
             sources=sources,
         )
@@ -184,7 +184,7 @@ def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | N
     Raises `RecordingError` with one sentence for anything that is not a sound recording.
     """
     place = 0
-    for path in _paths(paths):
+    for number, path in enumerate(_paths(paths)):
         schema, batches = _open(path)
         meta = _meta(path, schema)
         if robot is not None:
@@ -198,7 +198,7 @@ def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | N
                     f"{path}: {phase} suite {suite} trial {trial} comes in two pieces; expected the rows of a trial together"
                 )
             seen.add(key)
-            r = _trial(key, place, columns, joints, meta)
+            r = replace(_trial(path, key, place, columns, joints, meta), file=number)
             _check_trial(path, r, joints, robot)
             yield r
             place += 1
@@ -241,7 +241,9 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return parts[0] if len(parts) == 1 else {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
 
 
-def _trial(key: tuple[str, int, int], place: int, columns: dict[str, Any], joints: Sequence[str], meta: Meta) -> Recording:
+def _trial(
+    path: Path, key: tuple[str, int, int], place: int, columns: dict[str, Any], joints: Sequence[str], meta: Meta
+) -> Recording:
     def table(prefix: str) -> Array | None:
         names = [f"{prefix}_{j}" for j in joints]
         if not all(c in columns for c in names):
@@ -249,7 +251,7 @@ def _trial(key: tuple[str, int, int], place: int, columns: dict[str, Any], joint
         try:
             return np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in names])
         except (ValueError, TypeError) as e:
-            raise RecordingError(f"column {prefix}_<joint> holds something that is not a number ({e})") from e
+            raise RecordingError(f"{path}: a column {prefix}_<joint> holds no number ({e}); expected numbers: convert it") from e
 
     current = table("i")
     tau = table("tau")

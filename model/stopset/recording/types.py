@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 PHASES = ("static", "closed_loop", "open_loop", "stop0", "stop1")
+SUITES_PER_FILE = 2**32  # more than a 32-bit suite number can count
 EFFORTS = ("motor_torque", "compensated_torque", "motor_current")
 
 
@@ -47,6 +48,7 @@ class Recording:
     temp: Array | None = None  # (N, n) [degC]
     current: Array | None = None  # (N, n) [A]
     stop_trigger: NDArray[np.bool_] | None = None  # (N,)
+    file: int = 0  # which of the files read together it comes from
 
     @property
     def key(self) -> tuple[str, int, int]:
@@ -54,12 +56,15 @@ class Recording:
 
     @property
     def label(self) -> str:
-        return f"{self.phase} suite {self.suite} trial {self.trial}"
+        return f"{self.phase} suite {self.suite} trial {self.trial}" + (f" of file {self.file + 1}" if self.file else "")
 
     @property
     def motion(self) -> tuple[str, int]:
-        """What repeats: trials of one suite share start and torques, so the suite, not the trial, is independent."""
-        return (self.phase, self.suite)
+        """What repeats: trials of one suite share start and torques, so the suite, not the trial, is independent.
+
+        Every recorder counts its suites from zero: suites of another file are other suites, whatever their number.
+        """
+        return (self.phase, self.suite + SUITES_PER_FILE * self.file)
 
     def cut(self, lo: int, hi: int) -> Recording:
         """Samples ``lo`` up to ``hi`` (exclusive) of every signal."""
@@ -97,7 +102,7 @@ class Recordings:
 
     @property
     def suites(self) -> dict[tuple[str, int], tuple[Recording, ...]]:
-        """Trials by (phase, suite)."""
+        """Trials by `Recording.motion`."""
         out: dict[tuple[str, int], list[Recording]] = {}
         for r in self.trials:
             out.setdefault(r.motion, []).append(r)

@@ -70,6 +70,8 @@ def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) 
     for r in stream_recordings(paths, model.robot):
         if r.phase == found.phase and len(r.t) >= 3:
             g = on_grid(r, dt)
+            if len(g.t) < 3:
+                continue
             yield found.motion[r.motion], g, model.input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
 
 
@@ -115,9 +117,11 @@ def _worst(model: Model, deviations: Deviations, tube: Tube, r: Recording, u: Ar
     below = tube.lo[1 : last + 1] - env.lo[1 : last + 1]
     half = np.maximum(0.5 * (tube.hi[1 : last + 1] - tube.lo[1 : last + 1]), 1e-12)
     excess = np.maximum(above, below)
-    if not (excess > 0).any():
+    out = excess > 0  # never where nothing was promised: there the tube is unbounded
+    if not out.any():
         return None
-    age, state = np.unravel_index(int(np.argmax(excess / half)), excess.shape)
+    relative = np.divide(excess, half, out=np.full_like(excess, -np.inf), where=out)
+    age, state = np.unravel_index(int(np.argmax(relative)), excess.shape)
     side = "above" if above[age, state] >= below[age, state] else "below"
     at = env.where("", int(age) + 1, int(state), "hi" if side == "above" else "lo", model.joints)
     worst = float(excess[age, state])

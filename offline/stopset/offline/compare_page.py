@@ -74,11 +74,12 @@ def _chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> dic
 
 def _tubes(out: Page, model: Model, found: Comparison, paths: Sequence[str | Path]) -> None:
     out.heading("Predicted sets over measurements")
-    for (phase, suite), trials in _chosen(model, found, paths).items():
+    for trials in _chosen(model, found, paths).values():
         if trials:
+            first = trials[0][0]
             by = "temperature" if trials[0][0].temp is not None else "order of the trials"
             caption = (
-                f"{phase} suite {suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). Grey: all "
+                f"{first.phase} suite {first.suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). Grey: all "
                 "states conformant; dark: position only."
             )
             out.figure(_tube_figure(model, trials), caption)

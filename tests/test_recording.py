@@ -1,0 +1,176 @@
+"""Recordings: one format in, whatever the file's shape; nothing read differs from what was written."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+
+import stopset.recording.reader as reader
+from stopset.errors import RecordingError
+from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings, write_recordings
+from synthetic import arm, columns, meta, names, recordings, save, save_trials
+
+JOINTS = names(3)
+J, V = (2.0, 0.7, 0.3), (9.0, 4.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[Recording]:
+    out = recordings(J, V, suites=2, trials=3, seconds=0.4)
+    return [
+        dataclasses.replace(r.cut(0, len(r.t) - 7 * k), temp=np.full((len(r.t) - 7 * k, 3), 20.0 + k)) for k, r in enumerate(out)
+    ]
+
+
+def same(a: Recording, b: Recording, tolerance: float = 0.0) -> None:
+    assert a.key == b.key
+    assert a.place == b.place
+    for name in ("t", "q", "dq", "tau", "temp", "current", "stop_trigger"):
+        x, y = getattr(a, name), getattr(b, name)
+        assert (x is None) == (y is None), name
+        if x is not None:
+            np.testing.assert_allclose(x, y, rtol=0, atol=tolerance, err_msg=name)
+
+
+# the writer keeps float32 of angles, speeds and torques below 32
+FLOAT32 = 32 * 2.0**-24
+
+
+def test_what_is_written_is_read(trials: list[Recording], tmp_path: Path) -> None:
+    head = Meta(JOINTS, "planar", "compensated_torque", "derived", "assumed", 250.0)
+    stopped = [dataclasses.replace(r, stop_trigger=r.t > 0.1, current=2 * r.tau) for r in trials]
+    write_recordings(tmp_path / "a.parquet", head, stopped)
+    got = read_recordings(tmp_path / "a.parquet")
+    assert (got.meta.effort, got.meta.velocity, got.meta.clock, got.meta.rate_hz) == (
+        "compensated_torque",
+        "derived",
+        "assumed",
+        250.0,
+    )
+    assert got.meta.joints == JOINTS
+    for a, b in zip(got, stopped, strict=True):
+        same(a, b, FLOAT32)
+
+
+def test_streaming_is_reading(trials: list[Recording], tmp_path: Path) -> None:
+    path = save_trials(tmp_path / "a.parquet", trials, JOINTS)
+    whole = read_recordings(path)
+    for a, b in zip(stream_recordings(path), whole, strict=True):
+        same(a, b)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 94, 101, 10_000])
+def test_borders_of_batches_fall_anywhere(
+    trials: list[Recording], tmp_path: Path, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = save(tmp_path / "a.parquet", columns(trials, JOINTS), meta(JOINTS), row_group_size=max(rows, 2))
+    expected = read_recordings(path)
+    monkeypatch.setattr(reader, "BATCH_ROWS", rows)
+    got = read_recordings(path)
+    assert len(got) == len(trials)
+    for a, b in zip(got, expected, strict=True):
+        same(a, b)
+
+
+def test_csv_with_its_metadata_beside_it_is_the_same_as_parquet(trials: list[Recording], tmp_path: Path) -> None:
+    table = columns(trials, JOINTS)
+    path = save(tmp_path / "a.parquet", table, meta(JOINTS))
+    pacsv.write_csv(pa.table(table), tmp_path / "b.csv")
+    (tmp_path / "b.json").write_text(json.dumps(meta(JOINTS)))
+    a, b = read_recordings(path), read_recordings(tmp_path / "b.csv")
+    assert dataclasses.replace(a.meta, sources=()) == dataclasses.replace(b.meta, sources=())
+    for x, y in zip(a, b, strict=True):
+        same(x, y, 1e-15)
+
+
+def test_csv_without_metadata_is_taken_as_motor_torque_with_a_warning(trials: list[Recording], tmp_path: Path) -> None:
+    pacsv.write_csv(pa.table(columns(trials, JOINTS)), tmp_path / "b.csv")
+    got = read_meta(tmp_path / "b.csv")
+    assert got.effort == "motor_torque"
+    assert "taken as motor torque" in got.warnings[0]
+
+
+def test_two_files_are_one_campaign(trials: list[Recording], tmp_path: Path) -> None:
+    a = save_trials(tmp_path / "a.parquet", trials[:4], JOINTS)
+    b = save_trials(tmp_path / "b.parquet", trials[4:], JOINTS)
+    got = read_recordings([a, b])
+    assert [r.place for r in got] == list(range(len(trials)))
+    assert [name for name, _ in got.meta.sources] == ["a.parquet", "b.parquet"]
+    for x, y in zip(got, trials, strict=True):
+        assert np.array_equal(x.q, y.q)
+
+
+def test_signals_come_in_the_robots_order_and_without_strangers(trials: list[Recording], tmp_path: Path) -> None:
+    order = (JOINTS[2], "gripper", JOINTS[0], JOINTS[1])
+    table = columns(trials, JOINTS)
+    for name in ("q", "dq", "tau"):
+        table[f"{name}_gripper"] = np.full(len(table["t"]), 0.01)
+    path = save(tmp_path / "a.parquet", dict(reversed(table.items())), meta(order))
+    got = read_recordings(path, arm(JOINTS))
+    assert got.meta.joints == JOINTS
+    for x, y in zip(got, trials, strict=True):
+        for name in ("q", "dq", "tau"):
+            assert np.array_equal(getattr(x, name), getattr(y, name))
+    assert read_recordings(path).trials[0].q.shape[1] == 4
+
+
+def test_torque_constants_follow_their_joints(trials: list[Recording], tmp_path: Path) -> None:
+    """The metadata's order of joints need not be the robot's."""
+    constants = {JOINTS[0]: 2.0, JOINTS[1]: 3.0, JOINTS[2]: 5.0}
+    table = columns(trials, JOINTS)
+    for j in JOINTS:
+        table[f"i_{j}"] = table.pop(f"tau_{j}") / constants[j]
+    order = tuple(reversed(JOINTS))
+    path = save(tmp_path / "a.parquet", table, meta(order, "motor_current", torque_constant=[constants[j] for j in order]))
+    for x, y in zip(read_recordings(path, arm(JOINTS)), trials, strict=True):
+        np.testing.assert_allclose(x.tau, y.tau, rtol=1e-15)
+
+
+def test_phases_stored_as_categories(trials: list[Recording], tmp_path: Path) -> None:
+    table = {k: pa.array(v) for k, v in columns(trials, JOINTS).items()}
+    table["phase"] = table["phase"].dictionary_encode()
+    pq.write_table(pa.table(table).replace_schema_metadata({"recording": json.dumps(meta(JOINTS))}), tmp_path / "a.parquet")
+    assert len(read_recordings(tmp_path / "a.parquet")) == len(trials)
+
+
+def test_one_trial_at_a_time_in_memory(tmp_path: Path) -> None:
+    """Peak memory of streaming does not grow with the file."""
+    import tracemalloc
+
+    r = recordings((2.0,), (4.0,), suites=1, trials=1, seconds=2.0)[0]
+
+    def peak(count: int) -> int:
+        path = tmp_path / f"{count}.parquet"
+        write_recordings(path, Meta(names(1)), (dataclasses.replace(r, trial=k) for k in range(count)))
+        tracemalloc.start()
+        assert sum(1 for _ in stream_recordings(path)) == count
+        top = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return top
+
+    peak(2)
+    assert peak(400) < 1.5 * peak(200) + 1_000_000
+
+
+def test_a_robot_with_a_joint_the_file_lacks(trials: list[Recording], tmp_path: Path) -> None:
+    path = save_trials(tmp_path / "a.parquet", trials, JOINTS)
+    with pytest.raises(RecordingError, match="do not belong together"):
+        read_recordings(path, arm(names(4)))
+
+
+def test_cut_and_grouping(trials: list[Recording], tmp_path: Path) -> None:
+    got = read_recordings(save_trials(tmp_path / "a.parquet", trials, JOINTS))
+    assert set(got.suites) == {("open_loop", 0), ("open_loop", 1)}
+    assert got.phases == ("open_loop",)
+    assert len(got.phase("stop0")) == 0
+    assert got.samples == sum(len(r.t) for r in trials)
+    r = got.trials[0].cut(3, 9)
+    assert len(r.t) == 6
+    assert np.array_equal(r.dq, trials[0].dq[3:9])
