@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
 from stopset.reach.flowpipe import discretise
 from stopset.recording import Meta, Recording

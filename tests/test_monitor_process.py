@@ -9,6 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
+
 from monitor_arm import known_model, meta, motion, with_torque_scaled
 from monitor_process import Ear, free_port, running, stopset, write_config
 from stopset.artifact import Model, save_model
@@ -99,23 +100,26 @@ def test_killed_or_frozen_monitor_is_noticed(place: Place, tmp_path: Path) -> No
     bus, port = free_port(), free_port()
     config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
     consumer = Consumer(data_id=1, watchdog_s=0.5)
-    with running("replay", str(recording), "--to", f"hub:{bus}", "--loop"):
-        with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear:
-            ear.link.subscribe("state", lambda _, d: consumer.take(d, time.monotonic()))
-            good = (State.OK, State.DEGRADED, State.UNKNOWN)
-            assert ear.wait(lambda: consumer.state(time.monotonic()) in good)
-            ear.link.put("challenge", b"\1\2\3")
-            assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
-            monitor.send_signal(signal.SIGSTOP)
-            assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
-            assert "silent" in consumer.why
-            ear.link.put("challenge", b"\4\5\6")
-            time.sleep(0.3)
-            assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"
-            monitor.send_signal(signal.SIGCONT)
-            assert ear.wait(lambda: consumer.state(time.monotonic()) in good, 10.0)
-            monitor.kill()
-            assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
+    with (
+        running("replay", str(recording), "--to", f"hub:{bus}", "--loop"),
+        running("monitor", "--config", str(config)) as monitor,
+        Ear(port) as ear,
+    ):
+        ear.link.subscribe("state", lambda _, d: consumer.take(d, time.monotonic()))
+        good = (State.OK, State.DEGRADED, State.UNKNOWN)
+        assert ear.wait(lambda: consumer.state(time.monotonic()) in good)
+        ear.link.put("challenge", b"\1\2\3")
+        assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
+        monitor.send_signal(signal.SIGSTOP)
+        assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
+        assert "silent" in consumer.why
+        ear.link.put("challenge", b"\4\5\6")
+        time.sleep(0.3)
+        assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"
+        monitor.send_signal(signal.SIGCONT)
+        assert ear.wait(lambda: consumer.state(time.monotonic()) in good, 10.0)
+        monitor.kill()
+        assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
 
 
 def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:

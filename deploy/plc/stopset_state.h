@@ -57,28 +57,28 @@ typedef struct {
   float stop0_angle_back[8]; /* @156 [rad] STOP 0: travel in - direction per joint */
   float stop0_time_max; /* @188 [s] STOP 0: stop time of the arm */
   float stop0_tcp; /* @192 [m] STOP 0: travel of the flange */
-  float stop0_reaction; /* @196 [s] STOP 0: reaction time included in the numbers */
+  float stop0_reaction; /* @196 [s] STOP 0: reaction time in the numbers (0: yours to add) */
   uint32_t stop1_provable; /* @200 STOP 1, the ramp works: bit i set = joint i+1 has a proven bound */
   float stop1_time[8]; /* @204 [s] STOP 1, the ramp works: stop time per joint, +Inf if not provable */
   float stop1_angle_forward[8]; /* @236 [rad] STOP 1, the ramp works: travel in + direction per joint */
   float stop1_angle_back[8]; /* @268 [rad] STOP 1, the ramp works: travel in - direction per joint */
   float stop1_time_max; /* @300 [s] STOP 1, the ramp works: stop time of the arm */
   float stop1_tcp; /* @304 [m] STOP 1, the ramp works: travel of the flange */
-  float stop1_reaction; /* @308 [s] STOP 1, the ramp works: reaction time included in the numbers */
+  float stop1_reaction; /* @308 [s] STOP 1, the ramp works: reaction time in the numbers (0: yours to add) */
   uint32_t stop1g_provable; /* @312 STOP 1, the ramp fails: bit i set = joint i+1 has a proven bound */
   float stop1g_time[8]; /* @316 [s] STOP 1, the ramp fails: stop time per joint, +Inf if not provable */
   float stop1g_angle_forward[8]; /* @348 [rad] STOP 1, the ramp fails: travel in + direction per joint */
   float stop1g_angle_back[8]; /* @380 [rad] STOP 1, the ramp fails: travel in - direction per joint */
   float stop1g_time_max; /* @412 [s] STOP 1, the ramp fails: stop time of the arm */
   float stop1g_tcp; /* @416 [m] STOP 1, the ramp fails: travel of the flange */
-  float stop1g_reaction; /* @420 [s] STOP 1, the ramp fails: reaction time included in the numbers */
+  float stop1g_reaction; /* @420 [s] STOP 1, the ramp fails: reaction time in the numbers (0: yours to add) */
   uint32_t stop2_provable; /* @424 STOP 2: bit i set = joint i+1 has a proven bound */
   float stop2_time[8]; /* @428 [s] STOP 2: stop time per joint, +Inf if not provable */
   float stop2_angle_forward[8]; /* @460 [rad] STOP 2: travel in + direction per joint */
   float stop2_angle_back[8]; /* @492 [rad] STOP 2: travel in - direction per joint */
   float stop2_time_max; /* @524 [s] STOP 2: stop time of the arm */
   float stop2_tcp; /* @528 [m] STOP 2: travel of the flange */
-  float stop2_reaction; /* @532 [s] STOP 2: reaction time included in the numbers */
+  float stop2_reaction; /* @532 [s] STOP 2: reaction time in the numbers (0: yours to add) */
   uint32_t check; /* @536 CRC-32/ISO-HDLC of all bytes before this field */
   uint32_t crc; /* @540 CRC-32C of all bytes before this field */
 } stopset_state;

@@ -11,7 +11,9 @@ HELP = "play a recording or log onto a CAN bus or zenoh, in real time or faster"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="REC|LOG", help="recording (Parquet, CSV), or a candump, ASC, BLF or TRC log")
+    parser.add_argument(
+        "recording", type=Path, metavar="REC|LOG", help="recording (Parquet, CSV), or a candump, ASC, BLF or TRC log"
+    )
     parser.add_argument(
         "--to", required=True, metavar="BUS",
         help="INTERFACE:CHANNEL of python-can (socketcan:can0, udp_multicast:239.74.163.2, serial:/dev/pts/3, ...); hub:28700 "
@@ -82,7 +84,11 @@ def run(args: argparse.Namespace) -> int:
         sink.close()
         if link is not None:
             link.close()
-    pace = "as fast as possible" if math.isinf(args.speed) else f"at {args.speed:g} times real time, latest sample {late * 1e3:.1f} ms late"
+    pace = (
+        "as fast as possible"
+        if math.isinf(args.speed)
+        else f"at {args.speed:g} times real time, latest sample {late * 1e3:.1f} ms late"
+    )
     heard = f"; the other nodes sent {hub.client_frames} frames" if hub is not None else ""
     say(f"{sent} samples to {args.to}, {pace}{heard}")
     return 0

@@ -61,7 +61,7 @@ class Stops:
     """Which stops are bounded live, how often. Reaction times before the drives act are the consumer's to add."""
 
     categories: tuple[str, ...] = ("0", "1")
-    rate_hz: float = 20.0
+    rate_hz: float = 40.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,7 +141,9 @@ class Daemon:
         new = self.latch.take(s, v)
         if new:
             rows = [[x.k, x.t, x.q.tolist(), x.dq.tolist(), None if x.tau is None else x.tau.tolist()] for x in self._evidence]
-            self._event("violation", why=v.why, violations=[e.plain() for e in new], evidence_columns="k t q dq tau", evidence=rows)
+            self._event(
+                "violation", why=v.why, violations=[e.plain() for e in new], evidence_columns="k t q dq tau", evidence=rows
+            )
         if v.conformance is Conformance.FAULT:
             t.faults += 1
             self._event("fault", why=v.why)
@@ -192,7 +194,12 @@ class Daemon:
         while not self._orders.empty():
             name, data = self._orders.get_nowait()
             if name == "challenge":
-                echo = {"nonce": data[:MAX_NONCE].hex(), "seq": self._seq, "boot_id": f"{self._boot:016x}", "t_pub_ns": time.time_ns()}
+                echo = {
+                    "nonce": data[:MAX_NONCE].hex(),
+                    "seq": self._seq,
+                    "boot_id": f"{self._boot:016x}",
+                    "t_pub_ns": time.time_ns(),
+                }
                 self.outlet.put("echo", msgspec.json.encode(echo))
             elif name == "reset":
                 self._reset(data)
@@ -238,7 +245,8 @@ class Daemon:
         stops: dict[str, Any] = {}
         for c, x in numbers.items():
             stops[c] = {
-                "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp), "why": x.why, "certified": bool(x.provable.all()),
+                "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
+                "certified": bool(x.provable.all()), "why": x.why,
                 "joints": {
                     j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                     for i, j in enumerate(joints)

@@ -32,7 +32,9 @@ def decode(data: bytes) -> JointState:
     try:
         state = _from_json(data) if data[:1] == b"{" else _from_cdr(data)
     except (ValueError, KeyError, TypeError, struct.error, IndexError, UnicodeDecodeError) as e:
-        raise BusError(f"joint_states message of {len(data)} bytes is neither JSON nor CDR JointState ({e}); look at the sender") from e
+        raise BusError(
+            f"joint_states message of {len(data)} bytes is neither JSON nor CDR JointState ({e}); look at the sender"
+        ) from e
     n = len(state.name)
     if not all(len(x) in (0, n) for x in (state.position, state.velocity, state.effort)):
         raise BusError(f"joint_states names {n} joints but carries other numbers of values; look at the sender")
@@ -41,10 +43,7 @@ def decode(data: bytes) -> JointState:
 
 def _from_json(data: bytes) -> JointState:
     d = json.loads(data)
-    if "stamp_ns" in d:
-        stamp = int(d["stamp_ns"])
-    else:
-        stamp = round(float(d["stamp"]) * 1e9)
+    stamp = int(d["stamp_ns"]) if "stamp_ns" in d else round(float(d["stamp"]) * 1e9)
     values = (tuple(float(x) for x in d.get(k, ())) for k in ("position", "velocity", "effort"))
     return JointState(stamp, tuple(str(x) for x in d["name"]), *values)
 

@@ -146,9 +146,8 @@ def outward(x: float, rounds: str) -> float:
     """``x`` as a float32 number that is not below (``up``) or not above (``down``) it; not a number becomes +Inf or -Inf."""
     if math.isnan(x):
         return math.inf if rounds == "up" else -math.inf
-    if abs(x) > 3.4e38:
-        return math.copysign(math.inf, x)
-    y = np.float32(x)
+    with np.errstate(over="ignore"):  # beyond float32 it is infinite, and the step below brings it back where it must
+        y = np.float32(x)
     if rounds == "up" and float(y) < x:
         y = np.nextafter(y, np.float32(np.inf))
     if rounds == "down" and float(y) > x:

@@ -70,12 +70,13 @@ def _recording(run: list[Sample], suite: int, trial: int, cycle_s: float) -> Rec
     if any(s.tau is None for s in run):
         raise RecordingError("the log carries no torque; expected a profile that maps it, such as lwa4p/monitor")
     temp = np.array([s.temp for s in run]) if all(s.temp is not None for s in run) else None
-    return Recording(
-        "closed_loop", suite, trial, trial, cycle_s * np.arange(len(run)),
-        np.array([s.q for s in run]), np.array([s.dq for s in run]), np.array([s.tau for s in run]), temp=temp,
-    )  # fmt: skip
+    t = np.asarray(cycle_s * np.arange(len(run)), dtype=np.float64)
+    q, dq, tau = (np.array([getattr(s, name) for s in run]) for name in ("q", "dq", "tau"))
+    return Recording("closed_loop", suite, trial, trial, t, q, dq, tau, temp=temp)
 
 
 def log_meta(profile: Profile, cycle_s: float, effort: str) -> Meta:
     """Metadata of recordings made from a log; ``effort`` must be said by who knows the drives."""
-    return Meta(joints=profile.joints, robot=profile.name, effort=effort, velocity="measured", clock="recorded", rate_hz=1 / cycle_s)
+    return Meta(
+        joints=profile.joints, robot=profile.name, effort=effort, velocity="measured", clock="recorded", rate_hz=1 / cycle_s
+    )

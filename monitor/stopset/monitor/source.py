@@ -103,7 +103,12 @@ class CanSource:
 
     def counters(self) -> dict[str, int]:
         d = self.decoder
-        return {"frames": self.frames, "incomplete_cycles": d.incomplete, "other_frames": d.unknown, "missed_cycles": self._count.missed}
+        return {
+            "frames": self.frames,
+            "incomplete_cycles": d.incomplete,
+            "other_frames": d.unknown,
+            "missed_cycles": self._count.missed,
+        }
 
     def close(self) -> None:
         self.bus.close()

@@ -1,4 +1,4 @@
-"""Stop bounds beside the loop: another process certifies them for a box around the state, the loop only looks whether it is inside.
+"""Stop bounds beside the loop: another process certifies them for a box around the state, the loop checks it is inside.
 
 A bound takes milliseconds, a cycle has not that many. So each answer covers every state of a box wide enough for the motion
 until the next answer; a state that has left the box has no bound until a new one comes.
@@ -6,10 +6,12 @@ until the next answer; a state that has left the box has no bound until a new on
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import multiprocessing as mp
 import os
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any, cast
@@ -23,7 +25,10 @@ from stopset.sets import Box
 
 Array = NDArray[np.float64]
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
-SPARE_ACCELERATION = 0.3  # [rad/s^2] on top of the acceleration seen, so that a changing one stays in the box
+LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
+SPARE_SPEED = 0.04  # [rad/s] noise of a measured speed and of the acceleration made from it; too little costs answers, not truth
+SPARE_ANGLE = 5e-4  # [rad]
+LONGEST = 0.05  # [s] motion covered ahead beyond one period; a slower answer finds the arm outside its box
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,9 @@ def _work(model_path: str, payload: float, categories: tuple[str, ...], pipe: Co
     model = load_model(model_path)
     prepared = StopBounds.of(model, (payload, payload) if payload else None)
     n = model.n
+    if prepared.setting is not None:  # load the compiled code before anybody waits for it
+        prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), "0")
+    pipe.send(None)
     while True:
         while not pipe.poll(0.5):
             if os.getppid() != parent:
@@ -121,12 +129,9 @@ class StopDesk:
     _process: Any = None
     _asked: float = float("-inf")
     _waiting: bool = False
-    _dq: Array | None = None
-    _t: float = 0.0
-    _acceleration: Array = field(default_factory=lambda: np.zeros(0))
+    _past: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=64))
 
     def __post_init__(self) -> None:
-        self._acceleration = np.zeros(self.n)
         self._start()
 
     def _start(self) -> None:
@@ -136,26 +141,28 @@ class StopDesk:
         self._process = context.Process(target=_work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()
-        self._waiting = False
+        self._waiting = True  # for its word that it is ready
 
     def offer(self, t: float, q: Array, dq: Array) -> None:
         """The newest state at ``t`` [s]; asks for a new bound when the last one is there and it is time."""
-        if self._dq is not None and 0 < t - self._t < 0.1:
-            here = np.abs(dq - self._dq) / (t - self._t)
-            self._acceleration = np.maximum(here, self._acceleration * 0.97)
-        self._dq, self._t = dq, t
+        self._past.append((t, dq))
+        while len(self._past) > 2 and t - self._past[0][0] > LOOK_BACK:
+            self._past.popleft()
         self._collect()
         now = time.monotonic()
         if self._waiting or now - self._asked < 1.0 / self.rate_hz or self._pipe is None:
             return
-        took = self.answer.took if self.answer else 0.02
-        ahead = 1.5 * max(took, 1.0 / self.rate_hz) + took
-        a = self._acceleration + SPARE_ACCELERATION
-        dq_radius = a * ahead
-        q_radius = 0.5 * (np.abs(dq) + dq_radius) * ahead
+        took = min(self.answer.took if self.answer else 0.01, LONGEST)
+        ahead = 1.2 / self.rate_hz + 2.0 * took
+        before, was = self._past[0]
+        a = (dq - was) / (t - before) if 0.0 < t - before < 2 * LOOK_BACK else np.zeros(self.n)
+        # the middle of the box is where the arm is half way to the next answer
+        dq_mid = dq + 0.5 * ahead * a
+        dq_radius = 0.65 * ahead * np.abs(a) + SPARE_SPEED
+        q_mid = q + 0.5 * ahead * dq_mid
+        q_radius = 0.55 * ahead * np.abs(dq_mid) + 0.5 * ahead * dq_radius + SPARE_ANGLE
         try:
-            # the middle of the box is where the arm is half way to the next answer
-            self._pipe.send((q + 0.5 * ahead * dq, dq, q_radius, dq_radius))
+            self._pipe.send((q_mid, dq_mid, q_radius, dq_radius))
             self._asked, self._waiting = now, True
         except (OSError, ValueError):
             self._lost()
@@ -163,7 +170,7 @@ class StopDesk:
     def _collect(self) -> None:
         try:
             while self._pipe is not None and self._pipe.poll(0):
-                self.answer = self._pipe.recv()
+                self.answer = self._pipe.recv() or self.answer
                 self._waiting = False
         except (EOFError, OSError):
             self._lost()
@@ -189,10 +196,8 @@ class StopDesk:
     def close(self) -> None:
         """End the other process."""
         if self._pipe is not None:
-            try:
+            with contextlib.suppress(OSError, ValueError):
                 self._pipe.send(None)
-            except (OSError, ValueError):
-                pass
         if self._process is not None:
             self._process.join(timeout=1.0)
             if self._process.is_alive():

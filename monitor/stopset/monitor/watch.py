@@ -225,14 +225,14 @@ class Watch:
         with np.errstate(invalid="ignore", divide="ignore"):
             room = (-np.maximum(over, under) / (0.5 * (hi - lo))).min(axis=0)
         room[~np.isfinite(room)] = 1.0
-        common = dict(compared=len(live), oldest=float(self.ages[age.max()]), outside=outside, room=room)
+        result, why = Conformance.CONFORMANT, "inside every prediction"
         if deviations:
             worst = max(deviations, key=lambda d: d.fraction)
+            result = Conformance.VIOLATION
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
-            return Verdict(Conformance.VIOLATION, why, deviations=deviations, **common)  # type: ignore[arg-type]
-        if outside:
-            return Verdict(Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}", **common)  # type: ignore[arg-type]
-        return Verdict(Conformance.CONFORMANT, "inside every prediction", **common)  # type: ignore[arg-type]
+        elif outside:
+            result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
+        return Verdict(result, why, len(live), float(self.ages[age.max()]), deviations, outside, room)
 
     def _deviations(self, x: Array, beyond: Array, side: str, live: NDArray[np.int64]) -> tuple[Deviation, ...]:
         """The worst contradicted prediction of each state on one side; ``beyond``: (m, 2n), positive outside."""

@@ -86,7 +86,9 @@ class _CanTalker:
 
     def send(self, cob_id: int, data: bytes) -> None:
         try:
-            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=time.time()), timeout=1.0)
+            self._bus.send(
+                can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=time.time()), timeout=1.0
+            )
         except (can.CanError, OSError) as e:
             raise BusError(f"the bus does not take frames ({e}); is another node on it?") from e
 
@@ -109,7 +111,7 @@ def listen(spec: str, wait_s: float = 0.0) -> Listener:
     while True:
         try:
             if interface == "hub":
-                return HubClient(*_address(channel))  # type: ignore[return-value]
+                return HubClient(*_address(channel))
             return _CanListener(spec)
         except BusError:
             if time.monotonic() > end:

@@ -46,7 +46,7 @@ def frame_maps(profile: Profile) -> dict[int, FrameMap]:
     for joint, (name, node_id) in enumerate(profile.nodes.items()):
         try:
             node = network.add_node(canopen.RemoteNode(node_id, str(profile.dcf)))
-            node.tpdo.read(from_od=True)
+            node.tpdo.read(from_od=True)  # type: ignore[no-untyped-call]
         except (configparser.Error, ObjectDictionaryError, KeyError, ValueError, TypeError, AttributeError) as e:
             raise BusError(f"{profile.dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
         for pdo in node.tpdo.values():
@@ -72,13 +72,15 @@ def frame_maps(profile: Profile) -> dict[int, FrameMap]:
                 maps[pdo.cob_id] = FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:])
         lacking = [s for s in profile.signals if (SIGNALS.index(s), joint) not in found]
         if lacking:
-            raise BusError(f"profile {profile.name}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {profile.dcf.name}")
+            raise BusError(
+                f"profile {profile.name}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {profile.dcf.name}"
+            )
     return maps
 
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """All PDOs of one SYNC: ``counter`` of the SYNC or None, ``t`` its reception [s], SI ``values`` (signals, n), NaN if absent."""
+    """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent."""
 
     counter: int | None
     t: float

@@ -36,7 +36,7 @@ class ZenohLink:
             if connect:
                 config.insert_json5("connect/endpoints", json.dumps(list(connect)))
             self._session = zenoh.open(config)
-        except Exception as e:  # zenoh raises its own and Rust's errors without a common root worth naming
+        except Exception as e:
             where = ", ".join([*connect, *listen]) or str(file or "its defaults")
             raise BusError(f"zenoh session on {where} cannot be opened ({e}); check addresses, ports and certificates") from e
         self._publishers: dict[str, Any] = {}
@@ -56,7 +56,7 @@ class ZenohLink:
             reliability=zenoh.Reliability.BEST_EFFORT,
         )
         self._held.append(p)
-        return p.put  # type: ignore[no-any-return]
+        return p.put
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
         """Publish on a slow key; ``must_arrive`` waits for room instead of dropping."""
@@ -98,4 +98,4 @@ class ZenohLink:
         return [(str(r.ok.key_expr), r.ok.payload.to_bytes()) for r in replies if r.ok is not None]
 
     def close(self) -> None:
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]

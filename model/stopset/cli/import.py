@@ -1,0 +1,57 @@
+"""``stopset import``: CAN logs to recordings. (Only ever imported by name, so the keyword as a file name does no harm.)"""
+# ruff: noqa: N999
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "turn CAN logs, ROS 2 bags or MCAP files into recordings"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help="candump (.log), .asc, .blf, .trc, or .mcap / .db3")
+    parser.add_argument("--out", type=Path, required=True, metavar="REC.parquet", help="the recording to write")
+    parser.add_argument("--profile", default="lwa4p/monitor", help="CAN: bus profile, name or path (default: %(default)s)")
+    parser.add_argument("--cycle", type=float, metavar="S", help="SYNC or message period in seconds (default: the profile's)")
+    parser.add_argument(
+        "--effort", default="motor_torque", choices=("motor_torque", "compensated_torque"),
+        help="what the torque signal is, which a log does not tell (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--topic", default="/joint_states", help="MCAP, bags: topic of JointState (default: %(default)s)")
+    parser.add_argument("--joints", metavar="A,B,..", help="MCAP, bags: joints to keep, in this order (default: all)")
+
+
+def run(args: argparse.Namespace) -> int:
+    from stopset.cli.common import check_outputs, progress, say
+    from stopset.errors import RecordingError
+    from stopset.monitor.bags import BAG_SUFFIXES, meta_of_bag, trials_of_bag
+    from stopset.monitor.logs import log_meta, trials_of_log
+    from stopset.monitor.profile import load_profile
+    from stopset.recording import Meta, Recording, write_recordings
+
+    check_outputs(args.out)
+    if args.cycle is not None and not 1e-4 <= args.cycle <= 1.0:
+        raise RecordingError(f"--cycle is {args.cycle}; expected seconds, from 0.0001 to 1")
+    trials: list[Recording] = []
+    meta: Meta | None = None
+    for suite, path in enumerate(args.log):
+        if path.suffix.lower() in BAG_SUFFIXES:
+            joints = tuple(args.joints.split(",")) if args.joints else None
+            found = list(progress(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name))
+            this = meta_of_bag(found, args.effort)
+            trials += [r for r, _ in found]
+        else:
+            profile = load_profile(args.profile)
+            cycle = args.cycle or profile.cycle_s
+            trials += progress(trials_of_log(path, profile, cycle, suite), None, path.name)
+            this = log_meta(profile, cycle, args.effort)
+        if meta is not None and this.joints != meta.joints:
+            raise RecordingError(
+                f"{path} holds joints {', '.join(this.joints)}, the first log {', '.join(meta.joints)}; import them apart"
+            )
+        meta = meta or this
+    assert meta is not None  # nargs="+"
+    write_recordings(args.out, meta, trials)
+    say(f"{len(trials)} trials, {sum(len(r.t) for r in trials)} samples to {args.out}, torque taken as {args.effort}")
+    return 0

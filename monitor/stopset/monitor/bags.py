@@ -1,0 +1,96 @@
+"""``sensor_msgs/JointState`` out of MCAP files and ROS 2 bags (sqlite3), read with what the two formats are made of."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from stopset.errors import BusError, RecordingError
+from stopset.monitor.jointstate import JointState, decode
+from stopset.recording import Meta, Recording
+
+BAG_SUFFIXES = frozenset({".mcap", ".db3"})
+SHORTEST = 10
+GAP = 2.5  # periods without a message that end a trial
+
+
+def _messages(path: Path, topic: str) -> Iterator[bytes]:
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; expected an MCAP file or the .db3 of a ROS 2 bag")
+    if path.suffix.lower() == ".mcap":
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+
+        try:
+            with path.open("rb") as f:
+                for _, _, message in make_reader(f).iter_messages(topics=[topic]):
+                    yield message.data
+        except (McapError, ValueError, EOFError, OSError) as e:
+            raise RecordingError(f"{path} is not a readable MCAP file ({e}); record or copy it again") from e
+        return
+    try:
+        db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+        try:
+            rows = db.execute(
+                "select m.data from messages m join topics t on m.topic_id = t.id where t.name = ? order by m.timestamp", (topic,)
+            )
+            for (data,) in rows:
+                yield bytes(data)
+        finally:
+            db.close()
+    except sqlite3.Error as e:
+        raise RecordingError(f"{path} is not a readable ROS 2 bag ({e}); give the .db3 file") from e
+
+
+def trials_of_bag(
+    path: Path, topic: str, joints: tuple[str, ...] | None, cycle_s: float | None, suite: int
+) -> Iterator[tuple[Recording, tuple[str, ...]]]:
+    """Unbroken runs of messages as trials, with the joints' names; time is the header stamp."""
+    states: list[JointState] = []
+    for data in _messages(path, topic):
+        try:
+            states.append(decode(data))
+        except BusError as e:
+            raise RecordingError(f"{path}: {e}") from e
+    if len(states) < SHORTEST:
+        raise RecordingError(f"{path} holds {len(states)} messages on {topic}; expected at least {SHORTEST}: name the --topic")
+    names = joints or states[0].name
+    t = np.array([s.stamp_ns for s in states], dtype=np.int64)
+    period = cycle_s or float(np.median(np.diff(t))) * 1e-9
+    if not (math.isfinite(period) and period > 0):
+        raise RecordingError(f"{path}: the header stamps on {topic} do not advance; expected stamped messages")
+    step = np.diff(t) * 1e-9
+    edges = [0, *(np.flatnonzero((step > GAP * period) | (step <= 0)) + 1).tolist(), len(t)]
+    trial = 0
+    for lo, hi in pairwise(edges):
+        if hi - lo >= SHORTEST:
+            yield _recording(path, states[lo:hi], names, suite, trial), names
+            trial += 1
+
+
+def _recording(path: Path, run: list[JointState], names: tuple[str, ...], suite: int, trial: int) -> Recording:
+    tables = []
+    for kind in ("position", "velocity", "effort"):
+        rows = []
+        for s in run:
+            values = dict(zip(s.name, getattr(s, kind), strict=False))
+            if lacking := [j for j in names if j not in values]:
+                raise RecordingError(
+                    f"{path}: {kind} of {', '.join(lacking)} is missing in a message; expected all three of every joint"
+                )
+            rows.append([values[j] for j in names])
+        tables.append(np.array(rows))
+    t = np.array([s.stamp_ns - run[0].stamp_ns for s in run]) * 1e-9
+    return Recording("closed_loop", suite, trial, trial, t, *tables)
+
+
+def meta_of_bag(found: list[tuple[Recording, tuple[str, ...]]], effort: str) -> Meta:
+    """Metadata of recordings made from a bag."""
+    recording, names = found[0]
+    rate = 1.0 / float(np.median(np.diff(recording.t)))
+    return Meta(joints=names, effort=effort, velocity="measured", clock="recorded", rate_hz=rate)

@@ -1,0 +1,331 @@
+"""The pure check and the message: what holds is never flagged, what does not is named, doubt is never OK."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
+from stopset.errors import BusError, NotCovered
+from stopset.monitor import plc
+from stopset.monitor.config import ConfigError, load_config
+from stopset.monitor.consumer import Consumer
+from stopset.monitor.latch import Latch
+from stopset.monitor.layout import FIELDS, LENGTH, State, crc32c, offsets, outward, pack, unpack
+from stopset.monitor.profile import load_profile
+from stopset.monitor.source import CycleCount
+from stopset.monitor.status import Situation, believable, decide
+from stopset.monitor.stopdesk import Numbers
+from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch, check_cycle
+from stopset.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def samples(r: Recording, k0: int = 0) -> list[Sample]:
+    return [Sample(k0 + k, r.t[k], r.q[k], r.dq[k], r.tau[k]) for k in range(len(r.t))]
+
+
+def verdicts(watch: Watch, *runs: list[Sample]) -> list[Verdict]:
+    return [watch.step(s) for run in runs for s in run]
+
+
+# ---- the check ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_arm_inside_its_sets_is_never_flagged(seed: int) -> None:
+    out = verdicts(Watch(known_model()), samples(motion(seed)))
+    assert [v.conformance for v in out] == [Conformance.UNKNOWN] + [Conformance.CONFORMANT] * (len(out) - 1)
+    room = np.min([v.room for v in out if v.room is not None], axis=0)
+    assert room.min() < 0.1, "the tube is not idle: corner disturbances come close to it"
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_wrong_torque_names_its_joint_and_no_other(joint: int) -> None:
+    out = verdicts(Watch(known_model()), samples(with_torque_scaled(motion(1), joint, 1.5)))
+    named = {d.joint for v in out for d in v.deviations}
+    assert named == {known_model().joints[joint]}
+
+
+@pytest.mark.parametrize("shrink", [0.8])
+def test_mutant_with_a_smaller_set_is_refuted(shrink: float) -> None:
+    """The test above has teeth: with U a fifth smaller the same motions do leave the tube."""
+    m = known_model()
+    c, r = U.centre, U.radius * shrink
+    small = replace(m, sets={"powered": replace(m.powered, U=replace(U, lo=c - r, hi=c + r))})
+    assert any(v.deviations for seed in range(5) for v in verdicts(Watch(small), samples(motion(seed))))
+
+
+def test_every_age_up_to_the_horizon_is_compared() -> None:
+    watch = Watch(known_model(horizon=0.4))
+    out = verdicts(watch, samples(motion(0, 150)))
+    assert [v.compared for v in out[:101]] == list(range(101)) and out[-1].compared == 100
+    assert out[-1].oldest == pytest.approx(0.4)
+
+
+def test_a_gap_drops_predictions_and_gives_no_verdict() -> None:
+    watch = Watch(known_model())
+    first, second = samples(motion(0, 50)), samples(motion(1, 50), k0=60)
+    out = verdicts(watch, first, second)
+    assert out[50].conformance is Conformance.UNKNOWN and "gap" in out[50].why and out[50].compared == 0
+    assert all(v.conformance is Conformance.CONFORMANT for v in out[51:])
+    # without the gap being seen, the jump between the motions would be a violation
+    glued = verdicts(Watch(known_model()), first, samples(motion(1, 50), k0=50))
+    assert glued[50].conformance is Conformance.VIOLATION
+
+
+def test_sets_that_conform_from_the_start_are_used_from_the_start_only() -> None:
+    """Trap P15: such sets promise nothing for a restart in the middle."""
+    out = verdicts(Watch(known_model(windows="start")), samples(motion(0, 80)))
+    assert {v.compared for v in out[1:]} == {1}
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"tau": None}, "torque"),
+        ({"powered": False}, "powered"),
+        ({"q": np.full(6, np.nan)}, "not a number"),
+        ({"tau": np.array([1.0, np.inf, 0, 0, 0, 0])}, "not a number"),
+    ],
+)
+def test_no_verdict_is_unknown_and_forgets(change: dict[str, Any], word: str) -> None:
+    watch = Watch(known_model())
+    run = samples(motion(0, 30))
+    verdicts(watch, run[:20])
+    v = watch.step(replace(run[20], **change))
+    assert v.conformance is Conformance.UNKNOWN and word in v.why
+    assert watch.step(run[21]).compared == 0, "predictions across it are dropped"
+
+
+def test_outside_the_domain_is_named_and_not_conformant() -> None:
+    m = known_model()
+    d = m.domain
+    hi = d.q.hi.copy()
+    r = motion(0, 100)
+    hi[4] = r.q[:50, 4].max()
+    watch = Watch(replace(m, domain=replace(d, q=replace(d.q, hi=hi))))
+    out = verdicts(watch, samples(r))
+    beyond = r.q[:, 4] > hi[4]
+    assert beyond.any() and not beyond.all()
+    for v, far in zip(out[1:], beyond[1:], strict=True):
+        assert v.outside == (("q_arm_5_joint",) if far else ())
+        assert v.conformance is (Conformance.UNKNOWN if far else Conformance.CONFORMANT)
+
+
+def test_payload_beyond_the_identified_one_is_unknown() -> None:
+    assert "payload" in Watch(known_model(), payload=2.0).step(samples(motion(0, 2))[0]).why
+
+
+def test_an_error_inside_is_fault_and_nothing_survives_it() -> None:
+    watch = Watch(known_model())
+    run = samples(motion(0, 30))
+    verdicts(watch, run[:20])
+    v = watch.step(replace(run[20], q=np.zeros(5)))
+    assert v.conformance is Conformance.FAULT and v.why.startswith("the check failed")
+    assert watch.step(run[21]).conformance is Conformance.UNKNOWN
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.floats(1e-6, 1e-2))
+def test_rounding_of_the_bus_never_flags_a_conformant_arm(seed: int, count: float) -> None:
+    """Whatever the counts are worth: the tube grows by exactly what rounding can do."""
+    scale = {"q": count * 1e-2, "dq": count, "tau": 10 * count}
+    r = motion(seed, 120)
+    rounded = replace(
+        r,
+        q=np.round(r.q / scale["q"]) * scale["q"],
+        dq=np.round(r.dq / scale["dq"]) * scale["dq"],
+        tau=np.round(r.tau / scale["tau"]) * scale["tau"],
+    )
+    half = Quantum(*(np.full(6, 0.5 * s) for s in scale.values()))
+    assert not any(v.deviations for v in verdicts(Watch(known_model(), half), samples(rounded)))
+
+
+def test_unknown_rounding_would_be_flagged() -> None:
+    """Mutant: the same coarse torque without telling the monitor is a violation, so the widening above is needed."""
+    r = motion(3)
+    rounded = replace(r, tau=np.round(r.tau / 2.0) * 2.0)
+    assert any(v.deviations for v in verdicts(Watch(known_model()), samples(rounded)))
+
+
+def test_a_bus_with_another_cycle_is_refused() -> None:
+    check_cycle(known_model(), DT)
+    with pytest.raises(NotCovered, match=r"10 ms.*4 ms"):
+        check_cycle(known_model(), 0.010)
+
+
+def test_violations_stay_latched_and_are_classified() -> None:
+    latch, watch = Latch(), Watch(known_model())
+    good = samples(motion(0, 60))
+    spike = [replace(s, dq=s.dq + (np.eye(6)[5] * 0.5 if s.k == 30 else 0.0)) for s in good]
+    new = [latch.take(s, watch.step(s)) for s in spike]
+    assert latch.latched and latch.joints == ("arm_6_joint",)
+    assert next(k for k, n in enumerate(new) if n) == 30
+    entry = latch.entries[("arm_6_joint", "dq", "above")]
+    assert entry.plain()["kind"] == "spike" and entry.worst.excess == pytest.approx(0.5, abs=0.1)
+    for s in samples(with_torque_scaled(motion(1), 1, 1.5), k0=1000):
+        latch.take(s, watch.step(s))
+    assert latch.joints == ("arm_6_joint", "arm_2_joint"), "first-out first"
+    assert any(e.plain()["kind"] == "drift" for e in latch.entries.values())
+    latch.reset()
+    assert not latch.latched and latch.count == 0
+
+
+# ---- cycles and states ----------------------------------------------------------------------------------------------
+
+
+def test_cycle_numbers_show_what_was_lost() -> None:
+    from stopset.monitor.links.canopen_map import Cycle
+
+    nothing = np.zeros((5, 6))
+    count = CycleCount(0.004, 240)
+    late = [count(Cycle(c, t, nothing)) for c, t in ((238, 0.0), (239, 0.011), (240, 0.012), (1, 0.016), (4, 0.028))]
+    assert late == [0, 1, 2, 3, 6], "late frames are no gap, lost cycles are"
+    assert count(Cycle(5, 5.0, nothing)) > 100, "half a round of the counter later it cannot be trusted"
+    clock = CycleCount(0.004, 0)
+    assert [clock(Cycle(None, t, nothing)) for t in (0.0, 0.0041, 0.0079, 0.0160)] == [0, 1, 2, 4]
+
+
+def numbers(provable: bool) -> dict[str, Numbers]:
+    finite = Numbers(np.full(6, 0.1), np.full(6, 0.1), np.full(6, 0.1), 0.02, np.full(6, True))
+    return {"0": finite if provable else Numbers.none(6, "no brakes known")}
+
+
+def test_the_worst_known_decides_the_state() -> None:
+    s = samples(motion(0, 2))[0]
+    good = Situation(True, "", False, False, False, s, Verdict(Conformance.CONFORMANT, "inside"), True, numbers(True))
+    unknown = Verdict(Conformance.UNKNOWN, "gap: ...")
+    assert decide(good)[0] is State.OK
+    assert decide(replace(good, numbers=numbers(False)))[0] is State.DEGRADED
+    assert decide(replace(good, verdict=unknown))[0] is State.UNKNOWN
+    assert decide(replace(good, stale=True))[0] is State.FAULT
+    assert decide(replace(good, late=True))[0] is State.FAULT
+    assert decide(replace(good, latched=True))[0] is State.VIOLATION
+    assert decide(replace(good, latched=True, stale=True))[0] is State.VIOLATION
+    assert decide(replace(good, fault="x", latched=True))[0] is State.FAULT
+    assert decide(replace(good, verdict=Verdict(Conformance.FAULT, "x")))[0] is State.FAULT
+    assert decide(replace(good, numbers={}))[1] and not believable(*decide(replace(good, latched=True))[:2])
+    outside = replace(good, verdict=Verdict(Conformance.UNKNOWN, "outside", outside=("q_a",)))
+    assert not believable(*decide(outside)[:2]), "no stop number outside the domain"
+
+
+# ---- the message ----------------------------------------------------------------------------------------------------
+
+
+def message(**more: Any) -> bytes:
+    return pack({"data_id": 7, "boot_id": 1, "state": int(State.OK), **more})
+
+
+def test_codes_differ_in_four_bits() -> None:
+    codes = [s.value for s in State if s is not State.NEVER_SENT]
+    assert min(bin(a ^ b).count("1") for a in codes for b in codes if a != b) >= 4
+    assert crc32c(b"123456789") == 0xE3069283, "the check value of CRC-32C"
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_rounding_is_outward(x: float) -> None:
+    assert outward(x, "up") >= x >= outward(x, "down")
+    for y in (outward(x, "up"), outward(x, "down")):
+        assert struct.unpack("<f", struct.pack("<f", y))[0] == y, "a float32, nothing is rounded again on the way"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, LENGTH * 8 - 1), st.integers(0, LENGTH * 8 - 1))
+def test_damaged_messages_are_refused(a: int, b: int) -> None:
+    data = bytearray(message())
+    data[a // 8] ^= 1 << a % 8
+    if a != b:
+        data[b // 8] ^= 1 << b % 8
+    with pytest.raises(BusError):
+        unpack(bytes(data))
+
+
+def test_consumer_believes_only_fresh_ordered_messages_of_its_arm() -> None:
+    c = Consumer(data_id=7, watchdog_s=0.05)
+    assert c.state(0.0) is State.FAULT
+    c.take(message(seq=1), 1.0)
+    assert c.state(1.04) is State.OK and c.state(1.06) is State.FAULT and "silent" in c.why
+    c.take(message(seq=1), 1.07)  # repeated
+    c.take(message(seq=0), 1.07)  # old
+    c.take(pack({"data_id": 8, "seq": 9, "state": int(State.OK)}), 1.07)  # another arm's
+    c.take(message(seq=2)[:-1], 1.07)
+    assert c.rejected == 4 and c.state(1.07) is State.FAULT
+    c.take(message(seq=5), 1.08)
+    assert c.lost == 3 and c.state(1.08) is State.OK
+    c.take(message(seq=0, boot_id=2), 1.09)
+    assert c.state(1.09) is State.OK, "a restarted daemon counts anew"
+    c.take(message(seq=1, boot_id=2, state=0x2A), 1.10)
+    assert c.state(1.10) is State.FAULT, "an unknown code is FAULT"
+
+
+def test_headers_are_those_of_the_table() -> None:
+    for name, text in plc.FILES.items():
+        assert (ROOT / "deploy/plc" / name).read_text() == text(), f"run python -m stopset.monitor.plc: {name} is old"
+    at = offsets()
+    assert all(at[f.name] % {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "f32": 4}[f.kind] == 0 for f in FIELDS)
+
+
+def test_a_compiled_consumer_reads_a_real_message(tmp_path: Path) -> None:
+    binary = tmp_path / "reader"
+    try:
+        folder = ROOT / "deploy/plc"
+        words = ["cc", "-std=c99", "-Wall", "-Werror", "-I", str(folder), str(folder / "reader.c"), "-o", str(binary)]
+        subprocess.run(words, check=True)
+    except FileNotFoundError:
+        pytest.skip("no C compiler here")
+    time = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    data = message(seq=3, stop0_time=time, stop0_time_max=0.6, stop0_tcp=0.0123, violation_count=5, joints=6, room_min=0.25)
+
+    def read(raw: bytes, data_id: str = "7") -> tuple[int, str]:
+        p = subprocess.run([str(binary), data_id], input=raw, capture_output=True)
+        return p.returncode, p.stdout.decode()
+
+    code, text = read(data)
+    assert code == 0
+    said = dict(line.split("=") for line in text.split())
+    assert said["state"] == "0x2B" and said["seq"] == "3" and said["violation_count"] == "5"
+    assert float(said["stop0_time[5]"]) >= 0.6 and np.float32(said["stop0_tcp"]) == outward(0.0123, "up")
+    assert float(said["room_min"]) == 0.25
+    damaged = bytearray(data)
+    damaged[100] ^= 4
+    assert read(bytes(damaged))[0] == 2 and read(data, "8")[0] == 3 and read(data[:-1])[0] == 1
+    assert zlib.crc32(data[: LENGTH - 8]) == unpack(data)["check"]
+
+
+# ---- configuration --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ('model = "a.json"\n[bus]\nlink = "hub:1"\nprofil = "x"', "profil"),
+        ('model = "a.json"', "exactly one"),
+        ('model = "a.json"\n[bus]\nlink = 3', "expected str"),
+        ('model = "a.json"\ndata_id = -1\n[bus]\nlink = "hub:1"', "data_id"),
+        ('[bus]\nlink = "hub:1"', "lacks model"),
+        ('model = "a.json"\nsite = "a/*"\n[bus]\nlink = "hub:1"', "special"),
+        ("model = ", "TOML"),
+    ],
+)
+def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=word):
+        load_config(path)
+
+
+def test_example_configuration_is_valid() -> None:
+    config = load_config(ROOT / "deploy/stopset.toml.example")
+    assert config.bus is not None and load_profile(config.bus.profile).joints[0] == "arm_1_joint"
+    assert config.sha256 and NOISE > 0
