@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Abstraction, UncertaintySets
-from stopset.errors import NotConformant
-from stopset.offline.abstraction import build
+from stopset.errors import NotConformant, StopsetError
+from stopset.offline.abstraction import build, ranked
 from stopset.offline.conform import cooperative as co
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear import fit_sets
@@ -198,13 +198,13 @@ def planar(kind: int, order: int) -> Abstraction:
     return build(kind, order, two_link(), ROTOR, PLANAR_FRICTION)
 
 
-def planar_trials(model: Abstraction, number: int = 12, N: int = 100, dt: float = 0.02) -> list[co.Trial]:
+def planar_trials(model: Abstraction, number: int = 12, suffered: Box = PUSH, N: int = 100, dt: float = 0.02) -> list[co.Trial]:
     rng = np.random.default_rng(5)
     t = np.arange(N) * dt
     out = []
     for k in range(number):
         u = np.column_stack([2.5 * np.sin(t * (1 + k % 4)), 1.5 * np.sin(2 * t + k)])
-        push = np.where(rng.integers(0, 2, (N // 10 + 1, 2)), PUSH.hi, PUSH.lo).repeat(10, axis=0)[:N]
+        push = np.where(rng.integers(0, 2, (N // 10 + 1, 2)), suffered.hi, suffered.lo).repeat(10, axis=0)[:N]
         x0 = np.concatenate([rng.uniform(-1, 1, 2), np.zeros(2)])
         x = nominal(model, x0[None], (u + push)[None, :-1], dt)[0]
         out.append((x + rng.uniform(-1, 1, x.shape) * NOISE, u))
@@ -252,6 +252,20 @@ def test_a_divergent_model_is_named() -> None:
     model = replace(planar(2, 5), viscous=np.array([[-40.0, 0, 0], [-40.0, 0, 0]]))
     with pytest.raises(NotConformant, match="diverges from the recorded motion"):
         fit_nonlinear(planar_trials(planar(2, 5), 2), model, ("a", "b"), Box.symmetric(NOISE), 0.02, 1.5)
+
+
+def test_the_order_is_chosen_by_held_out_error_not_by_size() -> None:
+    """Table I is not monotone in p (trap P20): on motion far from the expansion point a higher order of model 3 is worse."""
+    data = planar_trials(planar(2, 5), 8, Box.point([0.0, 0.0]))
+    models = [planar(k, p) for k, p in ((1, 1), (1, 3), (2, 3), (2, 5), (3, 3))]
+    order = ranked([*models, replace(models[0], viscous=-40 * np.ones((2, 1)))], data, 0.02)
+    assert (order[0].abstraction.kind, order[0].abstraction.order) in ((2, 3), (2, 5))  # model 2, p = 5 made the data
+    assert order[-1].error == np.inf or order[-1].error > 10 * order[0].error
+    assert order[0].error < 0.2 * next(c.error for c in order if c.label == "model 1, order 3")
+    same = ranked([planar(1, 5), planar(1, 3)], data, 0.02)  # the same polynomial: the simpler name leads
+    assert [c.abstraction.order for c in same] == [3, 5]
+    with pytest.raises(StopsetError, match="diverge"):
+        ranked([replace(models[0], viscous=-400 * np.ones((2, 1)))], data, 0.02)
 
 
 def test_coarser_grid_keeps_the_input_s_integral() -> None:
