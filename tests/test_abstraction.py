@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import resource
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -344,3 +346,22 @@ def test_abstraction_is_immutable_and_compiles_once() -> None:
     assert isinstance(model, Abstraction) and model.program is model.program
     with pytest.raises(AttributeError):
         model.kind = 3  # type: ignore[misc]
+
+
+def test_table_one_is_in_the_papers_order_of_magnitude() -> None:
+    """The linear model 1 within a factor of three of the paper's 0.0040 and 0.0408 rad/s; the exact model as the yardstick."""
+    path = Path(__file__).resolve().parents[1] / "benchmarks" / "table1.py"
+    spec = importlib.util.spec_from_file_location("table1", path)
+    assert spec is not None and spec.loader is not None
+    table1 = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(table1)
+    answer = table1.table(load_robot("lwa4p"), 4, "near", orders=(1, 3))
+    cell = {(c["speed"], c["model"], c["order"]): c["error"] for c in answer["cells"]}
+    for speed, paper in (("slow", 0.0040), ("fast", 0.0408)):
+        assert cell[speed, "exact", None] < 1e-6
+        assert paper / 3 < cell[speed, "model 1", 1] < 3 * paper
+        assert cell[speed, "model 1", 1] == cell[speed, "model 2", 1]
+        assert cell[speed, "model 1", 3] < 0.7 * cell[speed, "model 1", 1]
+        assert cell[speed, "model 2", 12] <= cell[speed, "model 1", 3]
+    assert answer["maximal_degrees"] == {"model_1": 3, "model_2": 12, "model_2_reduced": 10}
+    assert "∞" in table1.text({**answer, "cells": [{**c, "diverged": 1} for c in answer["cells"]]})
