@@ -71,7 +71,7 @@ def held(n: int, rows: int, seed: int = 0, size: float = 6.0) -> Array:
 
 def simulate(
     model: Model, fmu: Path, t: Array, inputs: Mapping[str, Array], outputs: list[str], start: Mapping[str, Any] | None = None,
-    kind: str = "CoSimulation", **options: Any,
+    kind: str = "CoSimulation", said: io.StringIO | None = None, **options: Any,
 ) -> dict[str, Array]:  # fmt: skip
     """Run an FMU with inputs held from each row of ``t`` on; columns by name."""
     types = [("time", float)] + [(k, np.bool_ if k == "measured" else float) for k in inputs]
@@ -81,7 +81,9 @@ def simulate(
         signals[k] = v
     if kind == "CoSimulation":
         options = {"step_size": float(t[1] - t[0]), "output_interval": float(t[1] - t[0])} | options
-    with contextlib.redirect_stdout(io.StringIO()):  # fmpy names every input that is left at its start value
+    with contextlib.redirect_stdout(
+        io.StringIO() if said is None else said
+    ):  # fmpy names every input that is left at its start value
         result = fmpy.simulate_fmu(
             str(fmu), stop_time=float(t[-1]), input=signals, start_values=dict(start or {}), output=outputs,
             fmi_type=kind, **options,

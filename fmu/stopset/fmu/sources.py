@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.fmu.energy import stop_data
 from stopset.fmu.laws import effect_laws
+from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.ring.ctext import PRELUDE
 

@@ -33,7 +33,16 @@ void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]) {
     double mass = s->r[VR_PAYLOAD_MASS];
     memcpy(pi, stopset_model.pi, sizeof stopset_model.pi);
     pi[NJ - 1][0] += mass;
-    for (int r = 0; r < 3; r++) pi[NJ - 1][1 + r] += mass * s->r[VR_PAYLOAD_COM + r];
+    const double *c = &s->r[VR_PAYLOAD_COM];
+    double *P = pi[NJ - 1];
+    for (int r = 0; r < 3; r++) P[1 + r] += mass * c[r];
+    /* a point mass: its inertia about the link frame's origin */
+    P[4] += mass * (c[1] * c[1] + c[2] * c[2]);
+    P[5] -= mass * c[0] * c[1];
+    P[6] += mass * (c[0] * c[0] + c[2] * c[2]);
+    P[7] -= mass * c[0] * c[2];
+    P[8] -= mass * c[1] * c[2];
+    P[9] += mass * (c[0] * c[0] + c[1] * c[1]);
 }
 
 /* Torque of gravity and velocity, no acceleration: Newton and Euler from base to tip and back. */

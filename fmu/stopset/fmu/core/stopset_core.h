@@ -31,8 +31,9 @@ typedef struct {
     double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
     double standstill[NJ];                         /* speed below which a joint counts as still [rad/s] */
-    /* STOP 0: rotors [kg m^2], least brake torque and dry friction [N m], longest delay and rise [s], disturbance [N m] */
-    double rotor[NJ], rotor_hi[NJ], brake_lo[NJ], brake_delay_hi[NJ], brake_rise_hi[NJ], dry_lo[NJ], stop_u_lo[NJ], stop_u_hi[NJ];
+    /* STOP 0, least and most: rotors [kg m^2], brake [N m], its delay and rise [s], friction [N m, N m s/rad], disturbance [N m] */
+    double rotor[NJ], rotor_hi[NJ], brake_lo[NJ], brake_hi[NJ], brake_delay_lo[NJ], brake_delay_hi[NJ], brake_rise_lo[NJ],
+        brake_rise_hi[NJ], dry_lo[NJ], dry_hi[NJ], viscous_hi[NJ], stop_u_lo[NJ], stop_u_hi[NJ];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
@@ -105,8 +106,9 @@ const char *stopset_integrate(StopsetState *s, double h);
 void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
 /* stop.c */
 void stopset_stop_bounds(StopsetState *s);
-int stopset_energy_stop(const StopsetState *s, const double q[NJ], const double dq[NJ], const double rq[NJ], const double rdq[NJ],
-                        double angle[NJ], double speed[NJ], double *time, double *tcp);
+/* STOP 0 from the box q +- rq, dq +- rdq; 0 where nothing can be proved. */
+int stopset_stop(const StopsetState *s, const double q[NJ], const double dq[NJ], const double rq[NJ], const double rdq[NJ],
+                 double angle[NJ], double speed[NJ], double *time, double *tcp);
 /* model_data.c: torque of the model's effects beyond the viscous polynomial [N m] */
 void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
                      const double load[NJ], double tau[NJ]);
