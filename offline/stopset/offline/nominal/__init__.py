@@ -4,4 +4,13 @@ from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.nominal import Nominal, Residual, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.preprocess import Preprocessing
 
-__all__ = ["Nominal", "NormalEquations", "Preprocessing", "Residual", "accumulate", "identify_nominal", "residuals", "solve_nominal"]
+__all__ = [
+    "Nominal",
+    "NormalEquations",
+    "Preprocessing",
+    "Residual",
+    "accumulate",
+    "identify_nominal",
+    "residuals",
+    "solve_nominal",
+]

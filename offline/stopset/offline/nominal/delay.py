@@ -9,6 +9,7 @@ told apart.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from stopset.recording.types import Array
 LEAST_STD = 2e-4  # [s] no clock is known better
 BLUNT = 0.002  # [s] joints with a larger standard error do not say where the middle is
 FEW = 3  # with fewer motions none can be left out
-TOGETHER = 30.0  # rows whose errors then count as one: half a second
+TOGETHER = 20.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
 
 
@@ -59,18 +60,22 @@ def joint_reduced(G: Array, lags: Array) -> Array:
     return np.asarray(np.swapaxes(T, 0, 1) @ G @ T)
 
 
-def _profile(G: Array, ridge: Array) -> Array:
-    """(len(FINE),) sum of squared residuals of the best fit at each fine lag."""
+def _profile(G: Array, ridge: Array, mean: Array) -> Array:
+    """(len(FINE),) sum of squared residuals of the best fit at each fine lag; ``ridge`` pulls to ``mean`` (head,)."""
     k = len(DELAYS)
     head = G.shape[0] - k
+    T = np.eye(len(G))
+    T[:head, head:] = -mean[:, None]  # what the prior leaves of the torque: a pull to zero would shift the lag
+    G = T.T @ G @ T
     A = G[:head, :head] + ridge
     L = np.linalg.cholesky(A)
     W = np.linalg.solve(L, G[:head, head:])
     S = G[head:, head:] - W.T @ W  # residual products at the coarse lags
     weights = _fine_weights()
-    return np.asarray(np.einsum("fa,ab,fb->f", weights, S, weights))
+    return np.asarray(np.sum((weights @ S) * weights, axis=1))
 
 
+@cache
 def _fine_weights() -> Array:
     return np.array([lag_weights(float(d)) for d in FINE])
 
@@ -106,15 +111,18 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
         if data.rows_moving[:, j].sum() < 100:
             continue
         ridge = _ridge(G.sum(axis=0), prior, data, j)
-        best[j] = _lowest(_profile(G.sum(axis=0), ridge))
+        mean = np.zeros(G.shape[-1] - len(DELAYS))
+        mean[: 10 * n + 1] = prior.mean[data.layout.index(j)[: 10 * n + 1]]
+        profile = _profile(G.sum(axis=0), ridge, mean)
+        best[j] = _lowest(profile)
         groups = [g for g in range(len(G)) if data.rows_moving[g, j] > 0]
         if not np.isfinite(best[j]):
             continue
         if len(groups) < FEW:
-            std[j] = _from_curvature(_profile(G.sum(axis=0), ridge), float(data.rows_moving[:, j].sum()))
+            std[j] = _from_curvature(profile, float(data.rows_moving[:, j].sum()))
             continue
         total = G.sum(axis=0)
-        left = np.array([_lowest(_profile(total - G[g], ridge)) for g in groups])
+        left = np.array([_lowest(_profile(total - G[g], ridge, mean)) for g in groups])
         if np.isfinite(left).all():
             m = len(groups)
             std[j] = np.sqrt((m - 1) / m * np.sum((left - left.mean()) ** 2))

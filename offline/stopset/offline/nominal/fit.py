@@ -15,7 +15,7 @@ from stopset.recording.types import Array
 
 ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
-ASSUMED_INFLATION = 30.0  # then a joint's errors are taken to hang together over half a second at 60 rows per second
+ASSUMED_INFLATION = 20.0  # then a joint's errors are taken to hang together over half a second at 40 rows per second
 MOST_INFLATION = 1000.0
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
@@ -159,32 +159,9 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
     rms = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
-        theta, _covariance(data, p, moving, H, w, precision, theta), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
+        theta, np.linalg.inv(H), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
         _before(p, prior, rows), tuple(notes),
     )  # fmt: skip
-
-
-def _covariance(data: NormalEquations, p: _Problem, moving: Array, H: Array, w: Array, precision: Array, theta: Array) -> Array:
-    """Inverse of the normal matrix, widened per parameter where whole motions differ by more than it says.
-
-    Cluster-robust ("sandwich") with the motions as units; never narrower than the model's own.
-    """
-    C = np.linalg.inv(H)
-    groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
-    if len(groups) < FEW_GROUPS:
-        return np.asarray(C)
-    size, m = len(theta), len(precision)
-    scores = np.zeros((len(groups), size))
-    for j in range(p.layout.n):
-        at = p.index[j]
-        cut = np.r_[0 : len(at), moving.shape[-1] - 1]
-        G = moving[np.ix_(groups, [j], cut, cut)][:, 0]
-        scores[:, at] += w[j] * (G[:, :-1, -1] - G[:, :-1, :-1] @ theta[at])
-    middle = scores.T @ scores * len(groups) / (len(groups) - 1)
-    middle[:m, :m] += precision
-    robust = np.diag(C @ middle @ C)
-    wider = np.sqrt(np.maximum(robust / np.diag(C), 1.0))
-    return np.asarray(wider[:, None] * C * wider)
 
 
 def _seen(data: NormalEquations) -> tuple[Array, Array]:
@@ -210,21 +187,35 @@ def _before(p: _Problem, prior: Prior, rows: Array) -> Array:
     return out
 
 
-def cross_validated(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array, full: Fit) -> Array:
-    """(n,) torque residual on groups of motions left out of the fit; nan with fewer than two groups."""
+def leave_out(
+    data: NormalEquations, moving: Array, still: Array, prior: Prior, full: Fit
+) -> tuple[Array, Array]:
+    """Torque residual (n,) on groups of motions left out of the fit, and the covariance widened by how much they matter.
+
+    The widening is the jackknife over groups: friction differs from motion to motion, so that counting samples would
+    promise too much; never narrower than the model's own.  With fewer than two groups the residual is nan.
+    """
     n = data.layout.n
     groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
     if len(groups) < 2:
-        return np.full(n, np.nan)
+        return np.full(n, np.nan), full.covariance
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
     total = moving.sum(axis=0)
     w = np.where(rows > 0, 1 / np.maximum(full.sigma**2 * full.inflation, 1e-12), 0.0)
     w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
     squares = np.zeros(n)
+    thetas = []
     for g in groups:
         p = problem_of(data.layout, total - moving[g], still, rows, rows_still)
         H, b = assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
         theta = np.linalg.solve(H, b)
         left = problem_of(data.layout, moving[g], still, rows, rows_still)
         squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
-    return np.sqrt(squares / np.maximum(rows, 1))
+        thetas.append(theta)
+    heldout = np.sqrt(squares / np.maximum(rows, 1))
+    if len(groups) < FEW_GROUPS:
+        return heldout, full.covariance
+    m = len(groups)
+    jackknife = (m - 1) / m * np.sum((np.array(thetas) - np.mean(thetas, axis=0)) ** 2, axis=0)
+    wider = np.sqrt(np.maximum(jackknife / np.diag(full.covariance), 1.0))
+    return heldout, np.asarray(wider[:, None] * full.covariance * wider)

@@ -242,8 +242,7 @@ def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, A
     for j in range(n):
         for c, column in enumerate(friction[j]):
             X[j, :, 10 * n + 1 + c] = column
-    for d, delay in enumerate(DELAYS):
-        X[:, :, 10 * n + 1 + out.layout.width + d] = m.delayed(m.tau, float(delay))[k].T
+    X[:, :, 10 * n + 1 + out.layout.width :] = m.delayed(m.tau, DELAYS).transpose(1, 0, 2)
     if load is not None:
         out.load = _hull(out.load, np.column_stack([load.min(axis=0), load.max(axis=0)]))
     return X, m.moving[k]
@@ -257,13 +256,13 @@ def _friction_columns(layout: Layout, robot: Robot, m: Motion, still: float) -> 
     signals = arm_signals(robot, m.q, m.dq, m.ddq, temp=m.temp, t=m.t, needs=needs or {"dq"})
     # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
     signals = tuple(replace(s, way=np.clip(s.dq / still, -1.0, 1.0)) for s in signals)
-    out: list[list[Array]] = []
+    raw: list[Array] = []
     for j, columns in enumerate(layout.columns):
-        mine: list[Array] = []
         for effect in dict.fromkeys(c.effect for c in columns):
-            for column in effect.columns(signals[j]):
-                mine.append(m.smooth(np.broadcast_to(np.asarray(column, float), m.t.shape))[m.kept])
-        out.append(mine)
+            raw += [np.broadcast_to(np.asarray(c, float), m.t.shape) for c in effect.columns(signals[j])]
+    smooth = m.smooth(np.column_stack(raw))[m.kept] if raw else np.zeros((len(m.kept), 0))
+    edges = np.cumsum([0, *(len(c) for c in layout.columns)])
+    out = [[smooth[:, k] for k in range(lo, hi)] for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
     load = np.column_stack([s.load for s in signals]) if "load" in needs else None
     return out, load
 

@@ -13,7 +13,7 @@ import numpy as np
 from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, estimate_delay, joint_reduced, lag_weights
-from stopset.offline.nominal.fit import Fit, cross_validated, fit
+from stopset.offline.nominal.fit import Fit, fit, leave_out
 from stopset.offline.nominal.gram import Column, NormalEquations, accumulate, moving_rows
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
@@ -170,7 +170,8 @@ def solve_nominal(
     weights = lag_weights(applied)
     moving, still = joint_reduced(data.moving, weights), joint_reduced(data.still, weights)
     result = fit(data, moving, still, prior, robot.pi)
-    heldout = cross_validated(data, moving, still, prior, robot.pi, result)
+    heldout, covariance = leave_out(data, moving, still, prior, result)
+    result = replace(result, covariance=covariance)
     return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
 
 
@@ -187,7 +188,14 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
 
 
 def _nominal(
-    robot: Robot, data: NormalEquations, prior: Prior, result: Fit, heldout: Array, lag: Delay, applied: float, notes: tuple[str, ...]
+    robot: Robot,
+    data: NormalEquations,
+    prior: Prior,
+    result: Fit,
+    heldout: Array,
+    lag: Delay,
+    applied: float,
+    notes: tuple[str, ...],
 ) -> Nominal:
     n, layout = robot.n, data.layout
     std = np.sqrt(np.diag(result.covariance))

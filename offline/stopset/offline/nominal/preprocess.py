@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ ORDER = 4  # of the Butterworth low-pass, run forwards and backwards: no phase, 
 IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of the period are resampled
 GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be invented across it
 SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are noise above it
+LOWEST = 6.0  # [Hz] of an adapted cut-off: below, the ringing around reversals costs more samples than noise does
+CLEAR, ABOVE = 4.0, 1.5  # spectrum over noise where the motion's band ends, and the cut-off over that end
 RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
 
 
@@ -31,13 +34,13 @@ RINGING = 0.8  # the filter's step response settles to 2 % within this many peri
 class Preprocessing:
     """How samples are prepared; part of the identification's settings, so that later recordings are treated alike.
 
-    ``cutoff`` [Hz], lowered to `SLOWEST` of the sampling rate where that is slow; ``still`` [rad/s]: below it a joint is
+    ``cutoff`` [Hz], lowered to the motion's own `band` and to `SLOWEST` of the sampling rate; ``still`` [rad/s]: below it a joint is
     taken to stand still; ``rate`` [Hz] of the rows kept for the regression.
     """
 
     cutoff: float = 15.0
     still: float = 0.015
-    rate: float = 60.0
+    rate: float = 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +69,48 @@ class Motion:
         """A regressor (N, ...) through the filter that the torque went through."""
         return _zero_phase(self.sos, x)
 
-    def delayed(self, x: Array, d: float) -> Array:
-        """``x(t - d)`` (N, ...) of a filtered, hence smooth, signal; the ends repeat."""
-        steps = d / self.period
-        whole = int(np.floor(steps))
-        w = steps - whole
-        index = np.arange(len(x)) - whole
-        # four-point Lagrange: exact for cubics, where linear interpolation would lose amplitude near the cut-off
-        c = (-(1 - w) * w * (1 + w) / 6, (2 - w) * w * (1 + w) / 2, (1 - w) * (2 - w) * (1 + w) / 2, -(1 - w) * (2 - w) * w / 6)
+    def delayed(self, x: Array, delays: Array) -> Array:
+        """``x(t - d)`` (kept rows, n, len(delays)) of a filtered, hence smooth, signal (N, n); the ends repeat."""
         last = len(x) - 1
-        out = np.zeros_like(x)
-        for shift, weight in zip((-2, -1, 0, 1), c, strict=True):
-            out += weight * x[np.clip(index + shift, 0, last)]
+        out = np.empty((len(self.kept), x.shape[1], len(delays)))
+        for k, d in enumerate(delays):
+            steps = float(d) / self.period
+            whole = int(np.floor(steps))
+            w = steps - whole
+            # four-point Lagrange: exact for cubics, where linear interpolation would lose amplitude near the cut-off
+            c = (
+                -(1 - w) * w * (1 + w) / 6,
+                (2 - w) * w * (1 + w) / 2,
+                (1 - w) * (2 - w) * (1 + w) / 2,
+                -(1 - w) * (2 - w) * w / 6,
+            )
+            at = self.kept - whole
+            out[:, :, k] = sum(f * x[np.clip(at + s, 0, last)] for s, f in zip((-2, -1, 0, 1), c, strict=True))
         return out
+
+
+def band(q: Array, h: float) -> float:
+    """Cut-off [Hz] that keeps the motion and drops what is encoder noise, from the spectrum of ``q`` (N, n).
+
+    Twice differentiated, noise above the motion's band outweighs it; on the regressor's side it pulls inertias down and,
+    where viscous torque is large, delays up with them.  The noise is flat in ``q`` and read from its upper half band.
+    """
+    N = len(q)
+    ramp = q[0] + (q[-1] - q[0]) * np.linspace(0, 1, N)[:, None]
+    P = np.abs(np.fft.rfft((q - ramp) * np.hanning(N)[:, None], axis=0)) ** 2
+    f = np.fft.rfftfreq(N, h)
+    noise = np.median(P[len(f) // 2 :], axis=0)
+    w = min(5, len(f))
+    smooth = np.array([np.convolve(p, np.ones(w) / w, mode="same") for p in P.T]).T
+    ends = [f[int(np.argmax(below))] if (below := smooth[:, j] < CLEAR * noise[j]).any() else f[-1] for j in range(q.shape[1])]
+    # rounded to half a hertz: few distinct filters, and a trial's end does not decide
+    return max(LOWEST, np.ceil(2 * ABOVE * float(max(ends))) / 2)
+
+
+@lru_cache(maxsize=64)
+def _low_pass(relative: float) -> Array:
+    """Butterworth sections for a cut-off relative to the sampling rate; most trials of a campaign share one."""
+    return np.asarray(butter(ORDER, 2 * relative, output="sos"))
 
 
 def _zero_phase(sos: Array, x: Array) -> Array:
@@ -120,8 +152,8 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
     """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
-        cutoff = min(settings.cutoff, SLOWEST / h)
-        sos = butter(ORDER, cutoff, fs=1 / h, output="sos")
+        cutoff = min(settings.cutoff, SLOWEST / h, band(q, h))
+        sos = _low_pass(round(cutoff * h, 9))
         ring = int(np.ceil(RINGING / (cutoff * h)))
         if len(t) < 6 * ring:
             continue

@@ -40,7 +40,9 @@ def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[
         else:
             active[np.flatnonzero(rows)[list(at)]] = True
             return d * x, active
-    raise NotConformant("the limits on friction and inertia contradict each other in these data; expected a solution: leave effects out")
+    raise NotConformant(
+        "the limits on friction and inertia contradict each other in these data; expected a solution: leave effects out"
+    )
 
 
 def _violated(A: Array, lo: Array, hi: Array, x: Array) -> Array:

@@ -6,7 +6,6 @@ is harmless because no prediction needs it, and what other motions would show, w
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from stopset.offline.nominal.fit import Fit
@@ -40,7 +39,6 @@ def parameter_scale(robot: Robot) -> Array:
     mass = float(robot.pi[:, 0].max())
     length = max(float(np.abs(robot.chain.p).max()), 0.1)
     return np.tile(np.r_[mass, [mass * length] * 3, [mass * length**2] * 6], robot.n)
-
 
 
 def base_count(robot: Robot) -> int:

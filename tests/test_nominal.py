@@ -1,0 +1,292 @@
+"""The nominal model: what is recovered, what is kept, and the traps that a naive fit walks into."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from nominal_cases import (
+    F_C,
+    F_V,
+    JOINTS,
+    ROTOR,
+    Truth,
+    arm,
+    campaign,
+    fresh_torque,
+    moving,
+    poses,
+    shaken,
+    wrong_cad,
+)
+
+from stopset.errors import EffectError, RecordingError
+from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
+from stopset.offline.nominal.physical import pseudo_inertia
+from stopset.recording import Meta, Recordings
+
+
+def rms(x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(x**2, axis=0))
+
+
+@pytest.fixture(scope="module")
+def found():  # type: ignore[no-untyped-def]
+    """(truth, CAD, recordings, nominal model) of the arm whose CAD is wrong."""
+    true, cad = wrong_cad()
+    data = campaign(Truth(true))
+    return Truth(true), cad, data, identify_nominal(cad, data)
+
+
+def test_friction_rotor_and_torque_are_recovered(found) -> None:  # type: ignore[no-untyped-def]
+    truth, cad, _, nominal = found
+    std = nominal.std
+    for j, joint in enumerate(JOINTS):
+        # five standard errors as the fit states them, and those within 3 % of the value: neither may be empty words
+        for value, true, error in (
+            (nominal.value("coulomb", joint)["F_c"], F_C[j], std[f"coulomb:{joint}.F_c"]),
+            (nominal.value("viscous", joint)["F_v"], F_V[j], std[f"viscous:{joint}.F_v"]),
+            (nominal.rotor[j], ROTOR[j], std[f"{joint}.rotor"]),
+        ):
+            assert abs(value - true) < 5 * error
+            assert error < 0.1 * true
+        assert nominal.value("coulomb", joint)["F_c"] == pytest.approx(F_C[j], rel=0.03)
+    assert np.all(nominal.rms < 1.3 * np.array([0.15, 0.2, 0.1]))  # the torque noise itself, low-passed, is below one
+    assert np.all(nominal.rms_heldout < 1.2 * nominal.rms)
+
+
+def test_wrong_cad_is_corrected_not_believed(found) -> None:  # type: ignore[no-untyped-def]
+    truth, cad, _, nominal = found
+    want, believed = fresh_torque(truth, cad)
+    _, identified = fresh_torque(truth, nominal.robot(cad))
+    before, after = rms(believed - want), rms(identified - want)
+    assert np.all(after[1:] < 0.25 * before[1:]), (before, after)  # joints that carry gravity
+    assert np.all(nominal.rms_before[1:] > 1.5 * nominal.rms[1:])
+
+
+def test_what_no_motion_tells_stays_at_the_cad_and_is_said(found) -> None:  # type: ignore[no-untyped-def]
+    _, cad, _, nominal = found
+    # the mass of the first link, turning about the vertical, is in no joint's torque
+    assert nominal.pi[0, 0] == pytest.approx(cad.pi[0, 0], rel=1e-6)
+    still = identify_nominal(cad, Recordings(Meta(joints=JOINTS), tuple(poses(Truth(arm()), 30, 5))))
+    said = " ".join(still.undetermined)
+    for joint in JOINTS:
+        assert f"{joint}: no sample in motion" in said
+    np.testing.assert_allclose(still.rotor, cad.rotor, rtol=1e-9)
+
+
+def test_every_link_is_a_possible_body() -> None:
+    # little noise-free information and a CAD of thin rods: the free optimum has negative inertias
+    true = arm()
+    data = campaign(Truth(true, noise=np.full(3, 3.0)), seconds=4.0, static=5)
+    from stopset.offline.nominal.prior import Tolerance
+
+    nominal = identify_nominal(true, data, tolerance=Tolerance(mass=1.0, centre=0.2, inertia=20.0, rotor=1.0))
+    assert "possible" in " ".join(nominal.notes) or "bodies can have" in " ".join(nominal.notes)  # the limit was needed
+    for p in nominal.pi:
+        assert np.linalg.eigvalsh(pseudo_inertia(p))[0] > 0
+
+
+def test_p13_delay_is_found_first_and_a_naive_fit_pays_for_it() -> None:
+    true = arm()
+    late = Truth(true, delay=0.012)
+    data = campaign(late)
+    nominal = identify_nominal(true, data)
+    # the column is late: the lag that puts it right is negative
+    assert nominal.delay_applied == pytest.approx(-0.012, abs=0.001)
+    assert nominal.delay.common_std < 0.001
+    naive = identify_nominal(true, data, delay=0.0)
+    assert np.all(naive.rms > 1.5 * nominal.rms)
+    error, blind = np.abs(nominal.rotor - ROTOR), np.abs(naive.rotor - ROTOR)
+    assert blind.sum() > 3 * error.sum()
+
+
+def test_one_late_drive_does_not_move_the_common_clock() -> None:
+    true = arm()
+    trials = []
+    for r in campaign(Truth(true)):
+        tau = r.tau.copy()
+        if r.phase != "static":
+            tau[:, 1] = np.interp(r.t - 0.04, r.t, tau[:, 1])
+        trials.append(replace(r, tau=tau))
+    nominal = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(trials)))
+    assert abs(nominal.delay_applied) < 0.002
+    assert nominal.delay.joint[1] == pytest.approx(-0.04, abs=0.002)
+
+
+def test_p10_polynomial_friction_never_pushes_on_its_range() -> None:
+    true = arm()
+
+    def bent(dq: np.ndarray, load: np.ndarray) -> np.ndarray:  # resists up to 1.2 rad/s, but hardly at the top
+        return np.array([0.5, 0.5, 0.5]) * np.sign(dq) + 4.0 * dq - 2.76 * dq**3
+
+    data = campaign(Truth(true, friction=bent, noise=np.full(3, 0.8)), seconds=6.0)
+    nominal = identify_nominal(true, data, ("coulomb", "viscous", "cubic_viscous"))
+    for j, joint in enumerate(JOINTS):
+        s = np.linspace(-nominal.s_max[j], nominal.s_max[j], 4001)
+        v1, v3 = nominal.value("viscous", joint)["F_v"], nominal.value("cubic_viscous", joint)["v_3"]
+        assert np.min(v1 + v3 * s**2) >= -1e-9 * abs(v1)
+        assert nominal.s_max[j] > 1.0
+    # the naive optimum, from the same sums, does push
+    free = naive_optimum(nominal)
+    worst = min(
+        free[nominal.names.index(f"viscous:{j}.F_v")] + free[nominal.names.index(f"cubic_viscous:{j}.v_3")] * s**2
+        for j, s in zip(JOINTS, nominal.s_max, strict=True)
+    )
+    assert worst < 0
+
+
+def naive_optimum(nominal):  # type: ignore[no-untyped-def]
+    """Least squares without limits, joint by joint over friction, links and rotor as identified."""
+    from stopset.offline.nominal.delay import joint_reduced, lag_weights
+
+    data, theta = nominal.data, nominal.theta.copy()
+    for j in range(len(JOINTS)):
+        index = data.layout.index(j)
+        G = joint_reduced(data.moving[:, j].sum(axis=0), lag_weights(nominal.delay_applied))
+        head = 10 * len(JOINTS) + 1
+        A, b = G[head:-1, head:-1], G[head:-1, -1] - G[head:-1, :head] @ theta[index[:head]]
+        theta[index[head:]] = np.linalg.solve(A, b)
+    return theta
+
+
+def test_load_dependent_friction_in_all_quadrants() -> None:
+    true = arm()
+
+    def loaded(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
+        lifting = np.sign(load) * np.sign(dq) > 0
+        return (F_C + np.where(lifting, 0.12, 0.05) * np.abs(load)) * np.sign(dq) + F_V * dq
+
+    nominal = identify_nominal(arm(mass=0.97), campaign(Truth(true, friction=loaded)), ("coulomb", "viscous", "load_coulomb"))
+    for joint in ("shoulder", "elbow"):
+        k = nominal.value("load_coulomb", joint)
+        std = nominal.std
+        assert k["k_lift"] == pytest.approx(0.12, abs=max(0.015, 4 * std[f"load_coulomb:{joint}.k_lift"]))
+        assert k["k_lower"] == pytest.approx(0.05, abs=max(0.015, 4 * std[f"load_coulomb:{joint}.k_lower"]))
+    assert any("load_coulomb:base" in u for u in nominal.undetermined)  # no gravity load on a vertical axis
+
+
+def test_stiction_at_standstill_is_left_out() -> None:
+    true = arm()
+    rng = np.random.default_rng(0)
+    trials = list(poses(Truth(true), 30, 1))
+    for k in range(4):
+        r = moving(Truth(true), k, 8.0, 0.8, 7)
+        hold = 500  # two seconds of standing with a torque anywhere inside the stiction band
+        q = np.vstack([r.q, np.tile(r.q[-1], (hold, 1))])
+        stuck = r.tau[-1] * 0 + np.array([3.0, 0.0, 0.0]) + rng.uniform(-0.2, 0.2, (hold, 3))
+        tau = np.vstack([r.tau, stuck])
+        t = np.arange(len(q)) * r.t[1]
+        trials.append(replace(r, t=t, q=q, dq=np.vstack([r.dq, np.zeros((hold, 3))]), tau=tau))
+    data = Recordings(Meta(joints=JOINTS), tuple(trials))
+    good = identify_nominal(true, data)
+    bad = identify_nominal(true, data, settings=Preprocessing(still=1e-9))
+    wrong = [abs(n.value("coulomb", "base")["F_c"] - F_C[0]) for n in (good, bad)]
+    assert wrong[0] < 0.02 * F_C[0]
+    assert wrong[1] > 5 * wrong[0]
+
+
+def test_static_poses_need_both_directions() -> None:
+    true = arm()
+    one = Recordings(Meta(joints=JOINTS), (*poses(Truth(true), 20, 2, sides=1), moving(Truth(true), 0, 8.0, 1.0, 1)))
+    nominal = identify_nominal(true, one)
+    assert nominal.data.poses == 0
+    assert any("one side only" in n for n in nominal.notes)
+
+
+def test_irregular_stamps_are_resampled_not_believed_even() -> None:
+    true = arm()
+    steady = [moving(Truth(true), k, 12.0, 1.0, 4, rate=100.0) for k in range(3)]
+    real = [shaken(r, 0.6) for r in steady]
+    handled = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(real)))
+    even = [replace(r, t=s.t) for r, s in zip(real, steady, strict=True)]  # the naive reading: stamps thrown away
+    naive = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(even)))
+    plain = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(steady)))
+    assert np.all(handled.rms < 1.5 * plain.rms)
+    assert naive.rms.sum() > 1.3 * handled.rms.sum()
+
+
+def test_update_by_addition_equals_reading_everything() -> None:
+    true, cad = wrong_cad()
+    data = campaign(Truth(true), seconds=6.0)
+    trials = data.trials
+    old, new = accumulate(cad, trials[:82]), accumulate(cad, trials[82:])
+    together = solve_nominal(cad, old + new)
+    again = solve_nominal(cad, accumulate(cad, trials))
+    # sums of the same numbers in another order: rounding times the condition of the normal matrix
+    np.testing.assert_allclose(together.theta, again.theta, rtol=1e-6, atol=1e-8)
+    assert together.data.poses + together.data.recordings == again.data.poses + again.data.recordings
+
+
+def test_update_refuses_other_settings() -> None:
+    true = arm()
+    r = [moving(Truth(true), 0, 5.0, 1.0, 1)]
+    with pytest.raises(RecordingError, match="same"):
+        accumulate(true, r) + accumulate(true, r, ("coulomb",))
+    with pytest.raises(RecordingError, match="same"):
+        accumulate(true, r) + accumulate(true, r, settings=Preprocessing(cutoff=9.0))
+
+
+def test_memory_does_not_grow_with_the_campaign() -> None:
+    true = arm()
+    a = accumulate(true, [moving(Truth(true), 0, 5.0, 1.0, 1)])
+    b = accumulate(true, (moving(Truth(true), k, 5.0, 1.0, 1) for k in range(6)))
+    assert a.moving.nbytes + a.still.nbytes == b.moving.nbytes + b.still.nbytes
+    assert b.recordings == 6
+
+
+def test_compensated_torque_holds_no_gravity_and_no_coulomb() -> None:
+    true = arm()
+
+    def viscous(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
+        return F_V * dq - load  # u of eq. (11): motor torque less Coulomb friction and gravity
+
+    data = campaign(Truth(true, friction=viscous), static=0)
+    nominal = identify_nominal(true, data, effort="compensated_torque")
+    for j, joint in enumerate(JOINTS):
+        assert nominal.value("viscous", joint)["F_v"] == pytest.approx(F_V[j], rel=0.03)
+        assert nominal.value("coulomb", joint) == {}
+
+
+def test_no_usable_sample_is_one_sentence() -> None:
+    true = arm()
+    short = moving(Truth(true), 0, 0.1, 1.0, 1)
+    with pytest.raises(RecordingError, match="no usable sample.*expected"):
+        identify_nominal(true, Recordings(Meta(joints=JOINTS), (short,)))
+
+
+def test_effects_of_the_whole_arm_are_refused() -> None:
+    true = arm()
+    with pytest.raises(EffectError, match="single joints"):
+        identify_nominal(true, campaign(Truth(true), seconds=3.0), ("coulomb", "payload"))
+
+
+def test_stated_errors_are_honest() -> None:
+    """Friction differs from motion to motion by 2 %: the stated errors must cover it, over ten campaigns."""
+    true = arm()
+    z = []
+    for seed in range(10):
+        rng = np.random.default_rng([seed, 7])
+        trials = poses(Truth(true), 20, seed)
+        for k in range(12):
+            c, v = F_C * (1 + 0.02 * rng.normal(size=3)), F_V * (1 + 0.02 * rng.normal(size=3))
+            law = lambda dq, load, c=c, v=v: c * np.sign(dq) + v * dq  # noqa: E731
+            trials.append(moving(Truth(true, friction=law), k, 6.0, (1.2, 0.4, 0.8)[k % 3], seed))
+        nominal = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(trials)))
+        std = nominal.std
+        for j, joint in enumerate(JOINTS):
+            z.append((nominal.value("coulomb", joint)["F_c"] - F_C[j]) / std[f"coulomb:{joint}.F_c"])
+            z.append((nominal.value("viscous", joint)["F_v"] - F_V[j]) / std[f"viscous:{joint}.F_v"])
+    spread = float(np.sqrt(np.mean(np.square(z))))
+    # 60 numbers, 30 of them independent: 1 within a factor of two, on either side
+    assert 0.5 < spread < 2.0, spread
+
+
+def test_residuals_of_a_trial_match_the_stated_error(found) -> None:  # type: ignore[no-untyped-def]
+    _, cad, data, nominal = found
+    rest = [x for r in data.phase("closed_loop") for x in residuals(nominal, cad, r)]
+    left = np.concatenate([x.left for x in rest])
+    use = np.concatenate([x.moving for x in rest])
+    for j in range(3):
+        assert np.sqrt(np.mean(left[use[:, j], j] ** 2)) == pytest.approx(nominal.rms[j], rel=1e-6)
