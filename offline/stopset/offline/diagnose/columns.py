@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from stopset.effects import REFERENCE_TEMPERATURE, Effect, Signals
-from stopset.offline.diagnose.prepare import Array, Mask, Prepared
+from stopset.offline.diagnose.prepare import CREEP, Array, Mask, Prepared
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, mass_matrix, regressors, torques
 
@@ -102,6 +102,18 @@ class Source:
         out = np.zeros(len(self.data.q), np.bool_)
         out[[t.rows.start for t in self.data.trials if t.rows.stop > t.rows.start]] = True
         return out
+
+    def start(self, joint: int) -> tuple[Array, float]:
+        """(N,) torque that bends the gear when a trial starts [N m], nan where it starts in motion; time before its first row.
+
+        From rest the gear carries gravity alone; what drives the joint then acts for half a kernel before the first row.
+        """
+        d = self.data
+        out = np.full(len(d.q), np.nan)
+        for trial in d.trials:
+            if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < 2 * CREEP:
+                out[trial.rows.start] = self.gravity[trial.rows.start, joint]
+        return out, d.kernel.half * d.kernel.dt
 
     def tilt(self, still: bool) -> Array:
         """(N or P, n, 2) derivative of the torques by roll and pitch of the base; exact, as gravity enters linearly."""
@@ -301,7 +313,7 @@ def _swing(source: Source, joint: int, K: float, D: float, exact: bool) -> dict[
         moving = _true_swing(source, joint, K, D, dt)
     else:
         calm = _calm(source.link[:, joint], first)
-        x, _, ddx = _link_filter(calm, M[:, joint, joint], g[:, joint], first, K, D, dt, SUBSTEPS)
+        x, _, ddx = _link_filter(calm, M[:, joint, joint], g[:, joint], first, *source.start(joint), K, D, dt, SUBSTEPS)
         moving = M[:, :, joint] * ddx[:, None] + g * x[:, None]
     g_still = source.stiff(joint, True)
     x_still = -source.load_still[:, joint] / (K + g_still[:, joint])
@@ -317,7 +329,7 @@ def _true_swing(source: Source, joint: int, K: float, D: float, dt: float) -> Ar
     bent = source.link
     for _ in range(SWING_ROUNDS):
         M = _mass_matrices(robot.chain, robot.pi, d.q + x[:, None] * unit)[:, joint, joint]
-        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx, M, none, first, K, D, dt, SUBSTEPS)
+        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx, M, none, first, *source.start(joint), K, D, dt, SUBSTEPS)
         position, speed, acceleration = (a + b[:, None] * unit for a, b in ((d.q, x), (d.dq, dx), (d.ddq, ddx)))
         bent = torques(robot.chain, robot.pi, position, speed, acceleration)
     out: Array = bent - source.link
@@ -352,25 +364,28 @@ def _calm(x: Array, first: Mask) -> Array:
 
 @njit(cache=True)
 def _link_filter(
-    link: Array, M: Array, g: Array, first: Mask, K: float, D: float, dt: float, sub: int
+    link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, dt: float, sub: int
 ) -> tuple[Array, Array, Array]:
-    """Position, speed, acceleration of the link against the motor, by Newmark's rule; starts bent by the load, at rest."""
+    """Position, speed, acceleration of the link against the motor, by Newmark's rule; ``rest, lead``: see `Source.start`."""
     N = link.shape[0]
     out, rate, acc = np.zeros(N), np.zeros(N), np.zeros(N)
     h = dt / sub
     x = dx = 0.0
     for k in range(N):
+        steps, before = sub, k - 1
         if first[k]:
-            x, dx = -link[k] / (K + g[k]), 0.0
-        else:
-            for s in range(sub):
-                w = (s + 0.5) / sub
-                f = -(link[k - 1] + w * (link[k] - link[k - 1]))
-                m = M[k - 1] + w * (M[k] - M[k - 1])
-                stiff = K + g[k]
-                ddx = (f - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
-                x += h * dx + 0.5 * h * h * ddx
-                dx += h * ddx
+            steps, before = round(lead / h), k
+            x, dx = -rest[k] / (K + g[k]), 0.0
+            if np.isnan(rest[k]):
+                x, steps = -link[k] / (K + g[k]), 0
+        stiff = K + g[k]
+        for s in range(steps):
+            w = (s + 0.5) / steps
+            f = -(link[before] + w * (link[k] - link[before]))
+            m = M[before] + w * (M[k] - M[before])
+            ddx = (f - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
+            x += h * dx + 0.5 * h * h * ddx
+            dx += h * ddx
         out[k], rate[k] = x, dx
-        acc[k] = (-link[k] - D * dx - (K + g[k]) * x) / M[k]
+        acc[k] = (-link[k] - D * dx - stiff * x) / M[k]
     return out, rate, acc

@@ -58,3 +58,19 @@ def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
                 e -= a[m, p] * X[k - 1 - p, c]
             out[k, c] = e / sd[m]
     return out
+
+
+@njit(cache=True)
+def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
+    """The rows again out of their whitened values: the inverse of `whiten` for one column."""
+    out = np.empty_like(e)
+    order = sd.shape[0] - 1
+    run = 0
+    for k in range(e.shape[0]):
+        run = 0 if start[k] else run + 1
+        m = min(run, order)
+        x = e[k] * sd[m]
+        for p in range(m):
+            x += a[m, p] * out[k - 1 - p]
+        out[k] = x
+    return out

@@ -97,7 +97,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in ripples)]
         left = engine.scores(pool, hyper)
-        taken = {c.scored.candidate.key for c in claims}
+        taken = {c.key for c in engine.active}
         best = _refined(engine, [s for s in left if s.candidate.key not in taken], hyper)
         best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
         if not best:
@@ -143,15 +143,17 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
 def _needed(engine: Engine, claims: Sequence[Claim], hyper: Hyper, threshold: float) -> list[Claim]:
     """The claims that still stand when tried against all the others; what a later one made needless is dropped."""
     kept = list(claims)
+    claimed = [c.scored.candidate for c in claims]
+    known = [c for c in engine.active if not any(c is x for x in claimed)]
     for claim in claims[:-1]:
         others = [c.scored.candidate for c in kept if c is not claim]
-        engine.active = others
+        engine.active = known + others
         again = engine.scores([claim.scored.candidate], hyper)[0]
         if again.score < threshold:
             kept.remove(claim)
         else:
             kept[kept.index(claim)] = replace(claim, scored=replace(again, score=claim.score))
-    engine.active = [c.scored.candidate for c in kept]
+    engine.active = known + [c.scored.candidate for c in kept]
     return kept
 
 

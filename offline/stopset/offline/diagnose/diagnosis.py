@@ -1,0 +1,262 @@
+"""Which physical effect is missing: the question from outside, and the answer in plain words and in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stopset.effects import Fitted, get
+from stopset.errors import EffectError
+from stopset.offline.diagnose.engine import Engine, Scored, Tolerance
+from stopset.offline.diagnose.residual import Dependence, dependences, held_out
+from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
+from stopset.recording import Recordings
+from stopset.robot import Robot
+
+QUIET = 1.25  # leftover variance over the sensors' noise below which a joint's rows count as explained (healthy: 0.7 to 1.0)
+LEFT = 0.5  # share of the leftover that may remain after all claims; more, and the cause is outside the catalogue
+RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value with unit and standard deviation (None where it was searched, not estimated)."""
+
+    value: float
+    unit: str
+    std: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One missing effect: where, how sure, how large, what it changes."""
+
+    effect: str
+    joints: tuple[str, ...]
+    score: float
+    error_before: float  # [N m] held-out torque error of its joint (of the worst joint for the whole arm)
+    error_after: float
+    parameters: dict[str, Parameter]
+    look_at: str
+    says: str
+
+    @property
+    def label(self) -> str:
+        return self.effect if not self.joints else f"{self.effect}:{'+'.join(self.joints)}"
+
+    @property
+    def fitted(self) -> Fitted:
+        """As the model file holds it."""
+        values = {k: p.value for k, p in self.parameters.items()}
+        std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
+        return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json."""
+
+    verdict: str
+    ranked: tuple[Ranked, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    depends_on: tuple[str, ...]
+    not_identifiable: tuple[str, ...]
+    next_experiment: str | None
+    excess: dict[str, float] = field(default_factory=dict)  # leftover variance over sensor noise, per joint
+    friction_scatter: dict[str, float] = field(default_factory=dict)  # from trial to trial, relative
+    trials: int = 0
+    rows: int = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data of the answer's fixed shape."""
+        return {
+            "verdict": self.verdict,
+            "ranked_effects": [
+                {
+                    "effect": r.effect,
+                    "joint": None if not r.joints else r.joints[0] if len(r.joints) == 1 else list(r.joints),
+                    "score": round(r.score, 2),
+                    "error_before": r.error_before,
+                    "error_after": r.error_after,
+                    "unit": "N m",
+                    "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
+                    "look_at": r.look_at,
+                    "says": r.says,
+                }
+                for r in self.ranked
+            ],
+            "rivals": [list(group) for group in self.rivals],
+            "depends_on": list(self.depends_on),
+            "not_identifiable": list(self.not_identifiable),
+            "next_experiment": self.next_experiment,
+            "excess": self.excess,
+            "friction_scatter": self.friction_scatter,
+            "threshold": THRESHOLD,
+            "trials": self.trials,
+            "rows": self.rows,
+        }
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Recordings,
+    fitted: Sequence[Fitted] = (),
+    tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None,
+) -> Diagnosis:
+    """Find the effects that the rigid body of ``robot`` and friction (and ``fitted``) do not explain in ``recordings``.
+
+    ``robot``: description and data sheet, the prior of what is known; ``fitted``: effects the model already has (kept as
+    nuisance, refitted); ``names``: look for these effects only.
+    Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
+    """
+    engine = Engine.build(robot, recordings, tolerance)
+    _include(engine, fitted)
+    hyper, _ = engine.fit()
+    before = held_out(engine, hyper)
+    known = list(engine.active)
+    found = search(engine, names)
+    ranked = _ranked(engine, found, known, before)
+    left = _left(found, engine)
+    verdict = "unknown" if left else ("missing" if ranked else "none")
+    depends: tuple[str, ...] = ()
+    if left:
+        hyper, p = engine.fit(found.hyper)
+        worst = max(left, key=lambda j: found.excess[j])
+        depends = _names(dependences(engine, p.theta, hyper, worst), engine, worst)
+    joints = engine.data.joints
+    return Diagnosis(
+        verdict=verdict,
+        ranked=ranked if verdict == "missing" else (),
+        rivals=_rivals(engine, found.claims) if verdict == "missing" else (),
+        depends_on=depends,
+        not_identifiable=not_identifiable(engine),
+        next_experiment=_next_experiment(verdict, found.claims, left, engine),
+        excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
+        friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
+        trials=len(engine.data.trials),
+        rows=sum(r.size for r in engine.rows),
+    )
+
+
+def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
+    """The model's own effects become part of the base."""
+    for f in fitted:
+        effect = get(f.effect)
+        if effect.base:
+            continue
+        unknown = set(f.joints) - set(engine.data.joints)
+        if unknown:
+            raise EffectError(f"effect {f.label}: no joint {', '.join(unknown)}; expected {', '.join(engine.data.joints)}")
+        place = tuple(engine.data.joints.index(j) for j in f.joints)
+        shapes: dict[str, float] = {p.symbol: f.values[p.symbol] for p in effect.shapes if p.symbol in f.values}
+        if effect.enters == "input_delay":
+            lag = f.values.get(effect.terms[0].symbol, 0.0)
+            shapes = {"d0": lag, "exact": 1.0} if lag else {}
+        elif effect.name == "elasticity":
+            shapes["exact"] = 1.0
+        candidate = engine.add(effect, place, shapes)
+        if candidate is not None:
+            engine.active.append(candidate)
+
+
+def _ranked(engine: Engine, found: Found, known: list[Any], before: Any) -> tuple[Ranked, ...]:
+    out = []
+    active = list(engine.active)
+    joints = engine.data.joints
+    for k, claim in enumerate(found.claims):
+        c = claim.scored.candidate
+        engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
+        after = held_out(engine, found.hyper)
+        where = list(c.joints) or list(range(len(joints)))
+        worst = max(where, key=lambda j: before[j] - after[j])
+        out.append(
+            Ranked(
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
+                parameters(claim.scored), c.effect.look_at, c.effect.says,
+            )
+        )  # fmt: skip
+        before = after
+    engine.active = active
+    return tuple(out)
+
+
+def parameters(scored: Scored) -> dict[str, Parameter]:
+    """Terms with standard deviation, then shapes."""
+    c = scored.candidate
+    sd = np.sqrt(np.maximum(np.diag(scored.cov), 0.0))
+    out = {t.symbol: Parameter(float(v), t.unit, float(s)) for t, v, s in zip(c.effect.terms, scored.theta, sd, strict=True)}
+    for p in c.effect.shapes:
+        out[p.symbol] = Parameter(float(c.shapes[p.symbol]), p.unit, None)
+    if c.effect.enters == "input_delay" and "d0" in c.shapes:
+        symbol = c.effect.terms[0].symbol
+        out[symbol] = Parameter(float(c.shapes["d0"]), out[symbol].unit, out[symbol].std)
+    return out
+
+
+def _left(found: Found, engine: Engine) -> tuple[int, ...]:
+    """Joints whose rows the claims leave unexplained: too much variance, or friction that jumps from trial to trial."""
+    first = found.claims[0].excess_before if found.claims else found.excess
+    weight = np.array([r.size for r in engine.rows], float)
+    over = [float(weight @ np.maximum(np.array(e) - 1.0, 0.0)) for e in (first, found.excess)]
+    loud = tuple(j for j, e in enumerate(found.excess) if e > QUIET)
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
+    if loud and (not found.claims or over[1] > LEFT * over[0]):
+        return loud
+    return restless
+
+
+def _names(ranked: Sequence[Dependence], engine: Engine, joint: int) -> tuple[str, ...]:
+    best = [d for d in ranked if d.share > 0.05 and d.share > 0.3 * ranked[0].share][:3]
+    if not best:
+        return (f"no recorded variable (joint {engine.data.joints[joint]})",)
+    return tuple(d.variable for d in best)
+
+
+def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:
+    groups = []
+    for claim in claims:
+        if claim.rivals:
+            groups.append(tuple(label(engine, s) for s in (claim.scored, *claim.rivals)))
+    return tuple(groups)
+
+
+def label(engine: Engine, scored: Scored) -> str:
+    """``effect:joint``."""
+    c = scored.candidate
+    where = "+".join(engine.data.joints[j] for j in c.joints)
+    return f"{c.effect.name}:{where}" if where else c.effect.name
+
+
+def not_identifiable(engine: Engine) -> tuple[str, ...]:
+    """What these recordings cannot say anything about."""
+    d = engine.data
+    out = []
+    if d.temp is None:
+        out.append("thermal_viscous, thermal_coulomb: no temperature is recorded")
+    elif all(float(np.ptp(d.temp[:, j])) < 3.0 for j in range(d.n)):
+        out.append("thermal_viscous, thermal_coulomb: the temperature varies by less than 3 K")
+    still = [d.joints[j] for j, r in enumerate(engine.rows) if len(r.take) <= 50]
+    if still:
+        out.append(f"every effect at {', '.join(still)}: the joint hardly moves")
+    flat = [d.joints[j] for j in range(d.n) if np.ptp(engine.source.gravity[:, j]) < 0.05 * engine.level(j)]
+    if flat:
+        out.append(f"load_coulomb at {', '.join(flat)}: gravity hardly loads the joint in these motions")
+    out.append("encoder_offset against a shifted centre of mass: the same torque in every pose")
+    return tuple(out)
+
+
+def _next_experiment(verdict: str, claims: Sequence[Claim], left: Sequence[int], engine: Engine) -> str | None:
+    if verdict == "unknown":
+        joint = engine.data.joints[left[0]]
+        return (
+            f"Move {joint} alone, slowly and at constant speed, back and forth through its range, cold and warm: "
+            "what repeats with position, with speed or with time then shows by itself."
+        )
+    contested = [c for c in claims if c.rivals]
+    if contested:
+        return contested[0].scored.candidate.effect.tell_apart
+    return None

@@ -1,0 +1,87 @@
+"""What a model leaves over: held-out torque errors, and the variables that the rest depends on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.offline.diagnose.engine import FOLDS, Engine, Hyper
+from stopset.offline.diagnose.evidence import project
+from stopset.offline.diagnose.noise import coloured
+from stopset.offline.diagnose.prepare import Array, Index
+
+BINS = 24
+
+
+def held_out(engine: Engine, hyper: Hyper) -> Array:
+    """(n,) torque error [N m], RMS over motions that the fit has not seen, of the current model."""
+    view = engine._view()
+    n = engine.data.n
+    square, count = np.zeros(n), np.zeros(n)
+    for fold in range(FOLDS):
+        others = np.arange(FOLDS) != fold
+        G, _ = view.total(hyper, others)
+        p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper.scale))
+        theta = np.concatenate([[1.0], -p.theta])
+        for j, rows in enumerate(engine.rows):
+            gram, k = view.grams[j], len(rows.take)
+            e = coloured((gram.X @ theta[gram.index])[:k], rows.start, rows.a, rows.sd)
+            here = gram.row_fold[:k] == fold
+            square[j] += float(np.sum(e[here] ** 2))
+            count[j] += int(here.sum())
+    out: Array = np.sqrt(square / np.maximum(count, 1))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """How much of a joint's leftover variance a function of one variable explains, from held-out motions."""
+
+    joint: int
+    variable: str
+    share: float
+
+
+def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[Dependence]:
+    """Variables ranked by the share of the joint's leftover that a step function of them predicts on held-out motions."""
+    rows, d = engine.rows[joint], engine.data
+    take = rows.take
+    view = engine._view()
+    gram = view.grams[joint]
+    full = np.concatenate([[1.0], -theta])
+    r = gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[: len(take)]
+    fold = gram.row_fold[: len(take)]
+    way = d.way[take, joint]
+    found = []
+    for name, x in _variables(engine, joint, take):
+        for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
+            found.append(Dependence(joint, name + suffix, _predicted(r, x, weight, fold)))
+    return sorted(found, key=lambda f: -f.share)
+
+
+def _variables(engine: Engine, joint: int, take: Index) -> list[tuple[str, Array]]:
+    d = engine.data
+    out = [(f"q_{name}", d.q[take, k]) for k, name in enumerate(d.joints)]
+    out += [(f"dq_{name}", d.dq[take, k]) for k, name in enumerate(d.joints)]
+    out.append((f"load of {d.joints[joint]}", engine.source.gravity[take, joint]))
+    out.append(("time in the trial", d.t[take]))
+    out.append(("place in the session", d.warm[take]))
+    if d.temp is not None:
+        out.append((f"temp_{d.joints[joint]}", d.temp[take, joint]))
+    return out
+
+
+def _predicted(r: Array, x: Array, weight: Array, fold: Index) -> float:
+    """Share of the variance of ``r`` that bin means over ``x`` (times ``weight``) predict on folds they have not seen."""
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
+    b = np.searchsorted(edges, x)
+    m = len(edges) + 1
+    num = np.stack([np.bincount(b[fold == k], (r * weight)[fold == k], m) for k in range(FOLDS)])
+    den = np.stack([np.bincount(b[fold == k], (weight**2)[fold == k], m) for k in range(FOLDS)])
+    gained = 0.0
+    for k in range(FOLDS):
+        mean = (num.sum(axis=0) - num[k]) / (den.sum(axis=0) - den[k] + 1.0)
+        here = fold == k
+        gained += float(np.sum(r[here] ** 2 - (r[here] - mean[b[here]] * weight[here]) ** 2))
+    return gained / max(float(np.sum(r**2)), 1e-300)
