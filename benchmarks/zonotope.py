@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from stopset.artifact import Abstraction, Model, load_model
+from stopset.artifact import Abstraction, load_model
 from stopset.artifact.inputs import input_map
 from stopset.offline.conform.cooperative import Trial
 from stopset.offline.conform.zonotopes import ZonotopeFit, directions, fit_zonotope, template, torque_deviations
 from stopset.offline.survey import survey
 from stopset.recording import stream_recordings
+from stopset.robot import Robot
 from stopset.robot.rigid import Array, link_frames
 from stopset.sets import Box
 
@@ -28,13 +29,13 @@ GRID = 0.02  # [s]
 STARTS = 10  # a window starts every so many samples of the grid
 
 
-def tool_directions(model: Model, poses: Array) -> Array:
+def tool_directions(robot: Robot, poses: Array) -> Array:
     """Unit directions (up to 3 per pose, n) in joint space along which the tool moves in x, y, z."""
     rows = []
     for q in poses:
-        R, o = link_frames(model.robot.chain, q)
-        tip = o[-1] + R[-1] @ model.robot.tip
-        axes = np.einsum("irk,ik->ir", R, model.robot.chain.axis)
+        R, o = link_frames(robot.chain, q)
+        tip = o[-1] + R[-1] @ robot.tip
+        axes = np.einsum("irk,ik->ir", R, robot.chain.axis)
         J = np.cross(axes, tip - o).T
         length = np.linalg.norm(J, axis=1)
         rows.append(J[length > 1e-3] / length[length > 1e-3, None])  # [m]; a direction the tool cannot move in says nothing
@@ -74,7 +75,7 @@ def main() -> None:
         mean = u[: steps * every].reshape(steps, every, -1).mean(axis=1)
         trials.append((np.hstack([r.q, r.dq])[: steps * every + 1 : every], np.vstack([mean, mean[-1:]])))
     poses = np.vstack([x[:: max(1, len(x) // 3), : model.n] for x, _ in trials[:: max(1, len(trials) // 4)]])
-    tool = tool_directions(model, poses[:6])
+    tool = tool_directions(model.robot, poses[:6])
     fits = compare(trials, model.abstraction, found.noise, tool, dt, args.horizon)
     D = torque_deviations(trials, model.abstraction, dt)
     print(
