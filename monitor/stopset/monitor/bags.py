@@ -9,11 +9,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.jointstate import JointState, decode
 from stopset.recording import Meta, Recording
 
+Array = NDArray[np.float64]
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
 SHORTEST = 10
 GAP = 2.5  # periods without a message that end a trial
@@ -74,7 +76,7 @@ def trials_of_bag(
 
 
 def _recording(path: Path, run: list[JointState], names: tuple[str, ...], suite: int, trial: int) -> Recording:
-    tables = []
+    tables: list[Array] = []
     for kind in ("position", "velocity", "effort"):
         rows = []
         for s in run:
@@ -86,7 +88,8 @@ def _recording(path: Path, run: list[JointState], names: tuple[str, ...], suite:
             rows.append([values[j] for j in names])
         tables.append(np.array(rows))
     t = np.array([s.stamp_ns - run[0].stamp_ns for s in run]) * 1e-9
-    return Recording("closed_loop", suite, trial, trial, t, *tables)
+    q, dq, tau = tables
+    return Recording("closed_loop", suite, trial, trial, t, q, dq, tau)
 
 
 def meta_of_bag(found: list[tuple[Recording, tuple[str, ...]]], effort: str) -> Meta:

@@ -83,12 +83,13 @@ class _CanListener:
 class _CanTalker:
     def __init__(self, spec: str) -> None:
         self._bus = _python_can(spec)
+        # the serial format has 32 bits of milliseconds for the stamp, so it counts from the start
+        self._zero = time.time() if parse(spec)[0] == "serial" else 0.0
 
     def send(self, cob_id: int, data: bytes) -> None:
+        stamp = time.time() - self._zero
         try:
-            self._bus.send(
-                can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=time.time()), timeout=1.0
-            )
+            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=stamp), timeout=1.0)
         except (can.CanError, OSError) as e:
             raise BusError(f"the bus does not take frames ({e}); is another node on it?") from e
 

@@ -1,0 +1,298 @@
+"""CAN from end to end with real parts: every pair of links, the profile's frames, damaged cycles, log files."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from monitor_arm import DT, meta, motion
+from stopset.cli.main import main
+from stopset.errors import BusError, RecordingError
+from stopset.monitor.links.bus import Talker, listen, parse, talk
+from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
+from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
+from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
+from stopset.monitor.source import CanSource
+from stopset.recording import Recording, read_recordings, write_recordings
+
+PROFILE = load_profile("lwa4p/monitor")
+
+
+# ---- links ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["virtual", "serial", "udp_multicast", "hub"])
+def link(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
+    """(where to send, where to listen), on this machine only."""
+    if request.param == "serial":
+        a, b = os.openpty()
+        c, d = os.openpty()
+        for fd in (a, b, c, d):
+            tty.setraw(fd)
+        stop = threading.Event()
+
+        def wire() -> None:  # a cable between two serial adapters
+            while not stop.is_set():
+                data = os.read(a, 4096)
+                if not data:
+                    return
+                os.write(c, data)
+
+        threading.Thread(target=wire, daemon=True).start()
+        yield f"serial:{os.ttyname(b)}", f"serial:{os.ttyname(d)}"
+        stop.set()
+        return
+    name = {"virtual": "virtual:stopset-test", "udp_multicast": "udp_multicast:239.74.163.99?port=43119", "hub": "hub:28761"}
+    yield name[request.param], name[request.param]
+
+
+def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
+    try:
+        sender = talk(link[0])
+    except BusError as e:
+        if "udp" in link[0]:
+            pytest.skip(f"no multicast on this machine: {e}")
+        raise
+    hears = listen(link[1], wait_s=5.0)
+    try:
+        if isinstance(sender, Hub):
+            while not sender.clients:
+                time.sleep(0.01)
+        else:
+            time.sleep(0.1)
+        sent = [(SYNC_ID, b"\x01"), (0x383, bytes(range(8))), (0x001, b""), (0x7FF, b"\xff" * 8)] * 25
+        for cob_id, data in sent:
+            sender.send(cob_id, data)
+            time.sleep(0.0005)
+        heard: list[tuple[int, bytes]] = []
+        while len(heard) < len(sent) and (frame := hears.recv(2.0)) is not None:
+            heard.append((frame.cob_id, bytes(frame.data)))
+            assert abs(frame.t - time.time()) < 5.0, "stamps are seconds since the epoch"
+        assert heard == sent
+    finally:
+        hears.close()
+        sender.close()
+
+
+def test_a_listener_has_nothing_to_send_with() -> None:
+    assert not hasattr(HubClient, "send")
+    hears = listen("virtual:stopset-passive")
+    assert not hasattr(hears, "send")
+    hears.close()
+
+
+def test_the_hub_counts_what_others_send_and_its_end_is_noticed() -> None:
+    hub = talk("hub:28762")
+    assert isinstance(hub, Hub)
+    hears = listen("hub:28762")
+    other = can.Bus(interface="socketcand", host="127.0.0.1", port=28762, channel="can0")
+    while hub.clients < 2:
+        time.sleep(0.01)
+    assert hub.client_frames == 0
+    other.send(can.Message(arbitration_id=0x603, data=b"\x40", is_extended_id=False))
+    frame = hears.recv(2.0)
+    assert frame is not None and (frame.cob_id, bytes(frame.data)) == (0x603, b"\x40") and hub.client_frames == 1
+    other.shutdown()
+    hub.close()
+    with pytest.raises(BusError, match="closed"):
+        hears.recv(2.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "word"),
+    [
+        ("nonsense", "expected INTERFACE"),
+        ("martian:1", "expected INTERFACE"),
+        ("hub:x", "PORT"),
+        ("socketcan:nope0", "cannot be opened"),
+    ],
+)
+def test_bad_bus_names_get_one_sentence(spec: str, word: str) -> None:
+    with pytest.raises(BusError, match=word):
+        listen(spec)
+
+
+def test_options_of_a_bus_name() -> None:
+    assert parse("slcan:/dev/ttyACM0?bitrate=500000&name=a") == ("slcan", "/dev/ttyACM0", {"bitrate": 500000, "name": "a"})
+
+
+# ---- profile and frames ---------------------------------------------------------------------------------------------
+
+
+def cycles(frames: list[tuple[int, bytes]]) -> list[Cycle]:
+    d = Decoder(PROFILE)
+    return [c for i, (cob, data) in enumerate(frames) if (c := d.frame(cob, data, i * 1e-4)) is not None]
+
+
+def one_cycle(k: int = 0) -> tuple[np.ndarray, list[tuple[int, bytes]]]:
+    values = signal_rows(motion(0, 5))[k]
+    values[SIGNALS.index("temp")] = 31.5
+    encoder = Encoder(PROFILE)
+    encoder.skip(k)
+    return values, list(encoder.frames(values))
+
+
+def test_decoding_returns_what_was_encoded_to_half_a_count() -> None:
+    values, frames = one_cycle(3)
+    (cycle,) = cycles(frames)
+    for i, name in enumerate(SIGNALS):
+        error = np.abs(cycle.values[i] - values[i])
+        assert np.all(error <= PROFILE.quantum(name) * (1 + 1e-9) + 1e-15) or name in ("temp", "status")
+    assert cycle.values[SIGNALS.index("temp")].tolist() == [31.5] * 6
+    assert cycle.counter == 4 and cycle.t == 0.0, "the sampling instant is SYNC, the first frame"
+
+
+def test_identical_to_what_canopen_decodes() -> None:
+    """The struct table against the library it was made from."""
+    import canopen
+
+    values, frames = one_cycle(2)
+    network = canopen.Network()
+    for joint, node_id in enumerate(PROFILE.nodes.values()):
+        node = network.add_node(canopen.RemoteNode(node_id, str(PROFILE.dcf)))
+        node.tpdo.read(from_od=True)
+        for cob, data in frames:
+            network.notify(cob, bytearray(data), 0.0)
+        mdeg = node.tpdo["position actual value [mdeg]"].raw
+        assert mdeg == round(float(np.rad2deg(values[0, joint])) * 1e3)
+        torque = node.tpdo["torque actual value [per mille of rated]"].raw
+        assert torque == round(values[2, joint] / PROFILE.signals["tau"].scale[joint])
+
+
+def test_a_lost_frame_costs_its_cycle_and_the_next() -> None:
+    """The next may hold the lost one's late arrival, which nothing in a PDO tells apart."""
+    _, a = one_cycle(0)
+    _, b = one_cycle(1)
+    _, c = one_cycle(2)
+    whole = cycles(a + b + c)
+    assert [x.counter for x in whole] == [1, 2, 3]
+    assert [x.counter for x in cycles(a + b[:-1] + c)] == [1]
+    late = a + b[:-1] + [c[0], b[-1]] + c[1:]
+    assert [x.counter for x in cycles(late)] == [1], "the doubled frame is seen"
+    assert [x.counter for x in cycles(a[3:] + b + c)] == [3], "a cycle joined in the middle is not believed"
+
+
+def test_other_nodes_and_emergencies_are_told_apart() -> None:
+    d = Decoder(PROFILE)
+    _, frames = one_cycle()
+    noise = [(0x703, b"\x05"), (0x203, bytes(8)), (0x085, b"\x50\x23\x01\xdf\0\0\0\0"), (0x000, b"\1\0")]
+    out = [d.frame(cob, data, 0.0) for cob, data in [frames[0], *noise, *frames[1:]]]
+    assert out[-1] is not None and d.unknown == 4 and d.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
+
+
+def test_numbers_that_do_not_fit_are_refused_not_clipped() -> None:
+    values, _ = one_cycle()
+    values[2, 0] = 4000.0
+    with pytest.raises(BusError, match=r"tau of arm_1_joint.*16 bits"):
+        list(Encoder(PROFILE).frames(values))
+
+
+def test_profiles_ship_and_bad_ones_are_refused(tmp_path: Path) -> None:
+    assert shipped_profiles() == ["lwa4p/monitor", "lwa4p/passive-ros_canopen"]
+    passive = load_profile("lwa4p/passive-ros_canopen")
+    assert "tau" not in passive.signals and len(Decoder(passive).maps) == 18
+    text = PROFILE.dcf.with_name("monitor.toml").read_text()
+    (tmp_path / "monitor.dcf").write_text(PROFILE.dcf.read_text())
+    for old, new, word in (
+        ("0x6077", "0x6078", "in no synchronous TPDO"),
+        ("[signals.temp]", "[signals.warmth]", "unknown key warmth"),
+        ("arm_2_joint = 4", "arm_2_joint = 3", "not distinct"),
+        ('dcf = "monitor.dcf"', 'dcf = "other.dcf"', "not beside it"),
+    ):
+        path = tmp_path / "p.toml"
+        path.write_text(text.replace(old, new))
+        with pytest.raises(BusError, match=word):
+            Decoder(load_profile(path))
+    (tmp_path / "monitor.dcf").write_text("nonsense")
+    path.write_text(text)
+    with pytest.raises(BusError, match="not a usable EDS or DCF"):
+        Decoder(load_profile(path))
+
+
+# ---- replay and logs ------------------------------------------------------------------------------------------------
+
+
+class Tape:
+    """A bus that only remembers."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self.t = 0.0
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        self.frames.append(Frame(cob_id, data, self.t))
+
+    def close(self) -> None:
+        pass
+
+    def recv(self, timeout: float) -> Frame | None:
+        return self.frames.pop(0) if self.frames else None
+
+
+def recorded(trials: list[Recording], speed: float = 1.0) -> Tape:
+    tape = Tape()
+    talker: Talker = tape
+
+    def sleep(seconds: float) -> None:
+        tape.t += seconds
+
+    play(trials, CanSink.of(talker, PROFILE), speed, clock=lambda: tape.t, sleep=sleep)
+    return tape
+
+
+def test_replay_keeps_time_and_shows_the_jump_between_trials() -> None:
+    trials = [motion(s, 30, s) for s in range(2)]
+    tape = recorded(trials, speed=2.0)
+    stamps = np.array([f.t for f in tape.frames if f.cob_id == SYNC_ID])
+    steps = np.diff(stamps) / (DT / 2)
+    assert len(stamps) == 60 and np.allclose(np.delete(steps, 29), 1) and steps[29] == pytest.approx(1 + PAUSE_CYCLES)
+    source = CanSource(tape, PROFILE, DT / 2)
+    got = [s for _ in range(60) if (s := source.next(0.0)) is not None]
+    ks = [s.k for s in got]
+    assert ks == [*range(30), *range(30 + PAUSE_CYCLES, 60 + PAUSE_CYCLES)]
+    assert all(s.powered and s.tau is not None and s.temp is None for s in got)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc"])
+def test_import_of_a_log_returns_the_recording(suffix: str, tmp_path: Path) -> None:
+    trials = [motion(s, 40, s) for s in range(2)]
+    path, out = tmp_path / f"bus{suffix}", tmp_path / "rec.parquet"
+    with can.Logger(str(path)) as log:
+        for f in recorded(trials).frames:
+            log.on_message_received(
+                can.Message(arbitration_id=f.cob_id, data=f.data, timestamp=1.7e9 + f.t, is_extended_id=False, channel="can0")
+            )
+    assert main(["import", str(path), "--out", str(out), "--effort", "compensated_torque"]) == 0
+    back = read_recordings(out)
+    assert back.meta.effort == "compensated_torque" and back.meta.rate_hz == pytest.approx(1 / DT) and len(back) == 2
+    for a, b in zip(trials, back, strict=True):
+        assert np.allclose(a.t, b.t, atol=1e-12)
+        for name in ("q", "dq", "tau"):
+            # half a count, and the float32 of the file
+            error = np.abs(getattr(a, name) - getattr(b, name)) - 2.0**-24 * np.abs(getattr(a, name))
+            assert np.all(error <= PROFILE.quantum(name) * (1 + 1e-6) + 1e-9)
+
+
+def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty, odd = tmp_path / "a.log", tmp_path / "b.blf"
+    empty.write_text("")
+    odd.write_bytes(b"not a BLF file at all")
+    for path, word in ((empty, "expected SYNC"), (odd, "not a readable .blf"), (tmp_path / "none.asc", "no such file")):
+        assert main(["import", str(path), "--out", str(tmp_path / "out.parquet")]) == 2
+        assert word in capsys.readouterr().err
+    assert not (tmp_path / "out.parquet").exists(), "nothing is written"
+    r = motion(0, 20)
+    uneven = Recording(*r.key, 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
+    with pytest.raises(RecordingError, match="even cycle"):
+        recorded([uneven])
+    write_recordings(tmp_path / "r.parquet", meta(), [r])
+    assert main(["replay", str(tmp_path / "r.parquet"), "--to", "nowhere"]) == 2

@@ -1,0 +1,187 @@
+"""zenoh and its encodings: joint states in both, and a link between two sessions on loopback."""
+
+from __future__ import annotations
+
+import io
+import json
+import sqlite3
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from monitor_arm import motion
+from monitor_process import free_port
+from stopset.cli.main import main
+from stopset.errors import BusError
+from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
+from stopset.monitor.layout import State, pack
+from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.source import GAP, JointStateSource
+from stopset.monitor.viewer import Page, View, terminal
+from stopset.recording import read_recordings
+
+JOINTS = tuple(f"arm_{i}_joint" for i in range(1, 7))
+values = st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6).map(tuple)
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1), values, values, values)
+def test_both_encodings_lose_nothing(stamp: int, q: tuple[float, ...], dq: tuple[float, ...], tau: tuple[float, ...]) -> None:
+    s = JointState(stamp, JOINTS, q, dq, tau)
+    assert decode(to_json(s)) == s == decode(to_cdr(s))
+
+
+def test_cdr_is_laid_out_as_ros_2_writes_it() -> None:
+    """By hand from the CDR rules: alignment counts from the end of the 4-byte encapsulation."""
+    want = bytes.fromhex(
+        "00010000"  # little endian
+        "01000000" "02000000"  # stamp 1 s, 2 ns
+        "01000000" "00"  # frame_id ""
+        "000000" "01000000"  # one name
+        "02000000" "6100"  # "a"
+        "0000" "01000000"  # one position
+        "000000000000f03f"  # 1.0, at an offset of 32
+        "00000000" "00000000"  # no velocity, no effort
+    )  # fmt: skip
+    assert to_cdr(JointState(1_000_000_002, ("a",), (1.0,), (), ())) == want
+
+
+@given(st.binary(max_size=80))
+def test_garbage_is_refused_with_a_sentence(data: bytes) -> None:
+    try:
+        decode(b"\0\1\0\0" + data)
+    except BusError as e:
+        assert "joint_states" in str(e)
+
+
+def message(k: float, names: tuple[str, ...] = JOINTS) -> bytes:
+    row = tuple(float(i) for i in range(len(names)))
+    return to_json(JointState(round(k * 4_000_000), names, row, row, row))
+
+
+def test_samples_follow_names_and_stamps_show_gaps() -> None:
+    source = JointStateSource(JOINTS, 0.004)
+    shuffled = tuple(reversed((*JOINTS, "gripper")))
+    for k in (1, 2, 5, 5.4, 6.4):
+        source.take("", message(k, shuffled))
+    source.take("", b"rubbish")
+    source.take("", message(7.4))
+    got = [source.next(0.0) for _ in range(7)]
+    assert [s.k for s in got[:3] if s] == [1, 2, 5]
+    first = got[0]
+    assert first is not None and first.q.tolist() == [6, 5, 4, 3, 2, 1]
+    assert got[3] is not None and got[3].k == 5 + GAP, "a stamp off the grid is a gap"
+    assert got[5] is None and source.refused == 1 and source.next(0.0) is None
+    assert got[6] is not None and got[6].q.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_two_sessions_on_loopback() -> None:
+    port = free_port()
+    daemon = ZenohLink("s/c/a/stopset", listen=[f"tcp/127.0.0.1:{port}"])
+    heard: list[tuple[str, bytes]] = []
+    tokens: list[bool] = []
+    consumer = ZenohLink("s/c/a/stopset", mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+    try:
+        consumer.subscribe("**", lambda k, d: heard.append((k, d)))
+        consumer.watch_alive("alive", lambda _, there: tokens.append(there))
+        send = daemon.fast("state")
+        daemon.serve("model", lambda: b"the model")
+        daemon.alive("alive")
+        time.sleep(0.3)
+        for i in range(100):
+            send(bytes([i]))
+        daemon.put("event", b"{}", must_arrive=True)
+        end = time.monotonic() + 5
+        while len(heard) < 101 and time.monotonic() < end:
+            time.sleep(0.01)
+        states = [d[0] for k, d in heard if k == "s/c/a/stopset/state"]
+        assert states == list(range(100)) and ("s/c/a/stopset/event", b"{}") in heard
+        assert consumer.get("model") == [("s/c/a/stopset/model", b"the model")] and tokens == [True]
+        daemon.close()
+        end = time.monotonic() + 5
+        while tokens != [True, False] and time.monotonic() < end:
+            time.sleep(0.01)
+        assert tokens == [True, False], "the liveliness token goes with its session"
+    finally:
+        consumer.close()
+    with pytest.raises(BusError, match="cannot be opened"):
+        ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+
+
+TWIN = {
+    "state": "OK", "why": "inside every prediction", "data_id": 1, "joints": list(JOINTS), "violations": [], "gaps": 0,
+    "room": dict.fromkeys(JOINTS, 0.5), "verdicts": {"CONFORMANT": 3}, "oldest_prediction_s": 0.4,
+    "notice": "not a safety function",
+    "stops": {"0": {"time_s": 0.1, "tcp_m": 0.02, "why": "", "certified": True, "joints": {
+        j: {"time_s": 0.1, "forward_rad": 0.01, "back_rad": 0.0} for j in JOINTS}}},
+}  # fmt: skip
+
+
+def test_the_viewer_shows_what_holds_now_and_nothing_older() -> None:
+    from rich.console import Console
+
+    def text() -> str:
+        console = Console(width=150, record=True, file=io.StringIO())
+        console.print(terminal(view))
+        return console.export_text()
+
+    view = View(watchdog_s=0.3)
+    assert view.word()[0] == "NO DATA"
+    view.take_json("", json.dumps(TWIN).encode())
+    view.take_state("", pack({"data_id": 1, "seq": 1, "state": int(State.OK)}))
+    assert view.word() == ("OK", "inside every prediction")
+    assert "100 ms" in text() and "20 mm" in text() and "not a safety function" in text()
+    page = Page(view, "127.0.0.1", 0)
+    page.start()
+    base = f"http://127.0.0.1:{page.server_address[1]}"
+    with urllib.request.urlopen(f"{base}/now", timeout=5) as r:
+        assert json.load(r)["word"] == "OK"
+    with urllib.request.urlopen(base + "/", timeout=5) as r:
+        html = r.read().decode()
+    assert "http://" not in html and "https://" not in html, "self-contained"
+    time.sleep(0.35)
+    assert view.word()[0] == "NO DATA" and "20 mm" not in text(), "old stop distances are withdrawn"
+    with urllib.request.urlopen(f"{base}/stream", timeout=5) as r:
+        assert json.loads(r.readline().decode().removeprefix("data: "))["word"] == "NO DATA"
+    page.shutdown()
+    page.server_close()
+    assert np.isfinite(view.twin_at)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+def test_import_of_bags_returns_the_recording(suffix: str, tmp_path: Path) -> None:
+    """Two motions with a pause between them, as CDR in an MCAP file and in a ROS 2 bag."""
+    trials = [motion(s, 40, s) for s in range(2)]
+    messages = []
+    for place, r in enumerate(trials):
+        for k in range(len(r.t)):
+            stamp = 10**9 * (5 + place) + round(r.t[k] * 1e9)
+            messages.append((stamp, to_cdr(JointState(stamp, JOINTS, tuple(r.q[k]), tuple(r.dq[k]), tuple(r.tau[k])))))
+    path, out = tmp_path / f"bag{suffix}", tmp_path / "rec.parquet"
+    if suffix == ".mcap":
+        writer_module = pytest.importorskip("mcap.writer")
+        with path.open("wb") as f:
+            w = writer_module.Writer(f)
+            w.start()
+            schema = w.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+            channel = w.register_channel("/joint_states", "cdr", schema)
+            for stamp, data in messages:
+                w.add_message(channel, stamp, data, stamp)
+            w.finish()
+    else:
+        with sqlite3.connect(path) as db:
+            db.execute("create table topics (id integer, name text, type text)")
+            db.execute("create table messages (id integer primary key, topic_id integer, timestamp integer, data blob)")
+            db.execute("insert into topics values (1, '/joint_states', 'sensor_msgs/msg/JointState')")
+            db.executemany("insert into messages (topic_id, timestamp, data) values (1, ?, ?)", messages)
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    back = read_recordings(out)
+    assert len(back) == 2 and back.meta.joints == JOINTS and back.meta.effort == "motor_torque"
+    for a, b in zip(trials, back, strict=True):
+        # stamps are whole nanoseconds, signals float32
+        assert np.abs(a.t - b.t).max() < 1e-9 and np.abs(a.tau - b.tau).max() <= 2.0**-24 * np.abs(a.tau).max()
+    assert main(["import", str(path), "--topic", "/other", "--out", str(tmp_path / "no.parquet")]) == 2
