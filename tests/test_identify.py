@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stopset.offline.compare import answer, compare
+from stopset.offline.conform.guarantee import scenario_bound
 from stopset.offline.identify import Identification, Settings, identify
 from stopset.recording import Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
@@ -191,6 +192,39 @@ def test_the_order_of_trials_does_not_matter_for_the_sets(tmp_path: Path) -> Non
     a = found(tmp_path, trials, Settings(margin=1.0)).model
     b = found(tmp_path, [*trials[4:][::-1], *trials[:4][::-1]], Settings(margin=1.0)).model
     np.testing.assert_allclose(a.powered.U.width, b.powered.U.width, rtol=1e-3)
+
+
+def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path: Path) -> None:
+    """Else the count of violations among them would prove nothing."""
+    trials = recordings((2.0,), (4.0,), suites=8, trials=2, seconds=0.6)
+    a = found(tmp_path, trials)
+    held = {suite for _, suite in a.survey.held_out}
+    assert len(held) == 2
+    rng = np.random.default_rng(0)
+    spoiled = [
+        dataclasses.replace(r, q=r.q + 1e-3 * rng.normal(size=r.q.shape), dq=1.5 * r.dq) if r.suite in held else r for r in trials
+    ]
+    b = found(tmp_path, spoiled)
+    np.testing.assert_array_equal(a.model.abstraction.Minv, b.model.abstraction.Minv)
+    np.testing.assert_array_equal(a.model.abstraction.viscous, b.model.abstraction.viscous)
+    np.testing.assert_array_equal(a.survey.noise.hi, b.survey.noise.hi)
+    assert b.model.guarantee.violated == 2
+    assert b.model.guarantee.upper_bound == 1.0
+    assert enclosed(b, tmp_path)  # and yet everything recorded is inside
+
+
+def test_scenario_bound_holds_for_the_number_of_motions_seen_to_matter() -> None:
+    """Interval of N uniform numbers: two of them fix it; the mass outside exceeds the bound in less than 5 % of cases."""
+    rng = np.random.default_rng(0)
+    N = 40
+    bound = scenario_bound(2, N)
+    assert bound is not None
+    x = rng.uniform(size=(20_000, N))
+    outside = 1.0 - np.ptp(x, axis=1)
+    assert np.mean(outside > bound) <= 0.05
+    assert np.mean(outside > bound / 3) > 0.05  # and it says something
+    assert scenario_bound(5, 5) is None
+    assert scenario_bound(12, N) > scenario_bound(2, N)
 
 
 @pytest.mark.parametrize("motions", [2, 12])

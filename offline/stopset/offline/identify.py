@@ -17,13 +17,13 @@ from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
 from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
-from stopset.offline.conform.linear import STOP_TIME
 from stopset.offline.conform.guarantee import split
+from stopset.offline.conform.linear import STOP_TIME
 from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, conform, few_motions, gather
-from stopset.offline.errors import Figures, joint_figures
-from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.effect_names import parse_effect
+from stopset.offline.errors import Figures, joint_figures
 from stopset.offline.output_error import fit_joint
+from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.survey import Source, Survey, on_grid, survey
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
@@ -81,7 +81,9 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
-    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on.  Raises `RecordingError`, `NotConformant`.
+    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on.
+
+    Raises `RecordingError`, `NotConformant`.
     """
     chosen = settings or Settings()
     meta = _meta(paths)
@@ -92,7 +94,10 @@ def identify(
     tell("reading the recordings")
     found = survey(source)
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
-    nominal = fit_nominal(robot, meta, source, found, chosen)
+    # what is held out to judge the sets must not have shaped the nominal model either
+    held = found.held_out
+    learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
+    nominal = fit_nominal(robot, meta, lambda: (r for r in source() if r.motion not in held), learnt, chosen)
     return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
 
 
@@ -215,7 +220,8 @@ def _with_sets(
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
-        abstraction=nominal.abstraction, sets={"powered": result.sets, f"powered, {result.other.conform}": result.other}, brakes=assumed_brakes(robot),
+        abstraction=nominal.abstraction,
+        sets={"powered": result.sets, f"powered, {result.other.conform}": result.other}, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *result.notes),
@@ -242,7 +248,7 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
         "settings_sha256": settings.sha256,
         # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
         "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
-        "data": {name: digest for name, digest in meta.sources},
+        "data": dict(meta.sources),
         "phase": found.phase,
         "trials": found.trials,
         "samples": found.samples,

@@ -17,7 +17,8 @@ from stopset.artifact import Model, Revision
 from stopset.errors import EffectError
 from stopset.offline.effect_names import parse_effect
 from stopset.offline.identify import Settings, identify, nominal_figures
-from stopset.recording import Recording
+from stopset.offline.survey import survey
+from stopset.recording import Recording, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 
@@ -53,7 +54,7 @@ def add(
         raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
     more = replace(settings, effects=(*settings.effects, name))
     tell(f"judging {name} on held-out data")
-    held, judged_on = _halves(model)
+    held, judged_on = _halves(robot, paths)
     old = nominal_figures(robot, paths, settings, lambda r: not held(r), held)
     new = nominal_figures(robot, paths, more, lambda r: not held(r), held)
     before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
@@ -82,10 +83,14 @@ def settings_of(model: Model) -> Settings:
     return Settings(**kept)
 
 
-def _halves(model: Model) -> tuple[Callable[[Recording], bool], str]:
-    """What is held out: every other motion where there are at least four, else every other repetition."""
-    if int(model.provenance.get("motions", 0)) >= 4:
-        return (lambda r: r.suite % 2 == 1), "every other motion"
+def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Recording], bool], str]:
+    """What is held out: every other motion where there are at least four, else every other repetition.
+
+    A suite may be a later start of another suite's motion (trap P8): motions are told apart by their torques.
+    """
+    motion = survey(lambda: stream_recordings(paths, robot)).motion
+    if len(set(motion.values())) >= 4:
+        return (lambda r: motion.get(r.motion, r.suite) % 2 == 1), "every other motion"
     return (lambda r: r.trial % 2 == 1), "every other repetition"
 
 

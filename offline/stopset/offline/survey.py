@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
+from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.motions import Suite, independent_motions
 from stopset.recording import Recording
@@ -42,6 +43,12 @@ class Survey:
     sample: tuple[Recording, ...]
     irregular: bool
     repeats: int  # most trials of one suite
+
+    @property
+    def held_out(self) -> frozenset[Suite]:
+        """Suites of the motions that nothing is fitted to: on them the sets are judged."""
+        held = split(sorted(set(self.motion.values()))).held
+        return frozenset(s for s, m in self.motion.items() if m in held)
 
     def warm(self, r: Recording) -> float:
         """How long the drives have been running, 0 to 1: the variable of warming where no temperature is recorded.
@@ -100,9 +107,12 @@ def survey(source: Source) -> Survey:
         seen += 1
     if not seen:
         raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
+    motion = independent_motions(torques)
+    held = split(sorted(set(motion.values()))).held
     return Survey(
         phase=chosen, dt=round(float(np.median(steps)), 6), trials=seen, samples=samples, longest=longest, places=places,
-        motion=independent_motions(torques), noise=noise.box(), q=hulls["q"], dq=hulls["dq"], tau=hulls["tau"],
+        motion=motion, noise=noise.box(without={s for s, m in motion.items() if m in held}),
+        q=hulls["q"], dq=hulls["dq"], tau=hulls["tau"],
         temp=hulls.get("temp"), sample=tuple(kept), irregular=irregular, repeats=max(repeats.values()),
     )  # fmt: skip
 

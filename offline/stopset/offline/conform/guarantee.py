@@ -1,8 +1,8 @@
 """How much larger than the data the sets must be, and what may honestly be promised of motions not yet seen (P8).
 
-The independent unit is the motion.  Where there are enough, every fourth is held out; the margin is chosen by
-leave-one-fold-out on the rest; violations are counted on the held-out ones.  Sets may then still grow to enclose
-everything recorded: growing can only lower the chance of a violation, so the bound stays true.
+The independent unit is the motion.  Where there are enough, every fourth is held out, from the nominal model and the noise
+too; the margin is chosen by leave-one-fold-out on the rest; violations are counted on the held-out ones.  Sets may then
+still grow to enclose everything recorded: growing can only lower the chance of a violation, so the bound stays true.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import beta, binom
+from scipy.special import gammaln
+from scipy.stats import beta
 
 from stopset.artifact import Guarantee
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.linear import SOLVER_SLACK, Fit
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 
@@ -27,6 +27,7 @@ CONFIDENCE = 0.95
 HELD_OUT_EVERY = 4
 FEWEST_MOTIONS = 8  # below, nothing can be held out and calibrated at once
 FOLDS = 5
+TOUCHING = 1e-3  # of the tube's width: closer than this counts as reaching it, which can only raise the bound
 
 
 def clopper_pearson(violated: int, tried: int, confidence: float = CONFIDENCE) -> float:
@@ -40,18 +41,25 @@ def clopper_pearson(violated: int, tried: int, confidence: float = CONFIDENCE) -
 
 
 def scenario_bound(support: int, scenarios: int, confidence: float = CONFIDENCE) -> float | None:
-    """Violation probability that ``support`` bounds fixed by ``scenarios`` independent motions stay below; None: no bound.
+    """Violation probability of sets that ``support`` of ``scenarios`` independent motions fix alone; None: no bound.
 
-    Source: Campi & Garatti (2008), Theorem 1.
+    The number of motions that fix the sets is seen only afterwards, so the bound for a number known beforehand would be
+    too low: this one holds for every outcome, convex or not.  Source: Campi, Garatti & Ramponi (2018), Theorem 1.
     """
     if scenarios <= support:
         return None
-    left = 1.0 - confidence
+    choices = gammaln(scenarios + 1) - gammaln(support + 1) - gammaln(scenarios - support + 1)
+    return float(-np.expm1((np.log(1.0 - confidence) - np.log(scenarios) - choices) / (scenarios - support)))
 
-    def excess(eps: float) -> float:
-        return float(binom.cdf(support - 1, scenarios, eps)) - left
 
-    return float(brentq(excess, 1e-12, 1.0 - 1e-12))
+def touching(fit: Fit, R: Responses, env: Envelope) -> bool:
+    """Whether an envelope reaches the tube of ``fit``: without those that do not, the program has the same solution."""
+    lo, hi = R.hull(fit.X0.lo, fit.X0.hi, fit.U.lo, fit.U.hi)
+    rows = slice(1, min(env.steps, len(R.E1) - 1) + 1)
+    states = slice(0, 2 * fit.U.dim if fit.conform == "all" else fit.U.dim)
+    lo, hi = (lo + fit.V.lo)[rows, states], (hi + fit.V.hi)[rows, states]
+    near = TOUCHING * (hi - lo) + 10 * SOLVER_SLACK
+    return bool(np.any(env.hi[rows, states] >= hi - near) or np.any(env.lo[rows, states] <= lo + near))
 
 
 def needed_factors(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Array:
@@ -111,18 +119,18 @@ def split(motions: Sequence[int]) -> Split:
     return Split(tuple(m for m in ordered if m not in held), held)
 
 
-def words(g: Guarantee, trials: int, motions: int, margin: float) -> str:
-    """The guarantee in words that are true for two motions and for three hundred."""
-    seen = f"All {trials} recorded trials of {motions} independent motion{'s' if motions != 1 else ''} are enclosed"
+def words(g: Guarantee, trials: int, motions: int, margin: float, scope: str) -> str:
+    """The guarantee in words that are true for two motions and for three hundred; ``scope``: what is predicted from where."""
+    seen = f"All {trials} recorded trials of {motions} independent motion{'s' if motions != 1 else ''} are enclosed {scope}"
     if g.motions == 0:
         return (
-            f"{seen} (margin up to {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none could be "
-            "held out: nothing statistical is promised for other motions; record at least eight."
+            f"{seen} (margin up to {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none "
+            "could be held out: nothing statistical is promised for other motions; record at least eight."
         )
     text = (
         f"{seen} (margin up to {margin:.2f}). Of {g.motions} held-out motions {g.violated} left the calibrated sets: with "
         f"{g.confidence:.0%} confidence a new motion of the same kind leaves them with probability below {g.upper_bound:.1%}"
     )
     if g.scenario_bound is not None:
-        text += f" (scenario bound {g.scenario_bound:.1%})"
+        text += f" (scenario bound {g.scenario_bound:.1%}, the nominal model taken as given)"
     return text + "."

@@ -5,13 +5,18 @@ Without it the noise of every restart would be swallowed by ``U`` and integrated
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.errors import RecordingError
 from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
+Suite = tuple[str, int]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
@@ -40,6 +45,11 @@ def _residual(x: Array) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(x, WINDOW, axis=0) @ _parabola_weights())
 
 
+def _finest(a: Array, b: Array) -> Array:
+    """The smaller of two quanta; 0 says nothing."""
+    return np.where((a > 0) & (b > 0), np.minimum(a, b), np.maximum(a, b))
+
+
 class NoiseEstimate:
     """Running estimate of the noise of (q, dq), fed trial by trial.
 
@@ -48,24 +58,25 @@ class NoiseEstimate:
     """
 
     def __init__(self) -> None:
-        self._spread: list[Array] = []
-        self._quantum: Array | None = None
+        self._spread: dict[Suite, list[Array]] = {}
+        self._quantum: dict[Suite, Array] = {}
 
     def add(self, r: Recording) -> None:
         """Take one trial in."""
         x = np.hstack([r.q, r.dq])
         quantum = resolution(x)
         if len(x) >= WINDOW:
-            self._spread.append(1.4826 * np.median(np.abs(_residual(x)), axis=0))
-            known = quantum > 0
-            if self._quantum is None:
-                self._quantum = quantum
-            else:
-                both = known & (self._quantum > 0)
-                self._quantum = np.where(both, np.minimum(self._quantum, quantum), np.maximum(self._quantum, quantum))
+            self._spread.setdefault(r.motion, []).append(1.4826 * np.median(np.abs(_residual(x)), axis=0))
+            self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
 
-    def box(self) -> Box:
-        """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations)."""
-        if self._quantum is None:
-            raise ValueError("no trial of seven samples was seen")
-        return Box.symmetric(np.maximum(self._quantum / 2.0, COVERAGE * np.median(self._spread, axis=0)))
+    def box(self, without: Collection[Suite] = ()) -> Box:
+        """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations), ``without`` some suites.
+
+        Raises `RecordingError` if no trial is long enough.
+        """
+        suites = [s for s in self._spread if s not in without]
+        if not suites:
+            raise RecordingError(f"no trial has {WINDOW} samples, so the noise is unknown; expected longer trials: record again")
+        quantum = reduce(_finest, (self._quantum[s] for s in suites))
+        spread = np.vstack([x for s in suites for x in self._spread[s]])
+        return Box.symmetric(np.maximum(quantum / 2.0, COVERAGE * np.median(spread, axis=0)))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
+from stopset.errors import NotConformant
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear import Fit, fit_sets
@@ -113,9 +114,12 @@ def conform(
     promise = Guarantee(
         motions=len(division.held), violated=violated, upper_bound=g.clopper_pearson(violated, len(division.held)),
         confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used),
-        scenario_bound=g.scenario_bound(len(fit.active), len(division.used)),
+        scenario_bound=g.scenario_bound(sum(g.touching(fit, R, env) for env in used.values()), len(used)),
     )  # fmt: skip
-    promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max())))
+    what = "in position and velocity" if options.conform == "all" else "in position"
+    where = "every sample" if options.windows == "sliding" else "each trial's start only"
+    scope = f"{what} up to {everything.steps * dt:.2f} s ahead of {where}"
+    promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max()), scope))
 
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(
@@ -138,14 +142,22 @@ def few_motions(used: int) -> bool:
 
 
 def _enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
-    """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding)."""
+    """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding).
+
+    Raises `NotConformant` if growing does not help: nothing may be called enclosed that is not.
+    """
     out = fit
     for _ in range(50):
         left = g.needed_factors(out, R, env, decoupled)
         if np.all(left <= 1.0):
+            return out
+        if not np.all(np.isfinite(left)):
             break
         out = g.inflated(out, np.where(left > 1.0, np.maximum(left, 1.0 + 1e-10), 1.0))
-    return out
+    raise NotConformant(
+        f"no growth of the sets encloses all recordings (a factor of {left.max():.3g} would be needed); expected deviations "
+        "of one order of magnitude: look for a broken trial with `stopset inspect`"
+    )
 
 
 def _margin(
@@ -165,20 +177,19 @@ def _margin(
             unseen = g.union([used[m] for m in fold])
             factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, alone))
         return factors, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
-    if min(len(h.labels) for h in halves) < 2:
-        return np.ones(abstraction.n), ["one trial only: no margin could be calibrated"]
+    if not all(h.labels for h in halves):
+        return np.ones(abstraction.n), ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
     needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], alone) for a in (0, 1)]
     factors = np.maximum(*needed)
-    return factors, [f"too few motions to calibrate across them: margin {_range(factors)} is that between repetitions (even, odd)"]
+    note = f"too few motions to calibrate across them: margin {_range(factors)} is that between repetitions (even, odd)"
+    return factors, [note]
 
 
 def _range(factors: Array) -> str:
     return f"{factors.min():.2f} to {factors.max():.2f} by joint" if np.ptp(factors) > 0.005 else f"{factors.max():.2f}"
 
 
-def _variants(
-    start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, R: Responses
-) -> dict[str, Fit]:
+def _variants(start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, R: Responses) -> dict[str, Fit]:
     """What the paper's own definition gives on the same data: from the trial's start, with and without the noise set."""
     none = Box.symmetric(np.zeros_like(noise.hi))
     return {
