@@ -1,0 +1,219 @@
+"""``stopset demo``: the whole story on a simulated arm, with the commands a user would type."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import io
+import json
+import shlex
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stopset.cli.common import say
+
+HELP = "the whole story on a simulated arm: no file, no hardware, no network; under three minutes"
+
+HIDDEN = "spring:arm_4_joint"  # a dress pack that nobody told the model about
+ARM = "demo/cell/arm"
+SPEED = 4.0  # of the replay, times real time
+TRIALS = 6  # replayed
+SCALED, FACTOR = 2, 1.5  # joint (from 0) whose torque is scaled in the altered replay, and by how much
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--out", type=Path, default=Path("stopset-demo"), help="where pages and files go (default stopset-demo)")
+
+
+class Story:
+    """Runs commands as a user would, telling which and how long each took."""
+
+    def __init__(self, out: Path) -> None:
+        self.out, self.start, self.step = out, time.monotonic(), 0
+
+    def chapter(self, text: str) -> None:
+        self.step += 1
+        say(f"\n[{time.monotonic() - self.start:5.1f} s] {self.step}. {text}")
+
+    def do(self, *words: str, keep: Callable[[str], bool] = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
+        """Run one command in this process, its chatter hidden except the lines that ``keep`` wants."""
+        from stopset.cli.main import main
+        from stopset.errors import StopsetError
+
+        say("    $ stopset " + shlex.join(words))
+        printed, told = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(told):
+            code = main(list(words))
+        if code not in good:
+            raise StopsetError(f"`stopset {words[0]}` ended with {code}: {told.getvalue().strip().splitlines()[-1:]}")
+        for line in printed.getvalue().splitlines():
+            if keep(line):
+                say("      " + line)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Tell the story; every file stays in ``--out``."""
+    from stopset.errors import OutputError
+
+    out: Path = args.out
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"--out {out} is a file; expected a directory: choose another name")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise OutputError(f"--out {out} cannot be created ({e.strerror}); choose another place") from e
+    story = Story(out)
+    robot, data, first, second = (str(out / name) for name in ("robot.urdf", "recording.parquet", "first.model.json", "second.model.json"))
+
+    story.chapter("A Schunk LWA-4P in a simulated cell is measured. Something pulls at one of its joints; the model is not told.")
+    story.do("simulate", "--robot", "lwa4p", "--hide", HIDDEN, "--out", str(out), "--seed", "3", keep=lambda x: "recordings" in x)
+    story.chapter("A reachset-conformant model is identified from the recordings.")
+    story.do("identify", "--robot", robot, "--data", data, "--out", first, keep=lambda x: x.startswith(("sum of U", "All ")))
+    story.chapter("Model and measurements are compared: where does it fail?")
+    story.do(
+        "compare", first, "--data", data, "--report", str(out / "compare-first.html"), good=(0, 1),
+        keep=lambda x: "recordings leave" in x,
+    )  # fmt: skip
+    story.chapter("Which physical effect is missing?")
+    answer = out / "diagnosis.json"
+    story.do("diagnose", first, "--data", data, "--json", str(answer), "--report", str(out / "diagnosis.html"), good=(0, 1))
+    found = json.loads(answer.read_text())
+    for e in found["ranked_effects"][:3]:
+        say(f"      {e['effect']} at {e['joint']}: {e['says']}")
+    story.chapter("It is added, and the errors fall.")
+    best = found["ranked_effects"][0]
+    where = ("--joint", best["joint"]) if best["joint"] else ()
+    story.do("add", first, best["effect"], *where, "--data", data, "--out", second, keep=lambda x: "%" in x or "revision" in x)
+    story.do("compare", second, "--data", data, "--report", str(out / "compare-second.html"), good=(0, 1), keep=lambda x: "recordings leave" in x)
+    story.do("history", second, "--report", str(out / "history.html"))
+    story.chapter("How far does it go when it is stopped? Tables as ISO 10218-1 asks.")
+    story.do("stops", second, "--report", str(out / "stops.html"), "--json", str(out / "stops.json"))
+    _monitored(story, out, second)
+    story.chapter("The model leaves the house as an FMU.")
+    story.do("export-fmu", second, "--out", str(out / "arm.fmu"))
+    _closing(out, time.monotonic() - story.start)
+    return 0
+
+
+def _monitored(story: Story, out: Path, model: str) -> None:
+    """Replay onto CAN, monitor, and watch from a third process, once as recorded and once altered."""
+    from stopset.recording import read_meta, read_recordings, write_recordings
+
+    whole = read_recordings(out / "recording.parquet").phase("open_loop")
+    trials = whole.trials[:TRIALS]
+    meta = read_meta(out / "recording.parquet")
+    scaled = np.ones(len(meta.joints))
+    scaled[SCALED] = FACTOR
+    write_recordings(out / "healthy.parquet", meta, trials)
+    write_recordings(out / "altered.parquet", meta, (dataclasses.replace(r, tau=r.tau * scaled) for r in trials))
+    for name, says in (("healthy", "as recorded"), ("altered", f"with the torque of {meta.joints[SCALED]} scaled by {FACTOR}")):
+        story.chapter(f"The monitor listens on CAN and publishes on zenoh; the arm moves {says}.")
+        last = _session(out, name, model)
+        say(f"      {last['word']}: {last['text']}")
+
+
+def _session(out: Path, name: str, model: str) -> dict[str, Any]:
+    """Three processes on loopback; returns the last state another process saw on zenoh."""
+    from stopset.errors import BusError
+    from stopset.monitor.links.zenoh_link import ZenohLink
+
+    hub, port = _free_port(), _free_port()
+    config = out / f"{name}.toml"
+    site, cell, arm = ARM.split("/")
+    config.write_text(
+        f'model = "{Path(model).name}"\nsite = "{site}"\ncell = "{cell}"\narm = "{arm}"\n\n'
+        f'[bus]\nlink = "hub:{hub}"\ntime_scale = {SPEED}\n\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n'
+    )
+    seconds = 60
+    with _process("replay", str(out / f"{name}.parquet"), "--to", f"hub:{hub}", "--speed", str(SPEED), "--wait", "1") as replay:
+        with _process("monitor", "--config", str(config), "--seconds", str(seconds)) as monitor:
+            link = None
+            deadline = time.monotonic() + seconds
+            while link is None and time.monotonic() < deadline and monitor.poll() is None:
+                try:
+                    link = ZenohLink(f"{ARM}/stopset", mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+                except BusError:
+                    time.sleep(0.1)
+            if link is None:
+                raise BusError(f"the monitor did not start: {_said(monitor)}")
+            twin: dict[str, Any] = {}
+
+            def take(_key: str, data: bytes) -> None:
+                new = json.loads(data)
+                # once the replay ends the bus falls silent and the state is FAULT, as it must be; what held before is told
+                word = new["state"] if new["state"] != "FAULT" else twin.get("state", "FAULT")
+                twin.update(new | {"state": word})
+
+            link.subscribe("state/json", take)
+            while time.monotonic() < deadline and replay.poll() is None and monitor.poll() is None:
+                time.sleep(0.05)
+            time.sleep(1.0)  # for the last state to arrive
+            link.close()
+    return _told(twin)
+
+
+def _told(twin: dict[str, Any]) -> dict[str, Any]:
+    """What the other process saw, in words."""
+    if twin.get("violation_latched"):
+        text = f"a zenoh subscriber sees the violation, at {', '.join(twin['violating_joints'])}; stop numbers are withdrawn"
+    else:
+        text = f"a zenoh subscriber sees {twin.get('verdicts', {}).get('CONFORMANT', 0)} conformant samples and no violation"
+    return {"word": twin.get("state", "no state"), "text": text}
+
+
+@contextlib.contextmanager
+def _process(*words: str) -> Iterator[subprocess.Popen[str]]:
+    say("    $ stopset " + shlex.join(words))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "stopset.cli.main", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _said(process: subprocess.Popen[str]) -> str:
+    return process.stdout.read().strip()[-300:] if process.stdout is not None else ""
+
+
+def _free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+PAGES = {
+    "compare-first.html": "the first model against the measurements: where it fails",
+    "diagnosis.html": "which effect is missing, and why",
+    "compare-second.html": "the model with the effect added",
+    "history.html": "how each revision lowered the errors",
+    "stops.html": "stop distances and times, speed x payload x extension",
+    "second.model.json": "the model file that monitor and FMU know the arm from",
+    "healthy.toml": "a monitor's configuration",
+    "arm.fmu": "the FMU; simulate it with any FMI 3 tool",
+    "truth.json": "what was hidden",
+}
+
+
+def _closing(out: Path, seconds: float) -> None:
+    say(f"\nDone in {seconds:.0f} s. Open:")
+    for name, what in PAGES.items():
+        if (out / name).exists():
+            say(f"  {out / name!s:<38} {what}")
+    say("Monitoring aid, not a certified safety function: see the README before you rely on a number.")
