@@ -161,6 +161,13 @@ def _check_shapes(m: Model, path: Path) -> None:
         for name, ok in (
             ("rotor", m.rotor.shape == (n,)),
             ("abstraction.Minv", m.abstraction.Minv.shape == (n, n)),
+            ("abstraction.viscous", m.abstraction.viscous.ndim == 2 and m.abstraction.viscous.shape[0] == n),
+            ("abstraction.coriolis", len(m.abstraction.coriolis) in (0, n)),
+            ("abstraction.acceleration", len(m.abstraction.acceleration) == (n if m.abstraction.kind == 3 else 0)),
+            ("abstraction.offset", m.abstraction.offset.size in (0, n)),
+            ("abstraction.standstill", m.abstraction.standstill.size in (0, n)),
+            ("brakes", m.brakes is None or {m.brakes.torque.dim, m.brakes.delay.dim, m.brakes.rise.dim} == {n}),
+            ("effects", all(f.joint is None or set(f.joint.split("+")) <= set(m.joints) for f in m.effects)),
             ("domain", m.domain.q.dim == n and m.domain.dq.dim == n and m.domain.u.dim == n),
             *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),
             ("sets.powered", "powered" in m.sets),

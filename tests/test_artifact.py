@@ -1,0 +1,124 @@
+"""The model file: what is saved is loaded, and whatever is not a sound model file is refused with its reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.artifact import Abstraction, Domain, Model, load_model, model_text, save_model
+from stopset.artifact.polynomial import Polynomial
+from stopset.effects.base import Fitted
+from stopset.errors import ModelFileError
+from stopset.sets import Box
+
+
+def alike(a: object, b: object, where: str = "model") -> None:
+    """Equal to the last bit, through dataclasses, arrays and containers."""
+    if isinstance(a, Box):
+        alike(a.lo, b.lo, where)  # type: ignore[attr-defined]
+        alike(a.hi, b.hi, where)  # type: ignore[attr-defined]
+    elif dataclasses.is_dataclass(a):
+        for f in dataclasses.fields(a):
+            alike(getattr(a, f.name), getattr(b, f.name), f"{where}.{f.name}")
+    elif isinstance(a, np.ndarray):
+        np.testing.assert_array_equal(a, b, err_msg=where)
+    elif isinstance(a, dict):
+        assert set(a) == set(b), where  # type: ignore[call-overload]
+        for k in a:
+            alike(a[k], b[k], f"{where}.{k}")  # type: ignore[index]
+    elif isinstance(a, (tuple, list)):
+        assert len(a) == len(b), where  # type: ignore[arg-type]
+        for k, (x, y) in enumerate(zip(a, b, strict=True)):  # type: ignore[call-overload]
+            alike(x, y, f"{where}[{k}]")
+    elif isinstance(a, float) and np.isnan(a):
+        assert np.isnan(b), where  # type: ignore[call-overload]
+    else:
+        assert a == b, where
+
+
+def test_saved_and_loaded_to_the_last_bit(planar, tmp_path: Path) -> None:
+    model: Model = planar[2].model
+    saved = save_model(model, tmp_path / "m.json")
+    loaded = load_model(tmp_path / "m.json")
+    assert saved.sha256 == loaded.sha256 != ""
+    for f in dataclasses.fields(Model):
+        if f.name != "robot":
+            a, b = getattr(saved, f.name), getattr(loaded, f.name)
+            alike(json.loads(json.dumps(a)) if f.name in ("errors", "provenance") else a, b, f.name)
+    np.testing.assert_array_equal(saved.robot.pi, loaded.robot.pi)
+    np.testing.assert_array_equal(saved.robot.chain.R, loaded.robot.chain.R)
+    assert saved.robot.joints == loaded.robot.joints
+    assert model_text(loaded) == (tmp_path / "m.json").read_text()  # and once more the same file
+
+
+def test_everything_optional_survives(planar, tmp_path: Path) -> None:
+    model: Model = planar[2].model
+    cubic = Polynomial(np.array([[1, 0, 0, 0, 0, 0], [0, 2, 0, 0, 1, 0]]), np.array([1.5, -2.25e-7]))
+    rich = dataclasses.replace(
+        model,
+        abstraction=Abstraction(2, 3, model.abstraction.Minv, np.hstack([model.abstraction.viscous] * 3), (cubic, cubic)),
+        domain=Domain(model.domain.q, model.domain.dq, Box.of([-np.inf] * 2, [np.inf] * 2), Box.of([20.0] * 2, [40.0] * 2), (0.0, 3.0)),
+        effects=(Fitted("coulomb", "axis_1", {"F_c": 1.0}, {"F_c": 0.1}), Fitted("base_tilt", None, {"a": 0.1}, {})),
+    )  # fmt: skip
+    save_model(rich, tmp_path / "m.json")
+    loaded = load_model(tmp_path / "m.json")
+    alike(loaded.abstraction.coriolis, rich.abstraction.coriolis)
+    alike(loaded.domain, rich.domain)
+    alike(loaded.effects, rich.effects)
+
+
+def test_it_is_plain_json_with_version_units_and_hash(planar, tmp_path: Path) -> None:
+    save_model(planar[2].model, tmp_path / "m.json")
+    body = json.loads((tmp_path / "m.json").read_text(), parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
+    assert body["format"] == "stopset model"
+    assert body["schema"] >= 1
+    assert "rad" in body["units"]
+    assert len(body["sha256"]) == 64
+    assert body["provenance"]["data"]
+    assert body["revisions"][0]["number"] == 0
+    assert body["guarantee"]["text"]
+
+
+def rewritten(path: Path, change: dict[str, object]) -> None:
+    """Another body with a valid hash: what another version, not a disk, would make of it."""
+    from stopset.artifact.store import _digest, _text
+
+    body = json.loads(path.read_text()) | change
+    body["sha256"] = _digest(body)
+    path.write_text(_text(body))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rotor": [1.0]},
+        {"sets": {}},
+        {"sets": []},
+        {"abstraction": 7},
+        {"surprise": 1},
+        {"domain": {"q": [[1.0, 0.0]], "dq": [], "u": []}},
+        {"robot": {"urdf": "<robot/>", "datasheet": {}, "pi": [], "gravity": [0, 0, 0]}},
+        {"effects": [{"effect": "viscous"}]},
+        {"brakes": {"torque": [[1.0, 2.0]], "delay": [[0.0, 1.0]], "rise": [[0.0, 1.0]]}},
+        {"effects": [{"effect": "viscous", "joint": "elbow", "values": {}, "std": {}}]},
+    ],
+)
+def test_contents_that_do_not_fit_are_refused(planar, tmp_path: Path, change: dict[str, object]) -> None:
+    path = tmp_path / "m.json"
+    save_model(planar[2].model, path)
+    rewritten(path, change)
+    with pytest.raises(ModelFileError, match=r"m\.json"):
+        load_model(path)
+
+
+def test_nothing_in_it_is_executed(planar, tmp_path: Path) -> None:
+    """Effects are looked up by name in a table; a name that looks like code stays a name."""
+    path = tmp_path / "m.json"
+    save_model(planar[2].model, path)
+    rewritten(path, {"notes": ["__import__('os').remove('m.json')", "{0.__class__}"]})
+    assert load_model(path).notes[0].startswith("__import__")
+    assert path.exists()
