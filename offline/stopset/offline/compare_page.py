@@ -13,7 +13,8 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare import Comparison, inputs
-from stopset.offline.report import Page
+from stopset.offline.explained import explained
+from stopset.offline.report import COLOURS, Page
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Recording
 
@@ -37,6 +38,7 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Page:
     out.text(model.guarantee.text)
     _errors(out, found)
     _tubes(out, model, found, paths)
+    _heat_map(out, model, found, paths)
     _table2(out, model)
     _violations(out, found)
     _ranking(out, model, found)
@@ -157,6 +159,37 @@ def _shades(trials: list[Recording]) -> list[str]:
     value = np.array([float(r.temp.mean()) if r.temp is not None else float(r.place) for r in trials])
     span = max(float(np.ptp(value)), 1e-12)
     return [str(c) for c in sample_colorscale(SCALE, ((value - value.min()) / span).tolist())]
+
+
+def _heat_map(out: Page, model: Model, found: Comparison, paths: Sequence[str | Path]) -> None:
+    out.heading("What the torque error depends on")
+    shares = explained(model, inputs(model, paths, found.survey, model.powered.dt), found.survey)
+    order = np.argsort(-shares.share.max(axis=0))[:16]
+    names = [shares.variables[k] for k in order]
+    figure = go.Figure(
+        go.Heatmap(
+            z=100 * shares.share[:, order], x=names, y=model.joints, colorscale="Blues", zmin=0, zmax=100,
+            text=np.round(100 * shares.share[:, order]).astype(int), texttemplate="%{text}", colorbar={"title": "%"},
+        )
+    )  # fmt: skip
+    figure.update_layout(height=120 + 34 * model.n)
+    figure.update_yaxes(autorange="reversed")
+    caption = "Percent of each joint's squared torque error that each variable alone explains on stretches it was not fitted to."
+    out.figure(figure, caption)
+    worst = np.argsort(-shares.share.max(axis=1))[:3]
+    panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
+    for column, j in enumerate(worst, start=1):
+        k = shares.telling(int(j))
+        keep = np.unique(np.linspace(0, len(shares.error) - 1, 3000).astype(int))
+        dots = go.Scattergl(
+            x=shares.values[k][keep, j].round(4), y=shares.error[keep, j].round(4), mode="markers",
+            marker={"size": 3, "opacity": 0.4, "color": COLOURS[0]}, showlegend=False,
+        )  # fmt: skip
+        panels.add_trace(dots, row=1, col=column)
+        panels.update_xaxes(title_text=shares.variables[k], row=1, col=column)
+    panels.update_yaxes(title_text="torque error [N m]", row=1, col=1)
+    panels.update_layout(height=340)
+    out.figure(panels, "Torque error over the variable that explains most of it, for the three joints where one explains most.")
 
 
 def _table2(out: Page, model: Model) -> None:

@@ -72,7 +72,7 @@ class Page:
         )
         self._parts.append(
             figure.to_html(
-                full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}", config={"displaylogo": False}
+                full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}", config={"displayModeBar": False}
             )
         )
         if caption:
