@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
@@ -20,7 +21,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
 
 Array = NDArray[np.float64]
-MAX_PREDICTIONS = 1500  # rows of the comparison: 0.3 ms; longer horizons start fewer predictions
+MAX_PREDICTIONS = 1500  # rows of the comparison; longer horizons start fewer predictions
 
 
 class Conformance(StrEnum):
@@ -94,6 +95,56 @@ class Verdict:
     room: Array | None = None
 
 
+@njit(cache=True)
+def _advance(
+    e: Array, w: Array, age: NDArray[np.int64], foreign: NDArray[np.bool_], Ad: Array, used: NDArray[np.int64],
+    residual: Array, dw: Array,
+    lo: Array, hi: Array, outside: bool, widen: bool, room: Array, row: NDArray[np.int64],
+) -> tuple[int, int]:  # fmt: skip
+    """One step of every prediction, and the measurement against its tube at its age; returns predictions alive, oldest age.
+
+    ``used`` (2n, k): columns of ``Ad`` that hold numbers, row by row (the rest of a row repeats columns of zeros); ``room`` (2n,): least distance to a bound over the half width; ``row`` (2, 2n): the prediction contradicted worst, above
+    and below, -1 if none.
+    """
+    m, n2 = e.shape
+    live, oldest = 0, 0
+    new, worst = np.empty(n2), np.zeros((2, n2))
+    for p in range(m):
+        if age[p] < 0:
+            continue
+        age[p] += 1
+        if age[p] >= lo.shape[0]:
+            age[p] = -1
+            continue
+        live += 1
+        oldest = max(oldest, age[p])
+        foreign[p] |= outside
+        for i in range(n2):
+            new[i] = residual[i]
+            for k in range(used.shape[1]):
+                j = used[i, k]
+                new[i] += Ad[i, j] * e[p, j]
+        e[p] = new
+        if widen:
+            for i in range(n2):
+                new[i] = dw[i]
+                for k in range(used.shape[1]):
+                    j = used[i, k]
+                    new[i] += abs(Ad[i, j]) * w[p, j]
+            w[p] = new
+        for i in range(n2):
+            low, high = lo[age[p], i] - w[p, i], hi[age[p], i] + w[p, i]
+            width = high - low
+            over, under = e[p, i] - high, low - e[p, i]
+            if not (over <= 0.0 or np.isinf(high)) and not over / width <= worst[0, i]:
+                worst[0, i], row[0, i] = over / width, p
+            if not (under <= 0.0 or np.isinf(low)) and not under / width <= worst[1, i]:
+                worst[1, i], row[1, i] = under / width, p
+            if width > 0.0 and not np.isinf(width):
+                room[i] = min(room[i], -2.0 * max(over, under) / width)
+    return live, oldest
+
+
 @dataclass(slots=True)
 class Watch:
     """Holds an arm's samples against its model; give them one by one to `step`.
@@ -117,6 +168,9 @@ class Watch:
     _w: Array = field(init=False)  # (m, 2n) what bus rounding can have added to that along the way
     _age: NDArray[np.int64] = field(init=False)  # (m,) in steps, -1 where no prediction is
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
+    _used: NDArray[np.int64] = field(init=False)
+    _room: Array = field(init=False)
+    _row: NDArray[np.int64] = field(init=False)
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
@@ -133,13 +187,26 @@ class Watch:
         self.ages = tube.ages
         # H products of 2n + n terms each round by 2^-53 relative to states within a few turns
         rounding = len(tube.ages) * 3 * n * 2.0**-53 * 32.0
-        here = np.concatenate([self.quantum.q, self.quantum.dq]) + rounding
-        self._lo, self._hi = tube.lo - here, tube.hi + here
+        here = np.concatenate([self.quantum.q, self.quantum.dq])
+        self._lo, self._hi = tube.lo - here - rounding, tube.hi + here + rounding
         steps = len(tube.ages) - 1
+        if self._inputs.plain:  # what rounding adds along the way then depends on the age alone
+            added = here
+            for k in range(steps + 1):
+                self._lo[k] -= added
+                self._hi[k] += added
+                added = np.abs(self._Ad) @ added + np.abs(self._Bd) @ self.quantum.tau
         self.stride = max(1, -(-steps // MAX_PREDICTIONS))
         rows = steps // self.stride + 1
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
+        filled = np.argsort(self._Ad == 0.0, axis=1, kind="stable")
+        self._used = np.ascontiguousarray(filled[:, : int((self._Ad != 0.0).sum(axis=1).max())])
+        self._room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
+        # load the compiled code before the first cycle needs it
+        self._u, self._age[0] = (np.zeros(n), np.zeros(n)), 0
+        self._compare(np.zeros(2 * n), Sample(0, 0.0, np.zeros(n), np.zeros(n)), ())
+        self._forget()
 
     @property
     def horizon(self) -> float:
@@ -210,21 +277,18 @@ class Watch:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
         residual = x - np.concatenate([before.q, before.dq]) @ self._Ad.T - self._Bd @ u
-        self._age[self._age >= 0] += 1
-        self._age[self._age >= len(self.ages)] = -1
-        live = np.flatnonzero(self._age >= 0)
-        if not len(live):
+        n2 = len(x)
+        self._room[:] = np.inf
+        self._row[:] = -1
+        live, oldest = _advance(
+            self._e, self._w, self._age, self._foreign, self._Ad, self._used, residual, np.abs(self._Bd) @ du,
+            self._lo, self._hi, bool(outside), not self._inputs.plain, self._room, self._row,
+        )  # fmt: skip
+        if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
-        age = self._age[live]
-        e = self._e[live] = self._e[live] @ self._Ad.T + residual
-        w = self._w[live] = self._w[live] @ np.abs(self._Ad).T + np.abs(self._Bd) @ du
-        self._foreign[live] |= bool(outside)
-        lo, hi = self._lo[age] - w, self._hi[age] + w
-        over, under = e - hi, lo - e
-        deviations = self._deviations(x, over, "above", live) + self._deviations(x, under, "below", live)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            room = (-np.maximum(over, under) / (0.5 * (hi - lo))).min(axis=0)
-        room[~np.isfinite(room)] = 1.0
+        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0]
+        deviations = tuple(self._deviation(x, i, side) for side, i in found)
+        room = np.where(np.isfinite(self._room), self._room, 1.0)
         result, why = Conformance.CONFORMANT, "inside every prediction"
         if deviations:
             worst = max(deviations, key=lambda d: d.fraction)
@@ -232,31 +296,25 @@ class Watch:
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
         elif outside:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
-        return Verdict(result, why, len(live), float(self.ages[age.max()]), deviations, outside, room)
+        return Verdict(result, why, live, float(self.ages[oldest]), deviations, outside, room)
 
-    def _deviations(self, x: Array, beyond: Array, side: str, live: NDArray[np.int64]) -> tuple[Deviation, ...]:
-        """The worst contradicted prediction of each state on one side; ``beyond``: (m, 2n), positive outside."""
-        out = []
-        n = self.model.n
-        age = self._age[live]
-        for i in np.flatnonzero((beyond > 0).any(axis=0)):
-            width = self._hi[age, i] - self._lo[age, i]
-            row = int(np.argmax(beyond[:, i] / np.maximum(width, 1e-300)))
-            excess = float(beyond[row, i])
-            out.append(
-                Deviation(
-                    joint=self.model.joints[i % n],
-                    state="q" if i < n else "dq",
-                    side=side,
-                    age=float(self.ages[age[row]]),
-                    excess=excess,
-                    fraction=excess / max(float(width[row]), 1e-300),
-                    measured=float(x[i]),
-                    bound=float(x[i]) - excess if side == "above" else float(x[i]) + excess,
-                    in_domain=not bool(self._foreign[live[row]]),
-                )
-            )
-        return tuple(out)
+    def _deviation(self, x: Array, i: int, side: int) -> Deviation:
+        """State ``i`` against the prediction that it contradicts worst, above (0) or below (1)."""
+        n, row = self.model.n, int(self._row[side, i])
+        age = int(self._age[row])
+        lo, hi = self._lo[age, i] - self._w[row, i], self._hi[age, i] + self._w[row, i]
+        excess = float(self._e[row, i] - hi if side == 0 else lo - self._e[row, i])
+        return Deviation(
+            joint=self.model.joints[i % n],
+            state="q" if i < n else "dq",
+            side="above" if side == 0 else "below",
+            age=float(self.ages[age]),
+            excess=excess,
+            fraction=excess / max(float(hi - lo), 1e-300),
+            measured=float(x[i]),
+            bound=float(x[i]) - excess if side == 0 else float(x[i]) + excess,
+            in_domain=not bool(self._foreign[row]),
+        )
 
     def _launch(self, foreign: bool) -> None:
         """Start a prediction at this sample: every ``stride`` samples, or (sets conform from the start only) after a gap."""
@@ -269,7 +327,7 @@ class Watch:
         assert q is not None
         row, self._next = self._next, (self._next + 1) % len(self._age)
         self._e[row] = 0.0
-        self._w[row] = np.concatenate([q.q, q.dq])
+        self._w[row] = 0.0 if self._inputs.plain else np.concatenate([q.q, q.dq])
         self._age[row] = 0
         self._foreign[row] = foreign
 

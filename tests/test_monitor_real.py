@@ -1,0 +1,88 @@
+"""The real arm's recording through the bus: conformant as it is, refuted and named where one joint's torque is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor_process import Ear, free_port, running, stopset, write_config
+from stopset.artifact import Model, load_model
+from stopset.cli.main import main
+from stopset.monitor.latch import Latch
+from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.monitor.profile import load_profile
+from stopset.monitor.replay import PAUSE_CYCLES, signal_rows
+from stopset.monitor.source import CycleCount, sample_of
+from stopset.monitor.watch import Conformance, Quantum, Verdict, Watch
+from stopset.recording import Recording, read_recordings, write_recordings
+
+REAL = Path(__file__).resolve().parents[2] / "shared/data/schunk_lwa4p/open_loop.parquet"
+pytestmark = [pytest.mark.shared, pytest.mark.skipif(not REAL.exists(), reason="../shared/data is not here")]
+PROFILE = load_profile("lwa4p/monitor")
+
+
+@pytest.fixture(scope="module")
+def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("real") / "lwa4p.model.json"
+    assert main(["identify", "--robot", "lwa4p", "--data", str(REAL), "--out", str(path)]) == 0
+    return path
+
+
+def through_the_bus(model: Model, trials: Iterable[Recording]) -> tuple[list[Verdict], Latch]:
+    """What the monitor would say if these trials came over CAN, frame by frame, rounding included."""
+    p = PROFILE
+    watch = Watch(model, Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau")))
+    encoder, decoder, count, latch = Encoder(p), Decoder(p), CycleCount(p.cycle_s, p.sync_overflow), Latch()
+    out, t = [], 0.0
+    for r in trials:
+        for values in signal_rows(r):
+            for cob_id, data in encoder.frames(values):
+                cycle = decoder.frame(cob_id, data, t)
+                if cycle is not None:
+                    sample = sample_of(cycle, count(cycle))
+                    out.append(watch.step(sample))
+                    latch.take(sample, out[-1])
+            t += p.cycle_s
+        encoder.skip(PAUSE_CYCLES)
+        t += PAUSE_CYCLES * p.cycle_s
+    return out, latch
+
+
+def test_the_real_recording_conforms_over_can(model_path: Path) -> None:
+    model = load_model(model_path)
+    trials = list(read_recordings(REAL, model.robot))
+    out, latch = through_the_bus(model, trials)
+    assert len(out) == sum(len(r.t) for r in trials) == 67550
+    assert not latch.latched and sum(v.conformance is Conformance.CONFORMANT for v in out) == 67550 - 100
+    assert max(v.oldest for v in out) == pytest.approx(model.powered.horizon - model.powered.dt, abs=1.1 * model.powered.dt)
+
+
+# joint 2's interval U is wider than half its torque in these motions: that error is within what the model allows
+@pytest.mark.parametrize("joint", [0, 2, 3, 4, 5])
+def test_one_and_a_half_times_the_torque_names_the_joint(model_path: Path, joint: int) -> None:
+    model = load_model(model_path)
+    trials = list(read_recordings(REAL, model.robot))[::5]
+    scaled = [replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in trials]
+    _, latch = through_the_bus(model, scaled)
+    assert latch.joints == (model.joints[joint],)
+
+
+def test_replay_to_monitor_with_stop_bounds(model_path: Path, tmp_path: Path) -> None:
+    """Three processes, real time: conformant, and STOP 0 is bounded for the moving arm."""
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
+    trials = list(read_recordings(REAL))
+    write_recordings(tmp_path / "two.parquet", replace(read_recordings(REAL).meta, warnings=()), trials[:2])
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        replay = stopset("replay", str(tmp_path / "two.parquet"), "--to", f"hub:{bus}", "--wait", "1")
+        _, err = replay.communicate(timeout=60)
+        assert replay.returncode == 0, err
+        assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] == sum(len(r.t) for r in trials[:2]))
+        moving = [t for t in ear.twins if t["samples"] and t["stops"].get("0", {}).get("certified")]
+    assert ear.twins[-1]["violation_count"] == 0
+    assert moving, "STOP 0 was certified at least once"
+    assert all(0.0 < t["stops"]["0"]["time_s"] < 1.0 and 0.0 < t["stops"]["0"]["tcp_m"] < 1.0 for t in moving)
