@@ -32,3 +32,23 @@ int snprintf(char *out, size_t size, const char *format, ...) {
     if (size) out[size - 1] = 0; /* _vsnprintf leaves a full buffer without an end */
     return length;
 }
+
+/* Called before a stack frame of more than a page (rax bytes): touches it page by page, because Windows lets the stack grow
+ * by one guard page at a time. Keeps all registers. */
+void ___chkstk_ms(void);
+__attribute__((naked)) void ___chkstk_ms(void) {
+    __asm__("pushq %rax\n"
+            "pushq %rcx\n"
+            "leaq 24(%rsp), %rcx\n" /* the caller's stack pointer */
+            "0: cmpq $4096, %rax\n"
+            "jb 1f\n"
+            "subq $4096, %rcx\n"
+            "subq $4096, %rax\n"
+            "orb $0, (%rcx)\n"
+            "jmp 0b\n"
+            "1: subq %rax, %rcx\n"
+            "orb $0, (%rcx)\n"
+            "popq %rcx\n"
+            "popq %rax\n"
+            "ret\n");
+}

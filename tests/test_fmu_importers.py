@@ -1,0 +1,214 @@
+"""Other people's importers, other processors, other systems; and what the command refuses."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmu_models import arm_model
+from stopset.artifact import save_model
+from stopset.cli.main import main
+from stopset.errors import EffectError, NotCovered, OutputError
+from stopset.fmu import PLATFORMS, archive, build, export
+from stopset.fmu.description import base_unit
+from stopset.fmu.variables import variables
+from stopset.reach.flowpipe import predict
+from test_fmu import AGREE, DT, HERE, friction
+
+pytest.importorskip("fmpy")
+pytest.importorskip("ziglang")
+pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
+INCLUDE = Path(build.__file__).parent / "core" / "include"
+STEPS = 1000
+
+
+@pytest.fixture(scope="module")
+def everywhere(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """One model for all platforms, FMI 2 and 3 (the libraries are the same and compiled once)."""
+    folder = tmp_path_factory.mktemp("all")
+    return {fmi: export(arm_model(), folder / f"F{fmi}.fmu", fmi) for fmi in (3, 2)}
+
+
+def torque(k: int, n: int) -> NDArray[np.float64]:
+    """The torque of step ``k`` in tests/fmu_importer.c."""
+    return 0.1 * (np.arange(n) + 1) * ((k // 10) % 7 - 3)
+
+
+def final_positions() -> NDArray[np.float64]:
+    model = arm_model()
+    u = np.array([torque(k, model.n) for k in range(STEPS + 1)])
+    return predict(model.abstraction, DT, np.zeros(2 * model.n), u)[-1, : model.n]
+
+
+RUNNERS = {
+    "x86_64-linux": [],
+    "aarch64-linux": ["qemu-aarch64-static", "-L", "/usr/aarch64-linux-gnu"],
+    "x86_64-windows": ["/usr/lib/wine/wine64"],
+}
+
+
+@pytest.mark.parametrize("platform", [HERE, "valgrind", *(p for p in RUNNERS if p != HERE)])
+def test_a_c_program_uses_the_library(everywhere: dict[int, Path], tmp_path: Path, platform: str) -> None:
+    """Instances, states, reset, serialisation, sentences, and the same end as in Python, without Python in the process."""
+    memory = platform == "valgrind"
+    name = str(HERE) if memory else platform
+    runner = ["valgrind", "-q", "--leak-check=full", "--error-exitcode=9"] if memory else [] if name == HERE else RUNNERS[name]
+    if runner and not shutil.which(runner[0]):
+        pytest.skip(f"{runner[0]} is not installed")
+    if "windows" in name and not os.environ.get("STOPSET_TEST_WINDOWS"):
+        pytest.skip("building a Windows program takes minutes the first time; set STOPSET_TEST_WINDOWS=1")
+    target = PLATFORMS[name]
+    program = tmp_path / "importer"
+    libraries = [] if "windows" in name else ["-lm", "-ldl"]
+    source = str(Path(__file__).with_name("fmu_importer.c"))
+    flags = ["-target", target.target, "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-I", str(INCLUDE)]
+    subprocess.run([*build.compiler(), "cc", *flags, source, *libraries, "-o", str(program)], check=True)
+    with zipfile.ZipFile(everywhere[3]) as z:
+        library = z.extract(f"binaries/{name}/stopset_test_arm{target.suffix}", tmp_path)
+        xml = z.read("modelDescription.xml").decode()
+    token = xml.split('instantiationToken="')[1].split('"')[0]
+    v = variables(arm_model())
+    arguments = [token, str(STEPS), str(DT), "6", str(v.reference("tau_axis_1")), str(v.reference("q_axis_1"))]
+    environment = {**os.environ, "WINEDEBUG": "-all"}
+    done = subprocess.run(
+        [*runner, str(program), library, *arguments], capture_output=True, text=True, env=environment, timeout=120, check=False
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    *numbers, ok = done.stdout.split()
+    assert ok == "ok"
+    assert np.abs(np.array(numbers, float) - final_positions()).max() < AGREE
+
+
+def test_every_platform_gets_its_kind_of_binary(everywhere: dict[int, Path]) -> None:
+    elf, pe, macho, fat = b"\x7fELF", b"MZ", struct.pack("<I", 0xFEEDFACF), struct.pack(">I", 0xCAFEBABE)
+    machine = {"x86_64-linux": 62, "aarch64-linux": 183}
+    kinds = {"x86_64-linux": elf, "aarch64-linux": elf, "x86_64-windows": pe, "x86_64-darwin": macho, "aarch64-darwin": macho}
+    with zipfile.ZipFile(everywhere[3]) as z:
+        for name, kind in kinds.items():
+            code = z.read(f"binaries/{name}/stopset_test_arm{PLATFORMS[name].suffix}")
+            assert code.startswith(kind)
+            assert b"fmi3DoStep" in code
+            assert b"fmi2DoStep" in code
+            assert str(Path.home()).encode() not in code
+            if name in machine:
+                assert int.from_bytes(code[18:20], "little") == machine[name]
+    with zipfile.ZipFile(everywhere[2]) as z:
+        folders = {p.split("/")[1] for p in z.namelist() if p.startswith("binaries/")}
+        assert folders == {"linux64", "aarch64-linux", "win64", "darwin64"}
+        both = z.read("binaries/darwin64/stopset_test_arm.dylib")
+    assert both.startswith(fat)
+    for k in range(2):  # each processor's part lies on a page of its own and is a whole library
+        _, _, at, size, align = struct.unpack(">5I", both[8 + 20 * k : 28 + 20 * k])
+        assert at % (1 << align) == 0
+        assert both[at : at + 4] == macho
+        assert at + size <= len(both)
+
+
+def test_fmuloader_runs_fmi_3(everywhere: dict[int, Path]) -> None:
+    fmi3 = pytest.importorskip("fmuloader.fmi3")
+    v = variables(arm_model())
+    xml = zipfile.ZipFile(everywhere[3]).read("modelDescription.xml").decode()
+    slave = fmi3.Fmi3Slave(everywhere[3], model_identifier="stopset_test_arm")
+    slave.instantiate_co_simulation("a", instantiation_token=xml.split('instantiationToken="')[1].split('"')[0])
+    slave.enter_initialization_mode(0.0)
+    slave.exit_initialization_mode()
+    tau, q = ([v.reference(f"{s}_axis_{j}") for j in range(1, 7)] for s in ("tau", "q"))
+    for k in range(STEPS):
+        slave.set_float64(tau, torque(k, 6).tolist())
+        slave.do_step(k * DT, DT)
+    assert np.abs(np.array(slave.get_float64(q)) - final_positions()).max() < AGREE
+    slave.terminate()
+    slave.free_instance()
+
+
+def test_libcosimpy_runs_fmi_2(everywhere: dict[int, Path]) -> None:
+    pytest.importorskip("libcosimpy")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    v = variables(arm_model())
+    execution = CosimExecution.from_step_size(round(DT * 1e9))
+    index = execution.add_local_slave(CosimLocalSlave(str(everywhere[2]), "arm"))
+    observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
+    execution.add_observer(observer)
+    execution.add_manipulator(manipulator)
+    tau, q = ([v.reference(f"{s}_axis_{j}") for j in range(1, 7)] for s in ("tau", "q"))
+    for k in range(STEPS):
+        manipulator.slave_real_values(index, tau, torque(k, 6).tolist())
+        execution.step()
+    assert np.abs(np.array(observer.last_real_values(index, q)) - final_positions()).max() < AGREE
+
+
+@pytest.mark.parametrize("warnings", [["-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wno-sign-conversion"]])
+def test_the_sources_compile_elsewhere(everywhere: dict[int, Path], tmp_path: Path, warnings: list[str]) -> None:
+    """Whoever has another compiler can build the FMU's own sources with it."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("gcc is not installed")
+    with zipfile.ZipFile(everywhere[3]) as z:
+        z.extractall(tmp_path, [p for p in z.namelist() if p.startswith("sources/")])
+    units = sorted(p.name for p in (tmp_path / "sources").glob("*.c"))
+    command = [gcc, "-std=c99", "-O1", "-shared", "-fPIC", *warnings, *units, "-lm", "-o", "x.so"]
+    done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("rad", {"rad": 1}),
+        ("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
+        ("N m s/rad/K", {"kg": 1, "m": 2, "s": -1, "rad": -1, "K": -1}),
+        ("rad/s2", {"rad": 1, "s": -2}),
+        ("N m/(N m)", {}),
+        ("degC", {"K": 1, "offset": 273.15}),
+        ("furlong", None),
+    ],
+)
+def test_units_in_base_units(unit: str, expected: dict[str, float] | None) -> None:
+    assert base_unit(unit) == expected
+
+
+def test_what_an_fmu_cannot_carry_is_said() -> None:
+    model = arm_model(3)
+    with pytest.raises(NotCovered, match="model 1"):
+        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), 3, [str(HERE)])
+    remembering = replace(model, effects=(friction("hysteresis", "axis_1", F_h=1.0, delta=0.01),))
+    with pytest.raises(EffectError, match="without it"):
+        archive(remembering, 3, [str(HERE)])
+    with pytest.raises(OutputError, match="expected x86_64-linux"):
+        archive(model, 3, ["pdp11"])
+
+
+def test_the_command_writes_all_or_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "m.model.json"
+    save_model(arm_model(2, horizon=0.5), path)
+    arguments = ["export-fmu", str(path), "--platform", str(HERE)]
+    assert main([*arguments, "--out", str(tmp_path / "F.fmu"), "--json", str(tmp_path / "a.json")]) == 0
+    made = {"F.fmu", "F_in.csv", "F_ref.csv", "F_ref.opt", "a.json", "m.model.json"}
+    assert {p.name for p in tmp_path.iterdir()} == made
+    bad: list[tuple[list[Any], str]] = [
+        ([*arguments, "--out", tmp_path], "is a directory"),
+        ([*arguments, "--out", tmp_path / "no" / "F.fmu"], "does not exist"),
+        (["export-fmu", tmp_path / "none.json", "--out", tmp_path / "G.fmu"], "no such file"),
+        (["export-fmu", path, "--out", tmp_path / "G.fmu", "--platform", "pdp11"], "is not known"),
+    ]
+    capsys.readouterr()
+    for words, sentence in bad:
+        assert main([str(w) for w in words]) == 2
+        said = capsys.readouterr().err
+        assert sentence in said
+        assert said.count("\n") == 1
+    assert {p.name for p in tmp_path.iterdir()} == made
