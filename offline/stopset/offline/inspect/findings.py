@@ -24,6 +24,8 @@ RATIOS = {  # dq over the derivative of q -> what it means
 }
 AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a ratio above is explained
 CORRELATED = 0.9  # below it dq does not follow q at all
+OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
+SAME = 3  # trials in which a signal stops at the very same value below its largest
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 
 
@@ -90,12 +92,14 @@ def saturation(t: Tally, joints: Sequence[str]) -> list[Finding]:
     """Signals that stop at one value for many samples."""
     out = []
     top = {"tau": np.abs(t.range_tau).max(axis=1), "dq": np.abs(t.range_dq).max(axis=1)}
-    seen: dict[tuple[str, int], tuple[float, int]] = {}
+    at: dict[tuple[str, int, float], list[int]] = {}
     for name, j, value, run in t.plateaus:
-        if name in top and value < 0.999 * top[name][j]:
-            continue
-        old = seen.get((name, j), (value, 0))
-        seen[name, j] = (max(value, old[0]), old[1] + run)
+        at.setdefault((name, j, float(f"{value:.5g}")), []).append(run)
+    seen: dict[tuple[str, int], tuple[float, int]] = {}
+    for (name, j, value), runs in at.items():
+        if name not in top or value >= 0.999 * top[name][j] or len(runs) >= SAME:
+            old = seen.get((name, j), (0.0, 0))
+            seen[name, j] = (max(value, old[0]), old[1] + sum(runs))
     for (name, j), (value, run) in seen.items():
         what = {"tau": "torque", "dq": "speed", "i": "current"}[name]
         out.append(
@@ -118,7 +122,9 @@ def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
         r = ab[j] / np.sqrt(aa[j] * bb[j]) if bb[j] > 0 else 0.0
         if abs(r) < CORRELATED:
             seen = "dq is zero while q moves" if bb[j] == 0 else f"dq follows the motion of q with a correlation of {r:.2f}"
-            out.append(Finding("dq_not_derivative", "error", joint, seen, "dq = dq/dt", "columns may be swapped: mend them", float(r)))
+            out.append(
+                Finding("dq_not_derivative", "error", joint, seen, "dq = dq/dt", "columns may be swapped: mend them", float(r))
+            )
         elif abs(k - 1) > AGREES:
             meaning = next((m for ratio, m in RATIOS.items() if abs(k / ratio - 1) < AGREES), None)
             kind = "wrong_unit" if meaning and k > 0 else "dq_not_derivative"
@@ -206,23 +212,27 @@ def torque_scale(scale: Array, std: Array, joints: Sequence[str], gear: Array, c
     return out
 
 
-def torque_delay(common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str]) -> list[Finding]:
+def torque_delay(
+    common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str]
+) -> list[Finding]:
     """Torque stamped apart from the motion: all joints alike (clocks), or one apart from the rest (its drive)."""
     least = max(DELAY, 0.6 * period)
 
-    def told(d: float, s: float) -> bool:
-        return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(least, 3 * s))
+    own = max(OWN_DELAY, 1.2 * period)
 
-    def finding(name: str | None, d: float, s: float, against: str) -> Finding:
+    def told(d: float, s: float, limit: float) -> bool:
+        return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(limit, 4 * s))
+
+    def finding(name: str | None, d: float, s: float, against: str, least: float) -> Finding:
         seen = f"the torque is {abs(d) * 1e3:.1f} +- {s * 1e3:.1f} ms {'late' if d < 0 else 'early'} against {against}"
         return Finding("torque_delay", "warning", name, seen, f"less than {least * 1e3:.1f} ms",
                        "identification takes a common delay out; look for different clocks or a filter", d)  # fmt: skip
 
-    out = [finding(None, common, std, "the motion")] if told(common, std) else []
+    out = [finding(None, common, std, "the motion", least)] if told(common, std, least) else []
     for j, name in enumerate(joints):
         d, s = float(joint[j] - common), float(np.hypot(joint_std[j], std))
-        if told(d, s):
-            out.append(finding(name, d, s, "the other joints'"))
+        if told(d, s, own):
+            out.append(finding(name, d, s, "the other joints'", own))
     return out
 
 

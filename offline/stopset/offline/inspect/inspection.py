@@ -23,6 +23,10 @@ from stopset.recording.types import Meta
 from stopset.robot import Robot
 
 
+# friction that is left out of the model looks like delay
+FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")
+
+
 @dataclass(frozen=True, slots=True)
 class Inspection:
     """The answer about one file: ``offers`` (plain data), ``missing`` for identification, ``findings``.
@@ -116,7 +120,7 @@ def _inspect(path: Path, robot: Robot | None) -> Inspection:
     try:
         stream = campaign.watch(stream_recordings(path, robot))
         if robot is not None:
-            data = accumulate(robot, stream, compensated=compensated)
+            data = accumulate(robot, stream, FRICTION, compensated=compensated)
         else:
             for _ in stream:
                 pass
@@ -126,9 +130,7 @@ def _inspect(path: Path, robot: Robot | None) -> Inspection:
     return Inspection(str(path), _offers(campaign, meta, joints), tuple(_missing(campaign, meta, robot)), tuple(found), refused)
 
 
-def _findings(
-    t: Tally, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None
-) -> list[Finding]:
+def _findings(t: Tally, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None) -> list[Finding]:
     out = [*detect.clock(t, meta), *detect.velocity(t, joints, meta), *detect.saturation(t, joints)]
     if t.trials == 0:
         return out

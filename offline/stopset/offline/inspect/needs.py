@@ -46,18 +46,34 @@ def needs(
     open-loop suite."""
     out: list[Need] = []
     if effort == "compensated_torque":
-        out.append(Need("gravity, Coulomb friction", "the torque is already compensated (u of eq. 11)", "record motor torque to identify them"))
+        out.append(
+            Need(
+                "gravity, Coulomb friction",
+                "the torque is already compensated (u of eq. 11)",
+                "record motor torque to identify them",
+            )
+        )
     elif paired_poses < POSES:
         seen = f"{paired_poses} static poses approached from both sides, {POSES} wanted"
-        out.append(Need("gravity", seen, "add phase static: each pose once from below, once from above; friction cancels in the mean"))
+        out.append(
+            Need("gravity", seen, "add phase static: each pose once from below, once from above; friction cancels in the mean")
+        )
     moving = [p for p in ("closed_loop", "open_loop") if p in phases]
     if not moving or not (speed[:, 1] > MOVING).any():
-        out.append(Need("inertia, friction", "no recording in motion", "add phase closed_loop: excitation and PTP, slow and fast"))
+        out.append(
+            Need("inertia, friction", "no recording in motion", "add phase closed_loop: excitation and PTP, slow and fast")
+        )
     elif limit is not None:
         out += _speeds(speed, limit)
     motions = phases.get("open_loop", {}).get("motions", 0)
     if motions == 0:
-        out.append(Need("uncertainty sets X0, U", "no open-loop suite", "add phase open_loop: equal start and torques, several trials per suite"))
+        out.append(
+            Need(
+                "uncertainty sets X0, U",
+                "no open-loop suite",
+                "add phase open_loop: equal start and torques, several trials per suite",
+            )
+        )
     else:
         if repeats < REPEATS:
             seen = f"at most {repeats} trial{'s' if repeats != 1 else ''} per open-loop suite, {REPEATS} wanted"
@@ -72,7 +88,11 @@ def needs(
         if phase not in phases:
             out.append(Need(what, f"no {phase} recording", f"add phase {phase}: stops at several speeds, with stop_trigger"))
     if not temperature:
-        out.append(Need("thermal friction", "no joint temperatures", "record temp_<joint>; warming then shows only over the trial number"))
+        out.append(
+            Need(
+                "thermal friction", "no joint temperatures", "record temp_<joint>; warming then shows only over the trial number"
+            )
+        )
     return out
 
 
@@ -83,5 +103,11 @@ def _speeds(speed: Array, limit: Array) -> list[Need]:
     for which, name in ((slow, f"no sample in motion under {100 * SLOW:.0f} %"), (fast, f"no speed above {100 * FAST:.0f} %")):
         if which:
             joints = ", ".join(str(j + 1) for j in which)
-            out.append(Need("friction over speed", f"joint {joints}: {name} of the limit", "add PTP motions slow and fast (`stopset plan`)"))
+            out.append(
+                Need(
+                    "friction over speed",
+                    f"joint {joints}: {name} of the limit",
+                    "add PTP motions slow and fast (`stopset plan`)",
+                )
+            )
     return out

@@ -18,7 +18,8 @@ from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 
 LEAST_STD = 2e-4  # [s] no clock is known better
-BLUNT = 0.002  # [s] joints with a larger standard error do not say where the middle is
+BLUNT = 0.005  # [s] joints with a larger standard error do not say where the middle is
+CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
 FEW = 3  # with fewer motions none can be left out
 TOGETHER = 20.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
@@ -136,9 +137,9 @@ def _common(best: Array, std: Array) -> tuple[float, float]:
     if not sound.any():
         return 0.0, float("inf")
     d, s = best[sound], np.maximum(std[sound], LEAST_STD)
-    sharp = s <= max(BLUNT, float(s.min()))
+    sharp = s <= max(BLUNT, 2 * float(s.min()))
     middle = float(np.median(d[sharp]))
-    near = np.abs(d - middle) <= 3 * s + BLUNT
+    near = np.abs(d - middle) <= 3 * s + CLOSE
     w = near / s**2
     mean = float(w @ d / w.sum())
     chi2 = float(w @ (d - mean) ** 2) / max(int(near.sum()) - 1, 1)

@@ -60,7 +60,7 @@ def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, tup
         sparse.csc_matrix(np.triu(H)), -b, sparse.csc_matrix(A), lo, hi,
         verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=20_000, polishing=True,
     )  # fmt: skip
-    result = problem.solve()
+    result = problem.solve(raise_error=False)
     y = np.asarray(result.y)
     scale = float(np.abs(y).max(initial=0.0))
     out: dict[int, tuple[float, float]] = {}

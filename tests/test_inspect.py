@@ -1,0 +1,236 @@
+"""Inspection: every detector on data broken on purpose, and silent on sound data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nominal_cases import JOINTS, RATE, Truth, arm, campaign, moving, shaken
+
+from stopset.cli.main import main
+from stopset.offline.inspect import Inspection, inspect_recordings
+from stopset.recording import Meta, Recording, write_recordings
+
+META = Meta(joints=JOINTS, robot="three", rate_hz=RATE)
+Break = Callable[[Recording], Recording]
+
+
+@pytest.fixture(scope="module")
+def trials() -> tuple[Recording, ...]:
+    """Poses from both sides and motions slow and fast of a sound arm."""
+    return campaign(Truth(arm()), seconds=8.0).trials
+
+
+def look(folder: Path, trials: Sequence[Recording], meta: Meta = META, robot: bool = True) -> Inspection:
+    path = folder / "rec.parquet"
+    write_recordings(path, meta, trials)
+    return inspect_recordings([path], arm() if robot else None)[0]
+
+
+def broken(trials: Sequence[Recording], how: Break) -> list[Recording]:
+    return [r if r.phase == "static" else how(r) for r in trials]
+
+
+def kinds(i: Inspection, joint: str | None = None, severity: Sequence[str] = ("error", "warning")) -> set[str]:
+    return {f.kind for f in i.findings if f.severity in severity and (joint is None or f.joint == joint)}
+
+
+def test_sound_data_raise_no_finding(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    for robot in (True, False):
+        i = look(tmp_path, trials, robot=robot)
+        assert kinds(i) == set(), [f.says for f in i.findings]
+        assert not i.wrong
+    assert i.offers["phases"]["static"] == {"trials": 80, "motions": 40, "most_trials_per_motion": 2, "seconds": 0.96}
+    assert i.offers["rate_hz"] == pytest.approx(250)
+    assert i.offers["joints"]["elbow"]["tau"][1] > 5
+
+
+def test_clock_jitter(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    i = look(tmp_path, broken(trials, lambda r: shaken(r, 0.3)))
+    assert "clock_jitter" in kinds(i)
+    assert not i.wrong  # resampling deals with it
+    assert "clock_jitter" not in kinds(look(tmp_path, broken(trials, lambda r: shaken(r, 0.01))))
+
+
+def drop(r: Recording, keep_stamps: bool) -> Recording:
+    keep = np.random.default_rng(r.suite).random(len(r.t)) > 0.03
+    keep[:2] = True
+    t = r.t[keep] if keep_stamps else r.t[: int(keep.sum())]
+    return replace(r, t=t, q=r.q[keep], dq=r.dq[keep], tau=r.tau[keep])
+
+
+@pytest.mark.parametrize("keep_stamps", [True, False], ids=["gaps in the stamps", "stamps made up"])
+def test_dropped_samples(tmp_path: Path, trials: tuple[Recording, ...], keep_stamps: bool) -> None:
+    i = look(tmp_path, broken(trials, lambda r: drop(r, keep_stamps)))
+    assert "dropped_samples" in kinds(i, severity=("error",))
+    found = next(f for f in i.findings if f.kind == "dropped_samples")
+    if keep_stamps:  # 3 % were taken out; two in a row count as one gap of two
+        assert found.value == pytest.approx(0.03, rel=0.15)
+
+
+def test_repeated_samples(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    def hold(r: Recording) -> Recording:
+        source = np.arange(len(r.t))
+        lost = np.random.default_rng(r.suite).random(len(r.t)) < 0.05
+        lost[0] = False
+        source[lost] -= 1
+        return replace(r, q=r.q[source], dq=r.dq[source], tau=r.tau[source])
+
+    assert "repeated_samples" in kinds(look(tmp_path, broken(trials, hold)), severity=("error",))
+
+
+@pytest.mark.parametrize(("signal", "level"), [("tau", 15.0), ("dq", 0.9)])
+def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, level: float) -> None:
+    def clip(r: Recording) -> Recording:
+        x = getattr(r, signal).copy()
+        x[:, 1] = np.clip(x[:, 1], -level, level)
+        return replace(r, **{signal: x})
+
+    i = look(tmp_path, broken(trials, clip))
+    assert "saturated" in kinds(i, "shoulder", ("error",))
+    found = next(f for f in i.findings if f.kind == "saturated")
+    assert found.value == pytest.approx(level, rel=1e-3)
+    assert "saturated" not in kinds(i, "base")
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind", "word"),
+    [(180 / np.pi, "wrong_unit", "deg/s"), (-1.0, "dq_not_derivative", "sign"), (60 / (2 * np.pi), "wrong_unit", "rpm"), (0.0, "dq_not_derivative", "zero")],
+)  # fmt: skip
+def test_dq_in_another_unit_or_sign(tmp_path: Path, trials: tuple[Recording, ...], factor: float, kind: str, word: str) -> None:
+    slow = [r for r in trials if r.phase != "static"][-3:]  # at most 0.5 rad/s: deg/s passes the reader's door
+
+    def scale(r: Recording) -> Recording:
+        dq = r.dq.copy()
+        dq[:, 2] *= factor
+        return replace(r, dq=dq)
+
+    i = look(tmp_path, [scale(r) for r in slow])
+    found = [f for f in i.findings if f.kind == kind and f.joint == "elbow"]
+    assert found and word in found[0].seen, [f.says for f in i.findings]
+
+
+def test_dq_of_another_joint_is_no_derivative(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    i = look(tmp_path, broken(trials, lambda r: replace(r, dq=r.dq[:, [0, 2, 1]])))
+    assert {f.joint for f in i.findings if f.kind == "dq_not_derivative"} == {"shoulder", "elbow"}
+
+
+def test_dq_filtered_late(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    def late(r: Recording) -> Recording:
+        return replace(r, dq=np.column_stack([np.interp(r.t - 0.012, r.t, x) for x in r.dq.T]))
+
+    i = look(tmp_path, broken(trials, late))
+    lags = [f.value for f in i.findings if f.kind == "dq_lags"]
+    assert lags and lags == pytest.approx([0.012] * len(lags), abs=0.002)
+
+
+def test_p26_derived_velocity_called_measured(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    def derive(r: Recording) -> Recording:
+        return replace(r, dq=np.vstack([np.zeros((1, 3)), np.diff(r.q, axis=0) / np.diff(r.t)[:, None]]))
+
+    data = broken(trials, derive)
+    assert "velocity_derived" in kinds(look(tmp_path, data))
+    assert "velocity_derived" not in kinds(look(tmp_path, data, replace(META, velocity="derived")))
+
+
+def test_torque_delay_of_all_and_of_one(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    def late(r: Recording, joints: Sequence[int]) -> Recording:
+        tau = r.tau.copy()
+        for j in joints:
+            tau[:, j] = np.interp(r.t - 0.015, r.t, tau[:, j])
+        return replace(r, tau=tau)
+
+    i = look(tmp_path, broken(trials, lambda r: late(r, (0, 1, 2))))
+    found = [f for f in i.findings if f.kind == "torque_delay"]
+    assert [f.joint for f in found] == [None]
+    assert found[0].value == pytest.approx(-0.015, abs=0.002)
+    i = look(tmp_path, broken(trials, lambda r: late(r, (2,))))
+    assert [f.joint for f in i.findings if f.kind == "torque_delay"] == ["elbow"]
+
+
+@pytest.mark.parametrize("robot", [True, False], ids=["against the model", "by energy alone"])
+def test_wrong_sign_of_torque(tmp_path: Path, trials: tuple[Recording, ...], robot: bool) -> None:
+    def turn(r: Recording) -> Recording:
+        tau = r.tau.copy()
+        tau[:, 1] *= -1
+        return replace(r, tau=tau)
+
+    i = look(tmp_path, [turn(r) for r in trials], robot=robot)
+    assert [f.joint for f in i.findings if f.kind == "wrong_sign"] == ["shoulder"]
+    assert i.wrong
+
+
+@pytest.mark.parametrize(
+    ("factor", "word"), [(1000.0, "mN m"), (0.01, "gear ratio"), (0.001, "kN m")], ids=["mN m", "motor side", "kN m"]
+)
+def test_wrong_unit_of_torque(tmp_path: Path, trials: tuple[Recording, ...], factor: float, word: str) -> None:
+    i = look(tmp_path, [replace(r, tau=r.tau * factor) for r in trials])
+    found = [f for f in i.findings if f.kind == "wrong_unit" and "rigid body" in f.seen]
+    assert "shoulder" in {f.joint for f in found}  # the joint that carries the arm; friction alone tells no unit
+    assert all(word in f.seen for f in found), [f.seen for f in found]
+
+
+def test_current_mistaken_for_torque(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    meta = replace(META, torque_constant=(14.0, 14.0, 14.0))
+    i = look(tmp_path, [replace(r, tau=r.tau / 14.0) for r in trials], meta)
+    found = [f for f in i.findings if f.kind == "wrong_unit"]
+    assert found and all("ampere" in f.seen for f in found)
+
+
+def test_degrees_are_refused_and_reported(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    i = look(tmp_path, [replace(r, q=np.degrees(r.q), dq=np.degrees(r.dq)) for r in trials])
+    assert i.wrong
+    assert "degrees" in (i.refused or "")
+
+
+def test_stamps_in_milliseconds(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    i = look(tmp_path, [replace(r, t=r.t * 1000) for r in trials])
+    assert "rate" in kinds(i)
+    assert any("t in ms" in f.seen or "t is in ms" in f.seen for f in i.findings)
+
+
+def test_what_is_missing_is_said(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    lacking = {m.part for m in look(tmp_path, [r for r in trials if r.phase != "static"][:1]).missing}
+    assert {"gravity", "uncertainty sets X0, U", "thermal friction", "sets of STOP 1"} <= lacking
+    assert any("STOP 0" in p for p in lacking)
+    slow = [moving(Truth(arm()), 0, 8.0, 0.3, 1)]
+    assert any(m.part == "friction over speed" for m in look(tmp_path, slow).missing)
+    assert "gravity" not in {m.part for m in look(tmp_path, trials).missing}
+
+
+def test_command_answers_and_exit_codes(tmp_path: Path, trials: tuple[Recording, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = tmp_path / "good.parquet", tmp_path / "bad.parquet"
+    write_recordings(good, META, trials)
+    write_recordings(bad, META, [replace(r, tau=-r.tau) for r in trials])
+    answer = tmp_path / "answer.json"
+    assert main(["inspect", str(good)]) == 0
+    assert main(["inspect", str(good), str(bad), "--json", str(answer)]) == 1
+    data = json.loads(answer.read_text())
+    assert [f["usable"] for f in data["files"]] == [True, False]
+    assert {f["kind"] for f in data["files"][1]["findings"]} >= {"wrong_sign"}
+    assert data["files"][0]["phases"]["static"]["trials"] == 80
+    (tmp_path / "none.parquet").write_bytes(b"")
+    assert main(["inspect", str(tmp_path / "none.parquet")]) == 2
+    assert main(["inspect", str(tmp_path / "absent.parquet")]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.shared
+def test_shared_recordings_are_sound(shared_data: Callable[[str], Path]) -> None:
+    from stopset.robot import load_robot
+
+    for name in ("hidden_effect/d06", "hidden_effect/p05", "hidden_effect/p01"):
+        folder = shared_data(name)
+        (i,) = inspect_recordings([folder / "recording.parquet"], load_robot(folder / "robot.urdf"))
+        assert kinds(i) == set(), [f.says for f in i.findings]
+    folder = shared_data("ur10e")
+    (i,) = inspect_recordings([folder / "identification.parquet"], load_robot(folder / "robot.urdf"))
+    assert kinds(i) == {"clock_jitter"}, [f.says for f in i.findings]
+    folder = shared_data("hidden_effect/p15")  # two drives whose torque is 40 ms late
+    (i,) = inspect_recordings([folder / "recording.parquet"], load_robot(folder / "robot.urdf"))
+    late = {f.joint: f.value for f in i.findings if f.kind == "torque_delay"}
+    assert late == pytest.approx({"arm_joint_2": -0.04, "arm_joint_3": -0.04}, abs=0.002)
