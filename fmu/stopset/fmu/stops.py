@@ -250,4 +250,6 @@ def _tcp(robot: Robot, q: Array, q_radius: Array, angle: Array) -> float:
         axis = R0[i] @ robot.chain.axis[i]
         R[i] = np.linalg.norm(np.cross(axis, tip - o[i])) + R[i + 1 :] @ (angle + q_radius)[i + 1 :]
         out += R[i] * angle[i]
-    return float(out)
+    # the flange never leaves the ball of its reach
+    far = np.linalg.norm(robot.chain.p[1:], axis=1).sum() + np.linalg.norm(robot.tip)
+    return float(min(out, 2 * far))

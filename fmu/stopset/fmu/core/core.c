@@ -110,6 +110,7 @@ const char *stopset_trigger(StopsetState *s) {
     if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
     stopset_outputs(s); /* the bounds of this moment */
+    stopset_stop_bounds(s);
     for (int i = 0; i < NJ; i++) {
         int known = s->b[IX_STOP_CERTIFIED];
         s->stop_q[i] = s->r[VR_Q + i];
@@ -225,7 +226,7 @@ void stopset_outputs(StopsetState *s) {
 #if N_INDICATOR
     stopset_indicators(s, &s->r[VR_INDICATOR]);
 #endif
-    stopset_stop_bounds(s);
+    s->stop_ready = 0;
     s->i[IX_VERDICT] = s->violated ? VERDICT_VIOLATED : s->i[IX_VERDICT];
     s->b[IX_CONFORMANT] = s->i[IX_VERDICT] == VERDICT_CONFORMANT;
     s->outputs_ready = 1;

@@ -95,6 +95,7 @@ Level stopset_get_real(Instance *c, const unsigned vr[], size_t n, double value[
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "get", vr[k], "floating-point");
+        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_TCP_STOP_DISTANCE) stopset_stop_bounds(&c->now.s);
         value[k] = c->now.s.r[vr[k]];
     }
     return LEVEL_OK;
@@ -113,6 +114,7 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "get", vr[k], "boolean");
+        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s);
         value[k] = c->now.s.b[vr[k] - N_REAL - N_INT];
     }
     return LEVEL_OK;

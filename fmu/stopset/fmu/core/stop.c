@@ -296,6 +296,14 @@ int stopset_stop(const StopsetState *s, const double q[NJ], const double dq[NJ],
         for (int k = i + 1; k < NJ; k++) R[i] += R[k] * (angle[k] + rq[k]);
         *tcp += R[i] * angle[i];
     }
+    /* the flange never leaves the ball of its reach */
+    double far = sqrt(stopset_model.tip[0] * stopset_model.tip[0] + stopset_model.tip[1] * stopset_model.tip[1] +
+                      stopset_model.tip[2] * stopset_model.tip[2]);
+    for (int k = 1; k < NJ; k++) {
+        const double *p = stopset_model.p[k];
+        far += sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+    }
+    *tcp = fmin(*tcp, 2.0 * far);
     return 1;
 }
 
@@ -303,7 +311,8 @@ void stopset_stop_bounds(StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     double q[NJ], dq[NJ], rq[NJ], rdq[NJ], angle[NJ], speed[NJ], time = 0.0, tcp = 0.0;
     int seen = s->b[IX_MEASURED], proved = 0;
-    if (s->stopping) return; /* the bounds are those of the moment of the request */
+    if (s->stopping || s->stop_ready) return; /* while stopping the bounds are those of the request */
+    s->stop_ready = 1;
     for (int i = 0; i < NJ; i++) {
         if (seen) { /* what was measured is the state and a reading error in V */
             q[i] = s->r[VR_Q_MEASURED + i] - 0.5 * (m->V_hi[i] + m->V_lo[i]);

@@ -68,7 +68,7 @@ typedef struct {
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
     double stop_q[NJ], stop_dq[NJ], stop_lo[NJ], stop_hi[NJ], stop_speed[NJ]; /* of the moment a stop was asked for */
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
-    uint8_t as_identified, violated, outputs_ready;
+    uint8_t as_identified, violated, outputs_ready, stop_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
 } StopsetState;
@@ -80,7 +80,7 @@ const char *stopset_setup(StopsetState *s, double t0);
 const char *stopset_trigger(StopsetState *s);
 /* Advance by h with the inputs held; returns 0 or a sentence. */
 const char *stopset_step(StopsetState *s, double h);
-/* Bounds, flags and accelerations at the present time and state. */
+/* Bounds, flags and accelerations at the present time and state; the stop bounds only when asked for, they cost most. */
 void stopset_outputs(StopsetState *s);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
 void stopset_check(StopsetState *s);
