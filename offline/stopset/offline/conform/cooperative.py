@@ -321,6 +321,21 @@ def fit_cooperative(
     return packed(z, noise, cost, conform), factor
 
 
+def needed_factor(
+    fit: Fit, trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: int,
+    windows: str = "sliding",
+) -> float:  # fmt: skip
+    """Smallest factor (>= 1, to 1e-4) about the sets' centres that encloses ``trials``, worst joint."""
+    n, worst = abstraction.n, 1.0
+    for j, problem in enumerate(problems(trials, abstraction, joints, noise, dt, horizon, fit.conform, windows)):
+        z = np.empty(8)
+        z[[Q_LO, V_LO, Q_HI, V_HI]] = fit.X0.lo[j], fit.X0.lo[n + j], fit.X0.hi[j], fit.X0.hi[n + j]
+        z[[NOISE_LO, NOISE_HI, U_LO, U_HI]] = fit.V.lo[n + j], fit.V.hi[n + j], fit.U.lo[j], fit.U.hi[j]
+        # angles are read to within V, which a margin may have widened
+        worst = max(worst, verified(replace(problem, noise=fit.V.hi[[j, n + j]]), z)[1])
+    return worst
+
+
 def packed(z: Array, noise: Box, cost: float, conform: str) -> Fit:
     """The joints' unknowns (n, 8) as boxes."""
     half = noise.hi[: len(z)]

@@ -1,0 +1,47 @@
+"""The abstraction of an identified arm: its viscous effects and the poses it was recorded in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction
+from stopset.effects.base import Fitted
+from stopset.offline.abstraction.models import build
+from stopset.robot import Robot
+from stopset.robot.rigid import mass_matrix
+
+Array = NDArray[np.float64]
+# power of dq and the effect's parameter; the other effects are taken off the input
+POWERS = {"viscous": (1, "F_v"), "cubic_viscous": (3, "v_3")}
+
+
+def friction_polynomial(joints: Sequence[str], effects: Sequence[Fitted]) -> Array:
+    """(n, 1 or 3) coefficients of ``dq, dq^2, dq^3`` [N m (s/rad)^k]; linear damping is kept from driving (>= 0)."""
+    v: Array = np.zeros((len(joints), 3))
+    for f in effects:
+        if f.effect in POWERS and f.joint is not None:
+            power, name = POWERS[f.effect]
+            v[list(joints).index(f.joint), power - 1] += f.values.get(name, 0.0)
+    v[:, 0] = np.maximum(v[:, 0], 0.0)
+    return v if np.any(v[:, 1:]) else v[:, :1]
+
+
+def abstract(
+    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, order: int, poses: Array, standstill: Array | None = None
+) -> Abstraction:
+    """The abstraction of ``kind`` and ``order`` for an identified arm.
+
+    ``poses``: (N, n) [rad] recorded; their mean is the expansion point, and models 1 and 2 take the mean of the mass
+    matrix over them in place of that at one pose. ``standstill``: (n,) speed below which a joint counts as still
+    [rad/s].
+    """
+    q_a = np.asarray(poses).mean(axis=0)
+    model = build(kind, order, robot, rotor, friction_polynomial(robot.joints, effects), q_a=q_a)
+    if kind != 3:
+        M = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
+        model = replace(model, Minv=np.linalg.inv(M))
+    return model if standstill is None else replace(model, standstill=standstill)

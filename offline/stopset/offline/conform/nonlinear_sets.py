@@ -1,0 +1,141 @@
+"""From trials to the sets of one regime for a nonlinear abstraction: fit, margin, guarantee, in the manner of
+`sets.conform`.
+
+The windows of a nonlinear model cannot be folded into one envelope, so trials are kept in memory: at most `KEEP`,
+evenly over the campaign, and every motion among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, Guarantee, UncertaintySets
+from stopset.offline.conform import guarantee as g
+from stopset.offline.conform import nonlinear as along
+from stopset.offline.conform.cooperative import Trial, fit_cooperative, needed_factor
+from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+KEEP = 400
+# factors are found to this; what lies within it of being enclosed is rounding
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Algorithm:
+    """How one abstraction's sets are found and checked, on trials already on the sets' grid of ``dt`` [s]."""
+
+    abstraction: Abstraction
+    joints: tuple[str, ...]
+    noise: Box
+    dt: float
+    steps: int
+    windows: str
+
+    def fit(self, trials: Sequence[Trial], conform: str) -> Fit:
+        """Cheapest sets that enclose these trials."""
+        if self.abstraction.decoupled:
+            return fit_cooperative(trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, conform, self.windows)[
+                0
+            ]
+        return along.fit_along(trials, self.abstraction, self.noise, self.dt, self.steps, conform, self.windows)[0]
+
+    def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
+        """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
+        if self.abstraction.decoupled:
+            return needed_factor(fit, trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, self.windows)
+        where = along.starts(trials, self.windows, along.WINDOWS)
+        windows = along.windows_of(trials, self.abstraction, where, self.dt, self.steps)
+        return max(1.0, *(along.needed(w, fit) for w in windows))
+
+
+def conform_nonlinear(
+    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
+    options: Options, trials: int,
+) -> Conformance:  # fmt: skip
+    """Identify ``X0``, ``U``, ``V`` of any abstraction from the trials of ``pairs``; the sets' grid may be coarser than
+    ``dt``.
+
+    Raises `NotConformant`.
+    """
+    kept = _kept(pairs, trials)
+    every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
+    data = {m: along.coarser(rows, every) for m, rows in kept.items()}
+    longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
+    steps = min(round(horizon / (dt * every)), longest)
+    algorithm = Algorithm(abstraction, joints, noise, dt * every, steps, options.windows)
+    division = g.split(list(data))
+    used = [t for m in division.used for t in data[m]]
+    fit = algorithm.fit(used, options.conform)
+    margin, notes = _margin(algorithm, data, division.used, options)
+    chosen = options.margin if options.margin is not None else margin
+    grown = along.grown(fit, chosen)
+    violated = sum(algorithm.needed(grown, data[m]) > 1.0 + TOLERANCE for m in division.held)
+    everything = [t for rows in data.values() for t in rows]
+    extra = algorithm.needed(grown, everything)
+    final = along.grown(grown, extra * (1.0 + 1e-9)) if extra > 1.0 else grown
+    if extra > 1.0 + TOLERANCE:
+        notes.append(f"grown by another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
+    if len(everything) < trials:
+        notes.append(f"sets of model {abstraction.kind} rest on {len(everything)} of {trials} trials, evenly over the campaign")
+    promise = Guarantee(
+        motions=len(division.held), violated=violated, upper_bound=g.clopper_pearson(violated, len(division.held)),
+        confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used), scenario_bound=None,
+    )  # fmt: skip
+    what = "in position and velocity" if options.conform == "all" else "in position"
+    scope = f"{what} up to {steps * dt * every:.2f} s ahead of {_scope(abstraction, options)}"
+    promise = replace(promise, text=g.words(promise, len(everything), len(data), float(chosen), scope))
+
+    def packed(f: Fit) -> UncertaintySets:
+        return UncertaintySets(f.X0, f.U, f.V, dt * every, steps * dt * every, f.conform, options.windows, float(chosen))
+
+    other = "position" if options.conform == "all" else "all"
+    second = algorithm.fit(used, other)
+    companion = along.grown(second, chosen)
+    companion = along.grown(companion, algorithm.needed(companion, everything) * (1.0 + 1e-9))
+    return Conformance(
+        packed(final), packed(companion), promise, np.full(len(joints), margin), {options.conform: fit, other: second}, {},
+        fit.cost, tuple(notes),
+    )  # fmt: skip
+
+
+def _scope(abstraction: Abstraction, options: Options) -> str:
+    if options.windows == "start":
+        return "each trial's start only"
+    return "every sample" if abstraction.decoupled else f"about {along.WINDOWS} starts spread over the recordings"
+
+
+def _kept(pairs: Pairs, trials: int) -> dict[int, list[Trial]]:
+    """Trials by motion, thinned evenly to about `KEEP`; the first of every motion stays."""
+    stride = max(1, -(-trials // KEEP))
+    out: dict[int, list[Trial]] = {}
+    for k, (motion, r, u) in enumerate(pairs()):
+        if motion not in out or k % stride == 0:
+            out.setdefault(motion, []).append((np.hstack([r.q, r.dq]), np.asarray(u)))
+    return dict(sorted(out.items()))
+
+
+def _margin(algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[int], options: Options) -> tuple[float, list[str]]:
+    """The factor that sets fitted without a part of the data need to enclose that part, worst over all parts."""
+    if options.margin is not None:
+        return options.margin, []
+
+    def worst(parts: Sequence[list[Trial]], rest: Callable[[int], list[Trial]]) -> float:
+        return max(algorithm.needed(algorithm.fit(rest(k), options.conform), part) for k, part in enumerate(parts))
+
+    if not few_motions(len(used)):
+        folds = [list(used)[k :: g.FOLDS] for k in range(g.FOLDS)]
+        parts = [[t for m in fold for t in data[m]] for fold in folds]
+        factor = worst(parts, lambda k: [t for i, part in enumerate(parts) if i != k for t in part])
+        return factor, [f"margin from {len(folds)} folds over {len(used)} motions: {factor:.2f}"]
+    halves = [[t for m in used for t in data[m][k::2]] for k in (0, 1)]
+    if not all(halves):
+        return 1.0, ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
+    factor = worst(halves, lambda k: halves[1 - k])
+    return factor, [f"too few motions to calibrate across them: margin {factor:.2f} is that between repetitions (even, odd)"]
