@@ -36,7 +36,8 @@ def pivot(A: Array, k: int, into: bool) -> None:
 
 @njit(cache=True)
 def accelerations(
-    M: Array, dM: Array, s_lo: Array, s_hi: Array, own_up: Array, own_down: Array, B_lo: Array, B_hi: Array, B_later: Array, sign: Array,
+    M: Array, dM: Array, s_lo: Array, s_hi: Array, own_up: Array, own_down: Array, B_lo: Array, B_hi: Array,
+    B_later: Array, sign: Array,
     plus: Array, minus: Array, zero: Array, a_far: Array,
     out: Array, work: Array,
 ) -> None:  # fmt: skip

@@ -19,6 +19,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 SIGMAS = 3.0  # identified parameters enter with this many standard deviations
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
+STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
 BRAKE_TOLERANCE = 0.30  # relative half-width of a data sheet's brake torque where it states none
 
 
@@ -186,11 +187,13 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
     per_kg[-1] = standard_parameters(1.0, com, np.zeros((3, 3)))
     middle, half = pi + 0.5 * (lo + hi) * per_kg, 0.5 * (hi - lo) * per_kg
     a, b = curvature(model.robot.chain, middle), curvature(model.robot.chain, half)
+    # a constant torque seen in the powered data may belong to the drive or to the arm: with and without it
+    offset = model.abstraction.offset if model.abstraction.offset.shape == (n,) else np.zeros(n)
     plant = Plant(
         chain=model.robot.chain, pi=middle, pi_half=half, rotor=np.array(model.rotor, float),
         coulomb_lo=friction.dry.lo, coulomb_hi=friction.dry.hi,
         viscous_lo=friction.viscous.lo, viscous_hi=friction.viscous.hi,
-        u_lo=sets.U.lo + friction.push.lo, u_hi=sets.U.hi + friction.push.hi,
+        u_lo=sets.U.lo + friction.push.lo - np.maximum(offset, 0.0), u_hi=sets.U.hi + friction.push.hi - np.minimum(offset, 0.0),
         brake_lo=brakes.torque.lo, brake_hi=brakes.torque.hi, delay_lo=brakes.delay.lo, delay_hi=brakes.delay.hi,
         rise_lo=brakes.rise.lo, rise_hi=brakes.rise.hi,
         curvature=Curvature(a.M + b.M, a.g + b.g, a.Gamma + b.Gamma),
@@ -208,8 +211,21 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
         assumptions.append(f"effects not in the stop bound except through U: {', '.join(friction.left_out)}")
     if np.all(friction.dry.hi == 0):
         assumptions.append("Coulomb friction unknown, taken as none")
-    assert sets.V.dim == 2 * n
-    return Setting(model, plant, sets.V, (lo, hi), com, tuple(assumptions))
+    noise = _noise(model, sets.V, regime)
+    assumptions.append(
+        f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
+    )
+    return Setting(model, plant, noise, (lo, hi), com, tuple(assumptions))
+
+
+def _noise(model: Model, V: Box, regime: str) -> Box:
+    """Error of a measured state. ``V`` of the powered regime also holds what its model cannot explain; where the speed at
+    standstill was measured, `STANDSTILL` times that is the error of a measured speed."""
+    n, still = model.n, model.abstraction.standstill
+    if regime == "stop0" or still.shape != (n,):
+        return V
+    bound = np.concatenate([np.full(n, np.inf), STANDSTILL * np.abs(still)])
+    return Box(np.maximum(V.lo, -bound), np.minimum(V.hi, bound))
 
 
 def _range(box: Box, scale: float = 1.0) -> str:
