@@ -52,6 +52,7 @@ def through_the_bus(model: Model, trials: Iterable[Recording]) -> tuple[list[Ver
     return out, latch
 
 
+@pytest.mark.slow
 def test_the_real_recording_conforms_over_can(model_path: Path) -> None:
     model = load_model(model_path)
     trials = list(read_recordings(REAL, model.robot))
@@ -65,7 +66,7 @@ def test_the_real_recording_conforms_over_can(model_path: Path) -> None:
 @pytest.mark.parametrize("joint", [0, 2, 3, 4, 5])
 def test_one_and_a_half_times_the_torque_names_the_joint(model_path: Path, joint: int) -> None:
     model = load_model(model_path)
-    trials = list(read_recordings(REAL, model.robot))[::5]
+    trials = list(read_recordings(REAL, model.robot))[::10]
     scaled = [replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in trials]
     _, latch = through_the_bus(model, scaled)
     assert latch.joints == (model.joints[joint],)

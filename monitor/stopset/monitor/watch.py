@@ -103,7 +103,8 @@ def _advance(
 ) -> tuple[int, int]:  # fmt: skip
     """One step of every prediction, and the measurement against its tube at its age; returns predictions alive, oldest age.
 
-    ``used`` (2n, k): columns of ``Ad`` that hold numbers, row by row (the rest of a row repeats columns of zeros); ``room`` (2n,): least distance to a bound over the half width; ``row`` (2, 2n): the prediction contradicted worst, above
+    ``used`` (2n, k): columns of ``Ad`` that hold numbers, row by row (shorter rows are filled up with columns of zeros);
+    ``room`` (2n,): least distance to a bound over the half width; ``row`` (2, 2n): the prediction contradicted worst, above
     and below, -1 if none.
     """
     m, n2 = e.shape

@@ -1,0 +1,29 @@
+#!/bin/sh
+# After every change: a recording is replayed on loopback, the monitor judges it, a consumer reads it, silence is noticed.
+# usage: smoke.sh MODEL.model.json RECORDING.parquet
+set -eu
+[ $# -eq 2 ] || { echo "usage: smoke.sh MODEL RECORDING" >&2; exit 2; }
+work=$(mktemp -d)
+trap 'kill $monitor 2>/dev/null || true; rm -rf "$work"' EXIT
+cat > "$work/arm.toml" <<END
+model = "$(realpath "$1")"
+[bus]
+link = "hub:28799"
+[zenoh]
+listen = ["tcp/127.0.0.1:28798"]
+[publish]
+valid_for_ms = 1000
+END
+stopset monitor --config "$work/arm.toml" > "$work/monitor" & monitor=$!
+sleep 3
+stopset watch --connect tcp/127.0.0.1:28798 --port 0 --seconds 12 > "$work/watch" & watch=$!
+stopset replay "$2" --to hub:28799 --wait 1 --trials 2 | tee "$work/replay"
+wait $watch
+grep -q "the other nodes sent 0 frames" "$work/replay" || { echo "FAILED: the monitor sent on the bus"; exit 1; }
+grep -Eq "^(OK|DEGRADED)" "$work/watch" || { echo "FAILED: no conformant state seen"; cat "$work/watch"; exit 1; }
+if grep -q "^VIOLATION" "$work/watch"; then echo "FAILED: violation"; exit 1; fi
+kill -STOP $monitor
+stopset watch --connect tcp/127.0.0.1:28798 --port 0 --seconds 2 > "$work/frozen" 2>&1 || true
+kill -CONT $monitor
+if grep -Eq "^(OK|DEGRADED)" "$work/frozen"; then echo "FAILED: a frozen monitor looked alive"; exit 1; fi
+echo "passed"
