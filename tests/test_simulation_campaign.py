@@ -16,7 +16,7 @@ from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torque
 from stopset.simulation import KINDS, Plan, prepare
 from stopset.simulation.campaign import make
-from stopset.simulation.cell import PERIOD, Cell, build_cell, wrong_cad
+from stopset.simulation.cell import EVERY, TICK, Cell, build_cell, wrong_cad
 from stopset.simulation.hidden import Hidden, healthy, parse_hidden
 from stopset.simulation.plant import healthy_plant
 from stopset.simulation.scenario import complete_robot
@@ -154,7 +154,7 @@ def test_instruments_report_what_they_should(sound: Cell) -> None:
     late, _ = inject(sound, [Hidden("delay", 0, 0.02)])
     a, b = (closed_loop(c, static)[0].tau[:, 0] for c in (sound, late))
     shift = [np.mean((b[10:] - np.roll(a, k)[10:]) ** 2) for k in range(10)]
-    assert int(np.argmin(shift)) == round(0.02 / PERIOD)
+    assert int(np.argmin(shift)) == round(0.02 / (EVERY * TICK))
 
 
 def test_wrong_cad_is_wrong_by_a_few_percent_and_still_a_body() -> None:

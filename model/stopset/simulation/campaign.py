@@ -19,20 +19,11 @@ import numpy as np
 
 from stopset.recording import Recording
 from stopset.robot.rigid import Array
-from stopset.simulation.cell import (
-    HOLD,
-    PERIOD,
-    RAMP,
-    RUN_UP_TICKS,
-    STATIC_WORK,
-    Cell,
-    Job,
-    record,
-    temperatures,
-)  # fmt: skip
+from stopset.simulation.cell import EVERY, HOLD, RAMP, RUN_UP, STATIC_WORK, TICK, Cell, Job, play, record, temperatures
 from stopset.simulation.motions import creep, fourier, from_rest, point_to_point, pose, ramp_down, run_up
 
 ROUNDS = 5
+REACTION = 0.008  # [s] of the controller to a stop request
 STRAYED = 0.8  # [rad] from the reference: an open-loop trial ends there
 
 
@@ -64,7 +55,7 @@ def closed_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
                 "closed_loop",
                 suite,
                 trial,
-                build(space, plan.closed_loop_time, 0.33 if suite < 2 else 1.0, PERIOD, rng),
+                build(space, plan.closed_loop_time, 0.33 if suite < 2 else 1.0, TICK, rng),
             )
         )
     return out
@@ -76,7 +67,7 @@ def static_jobs(cell: Cell, plan: Plan) -> list[Job]:
     for k in range(plan.poses):
         rng = cell.random("static", k)
         target, way = pose(space, rng), rng.choice([-1.0, 1.0], cell.cad.n)
-        out += [Job("static", k, side, creep(target, way * (1 - 2 * side), PERIOD)) for side in (0, 1)]
+        out += [Job("static", k, side, creep(target, way * (1 - 2 * side), TICK)) for side in (0, 1)]
     return out
 
 
@@ -86,9 +77,9 @@ def open_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
     for suite in range(plan.suites):
         rng = cell.random("open_loop", suite)
         build = fourier if suite % 2 else point_to_point
-        motion = from_rest(build(space, float(rng.uniform(2.1, 2.7)), 0.9, PERIOD, rng), PERIOD)
+        motion = from_rest(build(space, float(rng.uniform(2.1, 2.7)), 0.9, TICK, rng), TICK)
         master = Job("open_loop", suite, -1, motion, 0.5)
-        torque = record(cell, master, temperatures(cell, 0.5)).tau
+        torque = play(cell, master, temperatures(cell, 0.5), rng).tau
         out += [Job("open_loop", suite, trial, motion, feedforward=torque) for trial in range(plan.repeats)]
     return out
 
@@ -99,10 +90,10 @@ def stop_jobs(cell: Cell, plan: Plan, phase: str) -> list[Job]:
     for suite, count in enumerate(plan.stops):
         for trial in range(count):
             rng = cell.random(phase, suite, trial)
-            motion = run_up(space, 0.7, PERIOD, rng)
-            if phase == "stop1":  # the controller reacts two ticks after the request
+            motion = run_up(space, 0.7, TICK, rng)
+            if phase == "stop1":  # the controller reacts a little after the request
                 ramp = RAMP * (rng.uniform(0.8, 1.3) if suite else 1.0)
-                motion = ramp_down(motion, RUN_UP_TICKS + 2, ramp, HOLD, PERIOD)
+                motion = ramp_down(motion, round((RUN_UP + REACTION) / TICK), ramp, HOLD, TICK)
             out.append(Job(phase, suite, trial, motion))
     return out
 
@@ -152,7 +143,7 @@ def make(cell: Cell, plan: Plan) -> Iterator[Recording]:
 
 def _within(r: Recording, job: Job, limits: Array) -> int:
     """Samples until an open-loop trial strays: STRAYED from where it should be, or beyond a joint's range."""
-    away = np.abs(r.q - job.motion.q) > STRAYED
+    away = np.abs(r.q - job.motion.q[::EVERY]) > STRAYED
     beyond = (r.q < limits[:, 0]) | (r.q > limits[:, 1])
     bad = np.flatnonzero((away | beyond).any(axis=1))
     return int(bad[0]) if len(bad) else len(r.t)

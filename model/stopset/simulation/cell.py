@@ -1,29 +1,33 @@
 """The simulated arm in its cell: controller, instruments, warming, and how one recording is made there.
 
 Instruments: encoder of 2^-14 rad, velocity 0.003 rad/s, torque noise growing with the rated torque (0.07 to 0.3 N m),
-thermometer 0.1 K in steps of 0.25 K; control and recording at 250 Hz, the torque held in between.  Dry and viscous
-friction of every joint differ by 2 % from trial to trial.
+thermometer 0.1 K in steps of 0.25 K; control at 1 kHz, recording at 250 Hz.  Dry and viscous friction of every joint
+differ by 2 % from trial to trial.
 """
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from stopset.errors import RobotError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
-from stopset.robot.rigid import Array, mass_matrix, torques
+from stopset.robot.rigid import Array, mass_matrix
 from stopset.simulation.arm import Script, run, start
+from stopset.simulation.dynamics import motor_torques
 from stopset.simulation.hidden import Truth
 from stopset.simulation.motions import Motion, Space, space_of
 from stopset.simulation.plant import Plant
 
-PERIOD = 0.004  # [s]
-STEPS_PER_TICK = 8  # of 0.5 ms
+TICK = 0.001  # [s] of the control loop; the torque is held in between
+EVERY = 4  # ticks are recorded: 250 Hz, so that a recorded torque is that of its sample, not of the next
+STEPS_PER_TICK = 2  # of 0.5 ms
 RESOLUTION = 2.0**-14  # [rad]
 SPEED_NOISE = 0.003  # [rad/s]
 SPEED_STEP, TORQUE_STEP, TEMP_STEP = 2.0**-11, 2.0**-6, 0.25  # [rad/s], [N m], [K] of what goes over the bus
@@ -33,7 +37,7 @@ RISE = 22.0  # [K] over ambient in the end
 COOLING = 1.0 / 900.0  # [1/s] of a joint's housing
 WORK_BETWEEN = 1800.0  # [s] of work between the recordings, in all
 STATIC_WORK = 0.1  # of it before a static pose, compared with other recordings
-RUN_UP_TICKS = 25
+RUN_UP = 0.1  # [s] before a stop request
 RAN_AWAY = 12.0  # [rad]
 SATURATED = 0.1  # share of a recording at the torque limit that makes it useless
 RAMP = 0.35  # [s] of a nominal STOP 1
@@ -78,7 +82,7 @@ class Cell:
 
     @property
     def meta(self) -> Meta:
-        return Meta(self.cad.joints, robot=self.cad.name, effort="motor_torque", rate_hz=1.0 / PERIOD)
+        return Meta(self.cad.joints, robot=self.cad.name, effort="motor_torque", rate_hz=1.0 / (EVERY * TICK))
 
 
 def build_cell(cad: Robot, truth: Truth, seed: int) -> Cell:
@@ -103,7 +107,7 @@ def feedforward(cell: Cell, job: Job) -> Array:
     """(K, n) torque [N m] the controller's own model asks for: CAD, data sheet, and about the right friction."""
     plant, cad = cell.truth.plant, cell.cad
     q, dq, ddq = job.motion
-    out = torques(cad.chain, cad.pi, q, dq, ddq) + cad.rotor * ddq
+    out = motor_torques(cad.chain, cad.pi, cad.rotor, q, dq, ddq)
     friction = BELIEVED * (plant.fc * np.tanh(dq / 0.05) + plant.fv * dq)
     if job.phase == "static":  # creeping in, with the friction of that direction to the very end
         friction = np.broadcast_to(BELIEVED * plant.fc * np.sign(dq[0]), q.shape)
@@ -132,20 +136,32 @@ def _today(cell: Cell, job: Job, rng: np.random.Generator) -> Plant:
 
 def _wander(cell: Cell, ticks: int, rng: np.random.Generator) -> Array:
     """(ticks, n) slow random wander of dry friction [N m]: an Ornstein-Uhlenbeck path, stationary from the start."""
-    a = np.exp(-PERIOD / cell.truth.wander_time)
-    kick = rng.standard_normal((ticks, cell.cad.n))
     if not cell.truth.wander.any():
-        return np.zeros_like(kick)
-    out = np.empty_like(kick)
-    out[0] = kick[0]
-    for k in range(1, ticks):
+        return np.zeros((ticks, cell.cad.n))
+    return _first_order(rng.standard_normal((ticks, cell.cad.n)), np.exp(-TICK / cell.truth.wander_time)) * cell.truth.wander
+
+
+@njit(cache=True)
+def _first_order(kick: Array, a: Array) -> Array:
+    out = kick.copy()
+    for k in range(1, len(kick)):
         out[k] = a * out[k - 1] + np.sqrt(1 - a * a) * kick[k]
-    return out * cell.truth.wander
+    return out
 
 
-def record(cell: Cell, job: Job, temp: Array) -> Recording:
-    """Make one recording, starting at joint temperatures ``temp`` [degC]."""
-    rng = cell.random("trial", job.phase, job.suite, job.trial)
+class Log(NamedTuple):
+    """What happened at every control tick, (K, n) each; see `stopset.simulation.arm.run`."""
+
+    q: Array
+    dq: Array
+    tau: Array
+    temp: Array
+    link: Array
+    speed: Array
+
+
+def play(cell: Cell, job: Job, temp: Array, rng: np.random.Generator) -> Log:
+    """Let the arm do a job, starting at joint temperatures ``temp`` [degC]; raises `RobotError` if it cannot."""
     n, K = cell.cad.n, len(job.motion.q)
     plant = _today(cell, job, rng)
     kp, kd = cell.kp, cell.kd
@@ -158,33 +174,44 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
         kp, kd = 4 * kp, 2 * kd
         q0 = q0 - np.sign(v0) * (1 - BELIEVED) * plant.fc / kp
     brake_at = cut_at = K
-    trigger = RUN_UP_TICKS if job.phase in ("stop0", "stop1") else K
     if job.phase == "stop0":
-        brake_at = cut_at = trigger
+        brake_at = cut_at = round(RUN_UP / TICK)
     elif job.phase == "stop1":
-        brake_at, cut_at = K - round((HOLD - BRAKES_AFTER) / PERIOD), K - round((HOLD - CUT_AFTER) / PERIOD)
+        brake_at, cut_at = K - round((HOLD - BRAKES_AFTER) / TICK), K - round((HOLD - CUT_AFTER) / TICK)
     script = Script(
-        PERIOD, torque, job.motion.q, job.motion.dq, kp, kd, brake_at, cut_at,
-        np.zeros((K, n)), noise, RESOLUTION, _wander(cell, K, rng),
+        TICK, torque, job.motion.q, job.motion.dq, kp, kd, brake_at, cut_at,
+        np.zeros((K, n)), noise, RESOLUTION, _wander(cell, K, cell.random("wander", job.phase, job.suite, job.trial)),
     )  # fmt: skip
     state = start(plant, _motor_angle(plant, q0), v0, temp)
     # the friction power of steady work at half speed heats by `Cell.warmth` in the end
     half = 0.5 * cell.space.speed
     heating = COOLING * cell.warmth / (half * (plant.fc + plant.fv * half))
-    q, dq, tau, warm, link, speed = run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK)
-    _check(cell, job, link, tau)
-    if job.trial >= 0:
-        tau = reported(cell, tau, link, speed) + rng.normal(0, 1, (K, n)) * cell.torque_noise
-    dq, tau = np.round(dq / SPEED_STEP) * SPEED_STEP, np.round(tau / TORQUE_STEP) * TORQUE_STEP
-    keep = _extent(job, dq, K)
-    thermometer = np.round((warm + rng.normal(0, 0.1, (K, n))) / TEMP_STEP) * TEMP_STEP
-    triggered = np.arange(K) >= trigger
-    return Recording(
-        job.phase, job.suite, max(job.trial, 0), 0, PERIOD * np.arange(len(q[keep]), dtype=np.float64),
-        q[keep], dq[keep], tau[keep],
-        temp=thermometer[keep] if cell.truth.thermometer else None,
-        stop_trigger=triggered[keep],
-    )  # fmt: skip
+    log = Log(*run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK))
+    _check(cell, job, log.link, log.tau)
+    return log
+
+
+def record(cell: Cell, job: Job, temp: Array) -> Recording:
+    """Make one recording, starting at joint temperatures ``temp`` [degC]."""
+    rng = cell.random("trial", job.phase, job.suite, job.trial)
+    log = play(cell, job, temp, rng)
+    shown = reported(cell, log)[::EVERY]
+    q, dq, warm = log.q[::EVERY], log.dq[::EVERY], log.temp[::EVERY]
+    tau = shown + rng.normal(0, 1, shown.shape) * cell.torque_noise
+    warm = warm + rng.normal(0, 0.1, shown.shape)
+    dq, tau, warm = (np.round(x / step) * step for x, step in ((dq, SPEED_STEP), (tau, TORQUE_STEP), (warm, TEMP_STEP)))
+    t = np.arange(len(q), dtype=np.float64) * (EVERY * TICK)
+    asked = t >= RUN_UP - 0.5 * TICK if job.phase in ("stop0", "stop1") else np.zeros(len(t), bool)
+    whole = Recording(
+        job.phase, job.suite, job.trial, 0, t, q, dq, tau, temp=warm if cell.truth.thermometer else None, stop_trigger=asked
+    )
+    if job.phase == "static":
+        still = whole.cut(len(t) - 4, len(t))
+        return replace(still, t=still.t - still.t[0])
+    if job.phase == "stop0":  # until 0.1 s after the last motion
+        moving = np.flatnonzero(np.abs(dq).max(axis=1) > 6 * SPEED_NOISE)
+        return whole.cut(0, int(moving[-1]) + 1 + round(0.1 / (EVERY * TICK)))
+    return whole
 
 
 def _check(cell: Cell, job: Job, q: Array, tau: Array) -> None:
@@ -206,27 +233,18 @@ def _motor_angle(plant: Plant, reading: Array) -> Array:
     return np.asarray(x)
 
 
-def reported(cell: Cell, tau: Array, q: Array, dq: Array) -> Array:
-    """The motor torque as the drive reports it: late by its delay, without what its own Coriolis compensation adds."""
+def reported(cell: Cell, log: Log) -> Array:
+    """(K, n) motor torque as the drives report it: late by its delay, without what their own Coriolis part adds."""
     t, p = cell.truth, cell.truth.plant
-    out = tau.copy()
+    out = log.tau.copy()
     if t.unlogged_coriolis.any():
-        zero = np.zeros_like(q)
-        c = torques(p.chain, p.pi, q, dq, zero) - torques(p.chain, p.pi, q, zero, zero)
-        out -= t.unlogged_coriolis * c
-    ticks = np.arange(len(tau), dtype=float)
+        zero, rotor = np.zeros_like(log.link), np.zeros(cell.cad.n)
+        c = motor_torques(p.chain, p.pi, rotor, log.link, log.speed, zero)
+        out -= t.unlogged_coriolis * (c - motor_torques(p.chain, p.pi, rotor, log.link, zero, zero))
+    ticks = np.arange(len(out), dtype=float)
     for j in np.flatnonzero(t.delay):
-        out[:, j] = np.interp(ticks - t.delay[j] / PERIOD, ticks, out[:, j])
+        out[:, j] = np.interp(ticks - t.delay[j] / TICK, ticks, out[:, j])
     return out
-
-
-def _extent(job: Job, dq: Array, K: int) -> slice:
-    if job.phase == "static":
-        return slice(K - 4, K)
-    if job.phase == "stop0":  # until 0.1 s after the last motion
-        moving = np.flatnonzero(np.abs(dq).max(axis=1) > 6 * SPEED_NOISE)
-        return slice(0, min(K, int(moving[-1]) + 1 + round(0.1 / PERIOD)))
-    return slice(0, K)
 
 
 def wrong_cad(robot: Robot, rng: np.random.Generator) -> Array:

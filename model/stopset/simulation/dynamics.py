@@ -114,3 +114,17 @@ def mass_and_bias(chain: Chain, pi: Array, q: Array, dq: Array, work: Array, M: 
             V = work[j]
             M[i, j] = V[0] * lx + V[1] * ly + V[2] * lz + V[3] * px + V[4] * py + V[5] * pz
             M[j, i] = M[i, j]
+
+
+@njit(cache=True)
+def motor_torques(chain: Chain, pi: Array, rotor: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """(K, n) torque [N m] of rigid body and rotors for every row of ``q, dq, ddq`` (K, n)."""
+    K, n = q.shape
+    out, M, bias, work = np.empty((K, n)), np.empty((n, n)), np.empty(n), np.empty((n, WORK))
+    for k in range(K):
+        mass_and_bias(chain, pi, q[k], dq[k], work, M, bias)
+        for i in range(n):
+            out[k, i] = bias[i] + rotor[i] * ddq[k, i]
+            for j in range(n):
+                out[k, i] += M[i, j] * ddq[k, j]
+    return out

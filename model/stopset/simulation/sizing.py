@@ -72,8 +72,7 @@ def residual_rms(cell: Cell, recordings: Sequence[Recording], top: float = np.in
     for r in recordings:
         q, dq = _filtered(r.q, 0), _filtered(r.dq, 0)
         ddq = _filtered(r.dq, 1) / float(r.t[1] - r.t[0])
-        tau = r.tau[HALF_WINDOW - 1 : -HALF_WINDOW]
-        tau = 0.5 * (tau[1:] + tau[:-1])  # held from its sample on: half a period early on average
+        tau = r.tau[HALF_WINDOW:-HALF_WINDOW]
         rows.append((tau - torques(cell.cad.chain, pi, q, dq, ddq) - rotor * ddq, dq, _slowest(r.dq)))
     y, dq, slowest = (np.vstack(part) for part in zip(*rows, strict=True))
     out = np.empty(n)
