@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stopset.artifact import load_model
+from stopset.artifact import Model, load_model
 from stopset.fmu import PLATFORMS, export
 from stopset.fmu.build import native
 from stopset.fmu.reference import reference
@@ -27,7 +27,6 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=20, help="states at which the stop bounds are compared")
     args = parser.parse_args()
     model = load_model(args.model)
-    n, J = model.n, model.joints
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         fmu = export(model, Path(folder) / "F.fmu", 3, [str(native())])
@@ -35,16 +34,16 @@ def main() -> None:
         start = time.perf_counter()
         every = export(model, Path(folder) / "G.fmu", 3)
         print(f"export, {len(PLATFORMS)} platforms: {time.perf_counter() - start:.2f} s, {every.stat().st_size / 1024:.0f} KiB")
-        run(model, fmu, n, J)
-    stops(model, n, args.states)
+        run(model, fmu)
+    stops(model, args.states)
 
 
-def run(model, fmu, n, J):  # type: ignore[no-untyped-def]
+def run(model: Model, fmu: Path) -> None:
     """Agreement on the reference run, and time per step without an importer's overhead."""
     import fmpy
     from fmpy.fmi3 import FMU3Slave
 
-    r = reference(model)
+    r, J = reference(model), model.joints
     description = fmpy.read_model_description(str(fmu))
     vr = {v.name: v.valueReference for v in description.modelVariables}
     folder = fmpy.extract(str(fmu))
@@ -74,9 +73,9 @@ def run(model, fmu, n, J):  # type: ignore[no-untyped-def]
     slave.freeInstance()
 
 
-def stops(model, n, states):  # type: ignore[no-untyped-def]
+def stops(model: Model, states: int) -> None:
     """The FMU's bound over the certified tube of `stopset.reach`, at random states of the domain."""
-    bounds, rng = StopBounds.of(model), np.random.default_rng(0)
+    n, bounds, rng = model.n, StopBounds.of(model), np.random.default_rng(0)
     d, V = model.domain, model.powered.V
     ratios, proved = [], 0
     for _ in range(states):
@@ -84,7 +83,7 @@ def stops(model, n, states):  # type: ignore[no-untyped-def]
         mine = fmu_stop(model, q - V.centre[:n], dq - V.centre[n:], V.radius[:n], V.radius[n:])
         other = bounds.bound(q, dq)
         proved += mine is not None
-        if mine is not None and other.certified:
+        if mine is not None and other.time is not None and other.angle is not None and other.tcp is not None:
             ratios.append([mine.time / other.time.max(), np.median(mine.angle / other.angle), mine.tcp / other.tcp])
     print(f"stops proved: {proved} of {states}")
     if ratios:

@@ -249,6 +249,26 @@ def test_a_measurement_outside_names_the_joint_and_stays(exported: Any) -> None:
     assert not np.any(out["conformant"][21:])
 
 
+def test_a_prediction_that_runs_away_is_refuted_by_a_measurement_inside_the_domain(exported: Any) -> None:
+    model = arm_model()
+    t = DT * np.arange(300)
+    tau = {"tau_axis_3": np.full(300, 25.0), "measured": np.ones(300, bool)}
+    out = simulate(model, exported(model, "arm", 3), t, tau, ["verdict", "violated_joint", "dq_axis_3"])
+    assert out["dq_axis_3"][-1] > model.domain.dq.hi[2]
+    assert out["verdict"][-1] == 2
+    assert out["violated_joint"][-1] == 3
+
+
+def test_bounds_of_cubic_friction_are_not_made_up_in_model_exchange(exported: Any) -> None:
+    model = arm_model(3, cubic=0.2)
+    t = DT * np.arange(11)
+    out = simulate(
+        model, exported(model, "cubic", 3), t, {}, ["q_lo_axis_1", "covered"], kind="ModelExchange", output_interval=DT
+    )  # fmt: skip
+    assert np.all(np.isnan(out["q_lo_axis_1"][1:]))
+    assert np.all(out["covered"][1:] == 0)
+
+
 def test_no_verdict_where_the_model_was_not_tested(exported: Any) -> None:
     model = arm_model()
     fmu = exported(model, "arm", 3)

@@ -174,10 +174,12 @@ static double age_of(const StopsetState *s) {
     return age > 0.0 ? age : 0.0;
 }
 
+/* The measured state where there is one: a prediction that runs away is what a verdict is for. */
 static int inside_domain(const StopsetState *s) {
     const StopsetModel *m = &stopset_model;
+    const double *qs = &s->r[s->b[IX_MEASURED] ? VR_Q_MEASURED : VR_Q], *dqs = &s->r[s->b[IX_MEASURED] ? VR_DQ_MEASURED : VR_DQ];
     for (int i = 0; i < NJ; i++) {
-        double q = s->r[VR_Q + i], dq = s->r[VR_DQ + i], temp = s->r[VR_TEMP + i];
+        double q = qs[i], dq = dqs[i], temp = s->r[VR_TEMP + i];
         if (!(q >= m->q_lo[i] && q <= m->q_hi[i] && dq >= m->dq_lo[i] && dq <= m->dq_hi[i])) return 0;
         if (m->has_domain_temp && !(temp >= m->temp_lo[i] && temp <= m->temp_hi[i])) return 0;
     }
@@ -198,6 +200,7 @@ static void bounds(StopsetState *s, double lo[NX], double hi[NX]) {
 }
 
 static int covered(const StopsetState *s) {
+    if (NV > 1 && s->modes_by_events) return 0; /* corner trajectories are integrated in co-simulation only */
     return s->as_identified && !s->stopping && age_of(s) <= stopset_model.horizon + 1e-9 * stopset_model.dt && inside_domain(s) &&
            (!stopset_model.motor_torque || s->b[IX_MEASURED]);
 }

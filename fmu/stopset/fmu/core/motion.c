@@ -343,6 +343,7 @@ void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]) {
     const StopsetModel *m = &stopset_model;
     for (int i = 0; i < NX; i++) {
         double x = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i];
+        if (s->modes_by_events) x = (double)NAN; /* in model exchange nobody integrates the corners */
         lo[i] = s->corner[0][i] + m->V_lo[i] - x;
         hi[i] = s->corner[1][i] + m->V_hi[i] - x;
     }
