@@ -7,10 +7,10 @@ import math
 import pkgutil
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import stopset.effects as folder
 from stopset.effects.base import Effect, Shape, Term
 from stopset.errors import EffectError
 
@@ -24,7 +24,7 @@ def catalogue() -> MappingProxyType[str, Effect]:
     Raises `EffectError` if a registered object is not a sound effect or takes a name twice.
     """
     found: dict[str, Effect] = {}
-    for info in pkgutil.iter_modules(folder.__path__):
+    for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
         if info.name not in ("base", "registry", "signals", "memory"):
             effect = importlib.import_module(f"stopset.effects.{info.name}").EFFECT
             found[effect.name] = effect

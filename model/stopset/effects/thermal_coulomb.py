@@ -8,7 +8,7 @@ from stopset.effects.base import Effect, Number, Signals, Term
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
-    """``k_C T sign(dq)``. Source: Bittencourt & Axelsson (2012)."""
+    """``k_C T sign(dq)``. Source: Bittencourt & Gunnarsson (2012)."""
     return (s.temp * s.direction,)
 
 

@@ -1,0 +1,284 @@
+"""The house itself: layers, names, sources and requirements hold together."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from stopset.cli.main import commands
+
+ROOT = Path(__file__).parents[1]
+PARTS = ("model", "offline", "monitor", "fmu")
+# who may use whom: only those further down (offline, monitor and fmu never each other)
+LAYERS = (
+    ("cli",), ("offline", "monitor", "fmu"), ("simulation",), ("reach",), ("artifact",), ("recording",), ("effects",), ("robot",),
+    ("sets",), ("ring",), ("files",), ("errors",),
+)  # fmt: skip
+LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
+# what the monitor's host must not need
+HEAVY = ("scipy", "plotly", "pinocchio", "osqp", "cvxpy", "clarabel", "toppra", "matplotlib", "fmpy", "pandas")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Every module of the project by its dotted name."""
+    out = {}
+    for part in PARTS:
+        for path in sorted((ROOT / part).rglob("*.py")):
+            names = list(path.relative_to(ROOT / part).with_suffix("").parts)
+            out[".".join(names[:-1] if names[-1] == "__init__" else names)] = path
+    return out
+
+
+@cache
+def tree(name: str) -> ast.Module:
+    return ast.parse(modules()[name].read_text(encoding="utf-8"))
+
+
+def imports(name: str, everywhere: bool) -> Iterator[str]:
+    """Modules of the project that a module imports (``everywhere``: inside functions and for types alone too)."""
+    todo: list[ast.AST] = list(tree(name).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.Import):
+            yield from (a.name for a in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            assert node.level == 0, f"{name}: relative import"
+            for a in node.names:
+                yield f"{base}.{a.name}" if f"{base}.{a.name}" in modules() else base
+        elif everywhere:
+            todo += list(ast.iter_child_nodes(node))
+        elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        elif isinstance(node, (ast.If, ast.Try, ast.With)):
+            todo += [n for n in ast.iter_child_nodes(node) if isinstance(n, ast.stmt)]
+
+
+def test_the_namespace_has_no_file_of_its_own() -> None:
+    """One `stopset/__init__.py` would hide the other three parts, or be overwritten by another package's."""
+    assert not [p for part in PARTS for p in (ROOT / part / "stopset").glob("__init__.py")]
+    for part in PARTS:
+        assert [p.name for p in (ROOT / part).iterdir() if p.is_dir() and p.name != "__pycache__"] == ["stopset"]
+
+
+def test_imports_go_down_only() -> None:
+    wrong = []
+    for name in modules():
+        mine = name.split(".")[1]
+        for other in imports(name, everywhere=True):
+            if other.startswith("stopset.") and other in modules():
+                yours = other.split(".")[1]
+                if yours != mine and LEVEL[mine] >= LEVEL[yours]:
+                    wrong.append(f"{name} imports {other}")
+    assert not wrong
+
+
+def test_no_import_cycle() -> None:
+    graph = {m: {i for i in imports(m, everywhere=False) if i in modules() and i != m} for m in modules()}
+    state: dict[str, int] = {}
+    path: list[str] = []
+
+    def visit(m: str) -> None:
+        state[m] = 1
+        path.append(m)
+        for other in graph[m]:
+            assert state.get(other) != 1, " -> ".join([*path[path.index(other) :], other])
+            if other not in state:
+                visit(other)
+        path.pop()
+        state[m] = 2
+
+    for m in graph:
+        if m not in state:
+            visit(m)
+
+
+def test_import_linter_agrees() -> None:
+    pytest.importorskip("importlinter")
+    script = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
+@pytest.mark.parametrize("what", ["monitor", "reach", "artifact", "robot", "recording", "cli"])
+def test_what_the_monitors_host_imports_stays_light(what: str) -> None:
+    """In a process of its own: nothing heavy comes along, however deep. (A command may need more when it runs.)"""
+    names = [m for m in modules() if m.split(".")[1] == what]
+    if what == "cli":
+        names = ["stopset.cli.main"]
+    code = (
+        f"import sys, importlib\nsys.modules.update(dict.fromkeys({HEAVY!r}))\n"  # as if they were not installed
+        f"for m in {names!r}:\n importlib.import_module(m)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-1500:]
+
+
+def test_bus_libraries_stay_in_the_links_and_importers() -> None:
+    """`can` and `zenoh` are imported where a bus is opened, and nowhere when a module is merely loaded."""
+    for name in modules():
+        if ".monitor.links" in name:
+            continue
+        top = {i.split(".")[0] for i in imports(name, everywhere=False)}
+        assert not top & {"can", "zenoh", "canopen"}, name
+
+
+def test_every_public_module_says_what_it_is() -> None:
+    silent = [m for m in modules() if not m.split(".")[-1].startswith("_") and not ast.get_docstring(tree(m))]
+    # a bare package marker has nothing to say
+    assert not [m for m in silent if tree(m).body]
+
+
+def test_modules_and_functions_stay_readable() -> None:
+    """About 200 lines are meant; 500 are too many."""
+    long = {m: n for m, p in modules().items() if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500}
+    # the certified tube of STOP 0 is one compiled loop
+    assert set(long) <= {"stopset.reach.stops.tube"}, long
+
+
+def test_nothing_is_left_to_do() -> None:
+    marks = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
+    assert not [m for m, p in modules().items() if marks.search(p.read_text(encoding="utf-8"))]
+
+
+# ---- sources
+
+
+def bib_keys() -> set[str]:
+    return set(re.findall(r"^@\w+\{([^,\s]+),", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def cited() -> Iterator[tuple[str, str, str]]:
+    """(module, first surname in small letters, year) of every ``Source:`` in a docstring."""
+    for m in modules():
+        for node in ast.walk(tree(m)):
+            if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                continue
+            text = ast.get_docstring(node) or ""
+            for found in re.finditer(r"Source:\s*(.*?)(?:\n\s*\n|\Z)", text, re.DOTALL):
+                paragraph = " ".join(found.group(1).split())
+                for part in re.split(r";", paragraph):
+                    for names, year in re.findall(r"((?:[A-Z][\w.'’-]*)[^;()]*?)\((\d{4})\)", part):
+                        words = [w for w in re.findall(r"[A-Z][\w’'-]+", names) if not re.fullmatch(r"[A-Z]\.?", w)]
+                        yield m, re.sub(r"[^a-z]", "", words[0].lower()), year
+
+
+def test_every_source_in_a_docstring_is_in_the_bibliography() -> None:
+    keys = bib_keys()
+    seen = 0
+    for m, surname, year in cited():
+        seen += 1
+        assert any(k.endswith(year) and surname.startswith(k[:-4]) for k in keys), f"{m}: {surname} ({year})"
+    assert seen > 20
+
+
+def test_every_effect_names_a_source_of_the_bibliography() -> None:
+    from stopset.effects.registry import catalogue
+
+    keys = bib_keys()
+    for effect in catalogue().values():
+        assert effect.source in keys, f"{effect.name}: {effect.source!r}"
+
+
+def test_every_entry_of_the_bibliography_is_used() -> None:
+    text = {m: p.read_text(encoding="utf-8") for m, p in modules().items()}
+    used = {surname + year for _, surname, year in cited()} | set(re.findall(r'source="(\w+)"', "\n".join(text.values())))
+    unused = {k for k in bib_keys() if not any(u.endswith(k[-4:]) and u.startswith(k[:-4]) for u in used)}
+    assert not unused
+
+
+# ---- the command line
+
+
+def test_the_overview_lists_every_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "stopset.cli.main", "--help"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    for c in commands():
+        assert re.search(rf"^  {c} +\S", done.stdout, re.MULTILINE), c
+    assert "not a certified safety function" in done.stdout
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from stopset.cli.main import main
+
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    assert f"stopset {command}" in said
+    assert "Monitoring aid" in said
+
+
+# ---- requirements
+
+
+@cache
+def existing_tests() -> frozenset[str]:
+    out = set()
+    for path in (ROOT / "tests").glob("test_*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                out.add(f"{path.name}::{node.name}")
+    return frozenset(out)
+
+
+def requirement_rows() -> list[list[str]]:
+    text = (ROOT / "docs" / "requirements.md").read_text(encoding="utf-8")
+    rows = [re.split(r"(?<!\\)\|", line.strip().strip("|")) for line in text.splitlines() if re.match(r"\| *(R|P)-?\d", line)]
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def test_every_requirement_is_verified_by_tests_that_exist() -> None:
+    rows = requirement_rows()
+    assert len(rows) > 40
+    assert len({r[0] for r in rows}) == len(rows)  # numbered once
+    missing = []
+    for row in rows:
+        named = re.findall(r"`(test_\w+\.py)::(test_\w+)`", row[-1])
+        if not named:
+            missing.append(f"{row[0]} names no test")
+        missing += [f"{row[0]}: {f}::{t}" for f, t in named if f"{f}::{t}" not in existing_tests()]
+    assert not missing
+
+
+def test_every_trap_has_a_row() -> None:
+    traps = {row[0] for row in requirement_rows() if row[0].startswith("P")}
+    assert traps == {f"P{k}" for k in range(1, 27) if k != 14}
+
+
+def test_symbols_of_the_code_are_in_the_notation() -> None:
+    text = (ROOT / "NOTATION.md").read_text(encoding="utf-8")
+    for symbol in (
+        "q",
+        "dq",
+        "ddq",
+        "tau",
+        "u",
+        "M",
+        "Minv",
+        "A",
+        "B",
+        "E1",
+        "X0",
+        "U",
+        "V",
+        "Ad",
+        "Bd",
+        "pi",
+        "dt",
+        "horizon",
+        "warm",
+    ):
+        assert re.search(rf"^\| `{symbol}`", text, re.MULTILINE), symbol
+    rows = [r for r in text.splitlines() if r.startswith("| `")]
+    names = [n for r in rows for n in re.findall(r"`([^`]+)`", r.split("|")[1])]
+    assert len(names) == len(set(names))  # never two meanings for one symbol
