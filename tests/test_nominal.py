@@ -290,3 +290,18 @@ def test_residuals_of_a_trial_match_the_stated_error(found) -> None:  # type: ig
     use = np.concatenate([x.moving for x in rest])
     for j in range(3):
         assert np.sqrt(np.mean(left[use[:, j], j] ** 2)) == pytest.approx(nominal.rms[j], rel=1e-6)
+
+
+def test_p24_current_counts_through_its_torque_constant(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from stopset.recording import read_recordings, write_recordings
+
+    true = arm()
+    constant = np.array([11.0, 13.0, 9.0])
+    data = campaign(Truth(true), seconds=6.0)
+    meta = Meta(joints=JOINTS, effort="motor_current", torque_constant=tuple(constant))
+    # the torque column is what a drive without calibration would have written: it must not be looked at
+    trials = [replace(r, current=r.tau / constant, tau=0 * r.tau) for r in data]
+    write_recordings(tmp_path / "current.parquet", meta, trials)
+    nominal = identify_nominal(true, read_recordings(tmp_path / "current.parquet", true))
+    for j, joint in enumerate(JOINTS):
+        assert nominal.value("coulomb", joint)["F_c"] == pytest.approx(F_C[j], rel=0.03)
