@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import sqlite3
+import subprocess
 import time
 import urllib.request
 from pathlib import Path
@@ -185,3 +187,56 @@ def test_import_of_bags_returns_the_recording(suffix: str, tmp_path: Path) -> No
         # stamps are whole nanoseconds, signals float32
         assert np.abs(a.t - b.t).max() < 1e-9 and np.abs(a.tau - b.tau).max() <= 2.0**-24 * np.abs(a.tau).max()
     assert main(["import", str(path), "--topic", "/other", "--out", str(tmp_path / "no.parquet")]) == 2
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")
+def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path) -> None:
+    """The shipped router, daemon and PLC files with fresh certificates, on loopback: a PLC cannot forge the state."""
+    deploy = Path(__file__).resolve().parents[1] / "deploy/zenoh"
+    pki = tmp_path / "pki"
+    names = ["stopset-daemon", "stopset-plc", "stopset-operator"]
+    subprocess.run([str(deploy / "pki/make-certs.sh"), str(pki), "localhost", *names], check=True, capture_output=True)
+    port = free_port()
+    files = {}
+    for name in ("router", "daemon", "plc"):
+        text = (deploy / f"{name}.json5").read_text().replace("/etc/stopset/zenoh/pki", str(pki))
+        text = text.replace("0.0.0.0:7447", f"127.0.0.1:{port}").replace("router.cell.local:7447", f"127.0.0.1:{port}")
+        files[name] = tmp_path / f"{name}.json5"
+        files[name].write_text(text)
+    operator = tmp_path / "operator.json5"
+    operator.write_text(files["plc"].read_text().replace("stopset-plc", "stopset-operator"))
+    prefix = "site/cell/arm/stopset"
+    links = [ZenohLink(prefix, file=f) for f in (files["router"], files["daemon"], files["plc"], operator)]
+    _, daemon, plc, person = links
+    try:
+        heard: dict[str, list[str]] = {"daemon": [], "plc": [], "person": []}
+        daemon.subscribe("*", lambda k, d: None)
+        for name in ("challenge", "reset"):
+            daemon.subscribe(name, lambda k, d: heard["daemon"].append(f"{k.rsplit('/', 1)[-1]} {d.decode()}"))
+        plc.subscribe("state", lambda _, d: heard["plc"].append(d.decode()))
+        person.subscribe("state", lambda _, d: heard["person"].append(d.decode()))
+        daemon.serve("model", lambda: b"the model")
+        time.sleep(0.8)
+        daemon.put("state", "true")
+        plc.put("state", "forged by the PLC")
+        person.put("state", "forged by a person")
+        plc.put("challenge", "nonce")
+        plc.put("reset", "not the PLC's")
+        person.put("reset", "by a person")
+        time.sleep(1.0)
+        # a session hears itself without the router; what matters is what reaches the others
+        assert sorted(heard["plc"]) == ["forged by the PLC", "true"] and sorted(heard["person"]) == ["forged by a person", "true"]
+        assert sorted(heard["daemon"]) == ["challenge nonce", "reset by a person"]
+        assert plc.get("model") == [(f"{prefix}/model", b"the model")]
+        stranger = (
+            files["plc"]
+            .read_text()
+            .replace("connect_certificate", "// connect_certificate")
+            .replace("connect_private_key", "// ")
+        )
+        (tmp_path / "stranger.json5").write_text(stranger)
+        with pytest.raises(BusError, match="cannot be opened"):
+            ZenohLink(prefix, file=tmp_path / "stranger.json5")
+    finally:
+        for link in reversed(links):
+            link.close()
