@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stopset.artifact import Abstraction, UncertaintySets
+from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
-from stopset.offline.abstraction import build, ranked
+from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
 from stopset.offline.conform import cooperative as co
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear import fit_sets
 from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
+from stopset.offline.conform.nonlinear_sets import conform_nonlinear
+from stopset.offline.conform.sets import Options, Pairs
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording
@@ -273,3 +277,55 @@ def test_coarser_grid_keeps_the_input_s_integral() -> None:
     (cx, cu) = coarser([(x, u)], 3)[0]
     assert np.array_equal(cx, x[[0, 3, 6, 9]])
     assert np.allclose(cu[:3, 0] * 3, [0 + 1 + 2, 3 + 4 + 5, 6 + 7 + 8])
+
+
+def motions(data: list[co.Trial], repetitions: int) -> Pairs:
+    """The trials as recordings, so many repetitions to a motion."""
+
+    def pairs() -> Iterator[tuple[int, Recording, np.ndarray]]:
+        for k, (x, u) in enumerate(data):
+            n = u.shape[1]
+            t = np.arange(len(x)) * 0.02
+            yield k // repetitions, Recording("open_loop", k // repetitions, k, k, t, x[:, :n], x[:, n:], u), u
+
+    return pairs
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_sets_margin_and_guarantee_of_a_regime(kind: int) -> None:
+    """Held-out motions are counted, everything is enclosed in the end, and the words say from where predictions start."""
+    model = planar(2, 5)
+    data = planar_trials(model, 16)
+    fitted = model if kind == 2 else Abstraction(1, 3, np.diag([0.8, 1.2]), PLANAR_FRICTION)  # decoupled, poor on purpose
+    got = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.1), 16)
+    assert got.guarantee.motions == 2 and got.guarantee.calibration_motions == 6
+    assert 0.7 < got.guarantee.upper_bound <= 1.0  # two motions prove next to nothing
+    assert ("every sample" if kind == 1 else "160 starts") in got.guarantee.text
+    assert enclosed(fitted, got.sets, data, every=13 if kind == 1 else 11)
+    assert got.other.conform == "position"
+    tight = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.0), 16)
+    assert np.all(tight.sets.U.width <= got.sets.U.width * 1.001)  # factors are found to 1e-4
+
+
+def test_the_margin_is_calibrated_on_repetitions_where_motions_are_few() -> None:
+    model = planar(2, 5)
+    got = conform_nonlinear(motions(planar_trials(model, 8), 4), model, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.5, Options(), 8)
+    assert got.margins.max() > 1.0
+    assert "none could be held out" in got.guarantee.text
+    assert any("between repetitions" in note for note in got.notes)
+
+
+def test_the_abstraction_of_an_identified_arm() -> None:
+    effects = (
+        Fitted("viscous", "j1", {"F_v": 3.0}, {}),
+        Fitted("cubic_viscous", "j1", {"v_3": -0.2}, {}),
+        Fitted("viscous", "j2", {"F_v": -1.0}, {}),  # must not drive
+        Fitted("coulomb", "j1", {"F_c": 5.0}, {}),  # is taken off the input
+    )
+    assert np.array_equal(friction_polynomial(("j1", "j2"), effects), [[3.0, 0.0, -0.2], [0.0, 0.0, 0.0]])
+    poses = np.random.default_rng(0).uniform(-1, 1, (30, 2))
+    for kind in (1, 2, 3):
+        model = abstract(two_link(), ROTOR, effects, kind, 3, poses, np.array([0.01, 0.01]))
+        assert model.kind == kind and model.standstill[0] == 0.01
+        rest = model.ddq(poses.mean(axis=0)[None], np.zeros((1, 2)), np.ones((1, 2)))
+        assert np.all(np.isfinite(rest))

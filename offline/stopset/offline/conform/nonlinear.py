@@ -182,30 +182,21 @@ def grown(fit: Fit, factor: float) -> Fit:
     return replace(fit, X0=fit.X0.inflated(factor), U=fit.U.inflated(factor), V=fit.V.inflated(factor))
 
 
-def fit_along(
-    trials: Sequence[Trial], abstraction: Abstraction, noise: Box, dt: float, horizon: int, conform: str = "all",
-    windows: str = "sliding",
-) -> tuple[Fit, float]:  # fmt: skip
-    """Sets of any abstraction on the hull along the nominal solution, and the common scaling of the final check.
+def fit_windows(seen: Sequence[Window], noise: Box, dt: float, conform: str = "all", every: int = 2) -> tuple[Fit, float]:
+    """Cheapest sets that enclose these windows, and the common scaling that the final check over all of them asked for.
 
-    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``horizon`` in steps.  Raises `NotConformant`.
+    ``every``: the program itself sees one window in so many.  Raises `NotConformant`.
     """
-    n = abstraction.n
-    states = 2 * n if conform == "all" else n
-    where = starts(trials, windows, WINDOWS)
-    G, h, cost, seen = [], [], np.zeros(5 * 2 * n), []
-    for k, w in enumerate(windows_of(trials, abstraction, where, dt, horizon)):
-        seen.append(w)
-        last = len(w.d) - 1
-        if k % 2 and windows == "sliding":
-            continue
-        ages = np.unique(np.geomspace(1, last, AGES).astype(int))
-        rows, rhs = _rows(w, ages, states)
+    m = noise.dim
+    n = m // 2
+    states = m if conform == "all" else n
+    G, h, cost = [], [], np.zeros(5 * m)
+    for w in seen[::every]:
+        rows, rhs = _rows(w, np.unique(np.geomspace(1, len(w.d) - 1, AGES).astype(int)), states)
         G.append(rows)
         h.append(rhs)
         cost += _cost(w, dt, states, n)
     z = _least(np.vstack(G), np.concatenate(h), cost / len(G), noise, conform == "all")
-    m = 2 * n
     x_lo, x_hi, v_lo, v_hi = (z[k * m : (k + 1) * m] for k in range(4))
     boxes = [Box(np.minimum(lo, hi), np.maximum(lo, hi)) for lo, hi in ((x_lo, x_hi), (z[4 * m : 4 * m + n], z[4 * m + n :]))]
     fit = Fit(boxes[0], boxes[1], Box(v_lo.copy(), v_hi.copy()), float(cost @ z / len(G)), (), conform)
@@ -214,6 +205,18 @@ def fit_along(
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")
     # the last rounding of the division, outward
     return (grown(fit, factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
+
+
+def fit_along(
+    trials: Sequence[Trial], abstraction: Abstraction, noise: Box, dt: float, horizon: int, conform: str = "all",
+    windows: str = "sliding",
+) -> tuple[Fit, float]:  # fmt: skip
+    """Sets of any abstraction on the hull along the nominal solution, and the common scaling of the final check.
+
+    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``horizon`` in steps.  Raises `NotConformant`.
+    """
+    seen = list(windows_of(trials, abstraction, starts(trials, windows, WINDOWS), dt, horizon))
+    return fit_windows(seen, noise, dt, conform, 2 if windows == "sliding" else 1)
 
 
 def fit_nonlinear(

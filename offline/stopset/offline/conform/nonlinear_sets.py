@@ -8,7 +8,7 @@ evenly over the campaign, and every motion among them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class Algorithm:
     dt: float
     steps: int
     windows: str
+    remembered: dict[tuple[int, ...], list[along.Window]] = field(default_factory=dict)
 
     def fit(self, trials: Sequence[Trial], conform: str) -> Fit:
         """Cheapest sets that enclose these trials."""
@@ -44,15 +45,24 @@ class Algorithm:
             return fit_cooperative(trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, conform, self.windows)[
                 0
             ]
-        return along.fit_along(trials, self.abstraction, self.noise, self.dt, self.steps, conform, self.windows)[0]
+        every = 2 if self.windows == "sliding" else 1
+        return along.fit_windows(self._windows(trials), self.noise, self.dt, conform, every)[0]
 
     def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
         """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
         if self.abstraction.decoupled:
             return needed_factor(fit, trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, self.windows)
-        where = along.starts(trials, self.windows, along.WINDOWS)
-        windows = along.windows_of(trials, self.abstraction, where, self.dt, self.steps)
-        return max(1.0, *(along.needed(w, fit) for w in windows))
+        return max(1.0, *(along.needed(w, fit) for w in self._windows(trials)))
+
+    def _windows(self, trials: Sequence[Trial]) -> list[along.Window]:
+        """Windows of these trials; the latest two sets of trials are remembered, for they are asked for again and again."""
+        key = tuple(id(x) for x, _ in trials)
+        if key not in self.remembered:
+            where = along.starts(trials, self.windows, along.WINDOWS)
+            if len(self.remembered) >= 2:
+                del self.remembered[next(iter(self.remembered))]
+            self.remembered[key] = list(along.windows_of(trials, self.abstraction, where, self.dt, self.steps))
+        return self.remembered[key]
 
 
 def conform_nonlinear(
