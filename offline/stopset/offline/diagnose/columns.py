@@ -32,6 +32,7 @@ class Source:
 
     robot: Robot
     data: Prepared
+    compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     _cache: dict[str, Array] = field(default_factory=dict)
@@ -67,8 +68,9 @@ class Source:
 
     @property
     def link(self) -> Array:
-        """(N, n) links' torque [N m]."""
-        return self._get("link", lambda: self.regressor @ self.robot.pi.ravel())
+        """(N, n) links' torque [N m] within what was recorded."""
+        pi = self.robot.pi.ravel() * (not self.compensated)
+        return self._get("link", lambda: self.regressor @ pi)
 
     @property
     def mass(self) -> Array:

@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
+from stopset.offline.diagnose.baseline import known_robot
 from stopset.offline.diagnose.engine import Engine, Scored, Tolerance
 from stopset.offline.diagnose.residual import Dependence, dependences, held_out
 from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
-from stopset.recording import Recordings
+from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
 QUIET = 1.25  # leftover variance over the sensors' noise below which a joint's rows count as explained (healthy: 0.7 to 1.0)
-LEFT = 0.5  # share of the leftover that may remain after all claims; more, and the cause is outside the catalogue
+TELLING = 0.33  # share of a joint's leftover that one claim must explain; else, with rest left, the cause is outside the catalogue
+STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
 
@@ -113,6 +116,8 @@ def diagnose(
     nuisance, refitted); ``names``: look for these effects only.
     Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
     """
+    if not any(_moves(r) for r in recordings):
+        return standing(robot, recordings, fitted)
     engine = Engine.build(robot, recordings, tolerance)
     _include(engine, fitted)
     hyper, _ = engine.fit()
@@ -121,7 +126,8 @@ def diagnose(
     found = search(engine, names)
     ranked = _ranked(engine, found, known, before)
     left = _left(found, engine)
-    verdict = "unknown" if left else ("missing" if ranked else "none")
+    unknown = bool(left) and not _telling(found.claims)
+    verdict = "unknown" if unknown else ("missing" if ranked else "none")
     depends: tuple[str, ...] = ()
     if left:
         hyper, p = engine.fit(found.hyper)
@@ -140,6 +146,40 @@ def diagnose(
         trials=len(engine.data.trials),
         rows=sum(r.size for r in engine.rows),
     )
+
+
+def diagnose_model(
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None
+) -> tuple[Diagnosis, str]:
+    """`diagnose` for a model file; also says what the recordings were measured against."""
+    robot, against = known_robot(model, recordings.meta)
+    return diagnose(robot, recordings, model.effects, names=names), against
+
+
+def _moves(r: Recording) -> bool:
+    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
+
+
+def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
+    """Recordings in which no joint moves: torque that changes there by more than friction can hold comes from outside."""
+    coulomb = {f.joint: f.values.get("F_c", 0.0) for f in fitted if f.effect == "coulomb"}
+    pushed = []
+    for j, name in enumerate(robot.joints):
+        limit = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else 100.0
+        friction = coulomb.get(name, 0.05 * limit)
+        swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
+        if swing > 2 * friction + 0.02 * limit:
+            pushed.append((swing / limit, name))
+    names = tuple(f"time at standstill (torque of {name})" for _, name in sorted(pushed, reverse=True))
+    return Diagnosis(
+        verdict="unknown" if pushed else "none", ranked=(), rivals=(), depends_on=names,
+        not_identifiable=("every effect of motion: no joint moves in these recordings",),
+        next_experiment=(
+            "The torque changes while every joint stands still: something touches the arm. Repeat with nothing in contact."
+            if pushed else "Move every joint through its range at several speeds."
+        ),
+        trials=len(recordings),
+    )  # fmt: skip
 
 
 def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
@@ -199,14 +239,18 @@ def parameters(scored: Scored) -> dict[str, Parameter]:
 
 def _left(found: Found, engine: Engine) -> tuple[int, ...]:
     """Joints whose rows the claims leave unexplained: too much variance, or friction that jumps from trial to trial."""
-    first = found.claims[0].excess_before if found.claims else found.excess
-    weight = np.array([r.size for r in engine.rows], float)
-    over = [float(weight @ np.maximum(np.array(e) - 1.0, 0.0)) for e in (first, found.excess)]
     loud = tuple(j for j, e in enumerate(found.excess) if e > QUIET)
     restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
-    if loud and (not found.claims or over[1] > LEFT * over[0]):
-        return loud
-    return restless
+    return loud or (restless if not found.claims else ())
+
+
+def _telling(claims: Sequence[Claim]) -> bool:
+    """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
+    for c in claims:
+        for before, after in zip(c.excess_before, c.excess_after, strict=True):
+            if before > QUIET and before - after > TELLING * (before - 1.0):
+                return True
+    return False
 
 
 def _names(ranked: Sequence[Dependence], engine: Engine, joint: int) -> tuple[str, ...]:

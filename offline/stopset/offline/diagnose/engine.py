@@ -17,6 +17,7 @@ from stopset.robot import Robot
 
 FOLDS = 6
 SCALES = (0.3, 1.0, 3.0, 10.0, 30.0)  # how far the CAD may be off, in units of its tolerance; found by evidence
+HELD = 1e12  # prior precision of a term held at zero
 PRIOR_SHARE = 0.3  # prior deviation of an effect's torque, as a share of the joint's friction: neither tiny nor dominant
 
 
@@ -96,7 +97,8 @@ class Engine:
     def build(robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None) -> Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
         data, tol = prepare(recordings), tolerance or Tolerance()
-        source, n = Source(robot, data), robot.n
+        compensated = recordings.meta.effort == "compensated_torque"
+        source, n = Source(robot, data, compensated), robot.n
         units = list(dict.fromkeys(t.unit for t in data.trials))
         folds = np.array([units.index(t.unit) % FOLDS for t in data.trials], dtype=np.intp)
         rows = _all_rows(source)
@@ -104,7 +106,8 @@ class Engine:
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
         sd = np.full(1 + 15 * n, np.inf)
         sd[base] = link_tolerance(robot, tol).ravel()
-        sd[own[:, 0]] = np.maximum(tol.rotor * robot.rotor, 1e-3)
+        told = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
+        sd[own[:, 0]] = np.where(told, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
         sd[own[:, 4]] = 0.5 * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
         friction, grams = np.zeros((n, 2)), []
         for j in range(n):
@@ -284,7 +287,7 @@ class Engine:
             for k in which:
                 c = candidates[k]
                 ix = place[c.cols]
-                value, theta, cov = gain(p.S[np.ix_(ix, ix)], p.s[ix], 1.0 / c.sd**2)
+                value, theta, cov = _gain_within(p.S[np.ix_(ix, ix)], p.s[ix], c)
                 value += bonus - c.charge
                 if k not in best or value > best[k].score:
                     best[k] = Scored(c, value, theta, cov)
@@ -326,6 +329,16 @@ class Engine:
         return view.scores([candidate], hyper, quick)[0]
 
 
+def _gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
+    """`gain`; of several terms those that come out beyond their range are held at zero, where that lies in it."""
+    value, theta, cov = gain(S, s, 1.0 / c.sd**2)
+    terms = c.effect.terms
+    beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])
+    if len(terms) == 1 or not beyond.any() or beyond.all():
+        return value, theta, cov
+    return gain(S, s, np.where(beyond, HELD, 1.0 / c.sd**2))
+
+
 def _put(values: tuple[float, ...], j: int, value: float) -> tuple[float, ...]:
     return (*values[:j], value, *values[j + 1 :])
 
@@ -344,10 +357,11 @@ def _base_columns(source: Source, rows: JointRows) -> Array:
     y = d.tau[:, j] - source.link[:, j] - source.robot.rotor[j] * d.ddq[:, j]
     moving = [y, d.ddq[:, j], d.way[:, j], d.dq[:, j], np.zeros(len(d.q)), -source.rigid(j).dtau]
     still = np.zeros((len(d.q_still), len(moving)))
-    still[:, 0] = d.tau_still[:, j] - source.load_still[:, j]
+    still[:, 0] = d.tau_still[:, j] - (0.0 if source.compensated else 1.0) * source.load_still[:, j]
     still[:, 4] = 1.0
     own = rows.column(np.stack(moving, axis=1), still)
-    body = rows.column(source.regressor[:, j], source.regressor_still[:, j])
+    share = 0.0 if source.compensated else 1.0
+    body = rows.column(share * source.regressor[:, j], share * source.regressor_still[:, j])
     return np.column_stack([own[:, 0], body, own[:, 1:]])
 
 

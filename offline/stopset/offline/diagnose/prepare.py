@@ -25,6 +25,9 @@ ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
 CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
 
 
+REPEATED = 6  # repetitions of a suite from which on the repetition, not the place in the session, is the time of warming
+
+
 @dataclass(frozen=True, slots=True)
 class Kernel:
     """Smoothing over ``+-half`` samples; ``h, h1, h2``: value, first and second derivative."""
@@ -134,7 +137,8 @@ def prepare(recordings: Recordings) -> Prepared:
     grids = [(r, g) for r, g in grids if len(g["t"]) > 2 * kernel.half + step]
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
-    last = max(1, max(r.place for r, _ in grids))
+    repeated = max(r.trial for r, _ in grids) + 1
+    last = repeated - 1 if repeated >= REPEATED else max(1, max(r.place for r, _ in grids))
     fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
     temps: list[Array] = []
     trials, centres, offset, rows = [], [], 0, 0
@@ -148,7 +152,7 @@ def prepare(recordings: Recordings) -> Prepared:
         fine_parts["dq"].append(_at(padded, inside, light.h1))
         fine_parts["tau"].append(g["tau"])
         fine_parts["t"].append(g["t"])
-        fine_parts["warm"].append(np.full(m, r.place / last))
+        fine_parts["warm"].append(np.full(m, min(1.0, (r.trial if repeated >= REPEATED else r.place) / last)))
         if "temp" in g:
             temps.append(g["temp"])
         centre = np.arange(kernel.half, m - kernel.half, step) + offset

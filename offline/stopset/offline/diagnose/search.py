@@ -17,8 +17,7 @@ from stopset.offline.diagnose.prepare import Array
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/effects/README.md for its calibration on healthy campaigns
 SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
-SPECIAL = ("torque_ripple", "residual_gravity")  # searched by its spectrum; meant for models without rigid body
-MAX_CLAIMS = 8
+MAX_CLAIMS = 12
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
 RIPPLES = np.arange(6.0, 161.0, 0.5)  # [cycles per turn]
 LAGS = (-0.04, -0.015, 0.006, 0.015, 0.04, 0.08)  # [s] start values of a delay
@@ -57,8 +56,10 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     n, d = engine.data.n, engine.data
     out: list[Wanted] = []
     for effect in catalogue().values():
-        if effect.base or (names is not None and effect.name not in names) or effect.name in SPECIAL:
+        if effect.base or (names is not None and effect.name not in names) or effect.name == "torque_ripple":
             continue
+        if effect.name == "residual_gravity" and not engine.source.compensated:
+            continue  # the whole rigid body is in the base model
         if ("temp" in effect.needs and d.temp is None) or ("warm" in effect.needs and d.temp is not None):
             continue
         places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > 50]

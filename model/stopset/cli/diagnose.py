@@ -1,0 +1,54 @@
+"""``stopset diagnose``: which physical effect is missing."""
+
+from __future__ import annotations
+
+import argparse
+
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+
+HELP = "which physical effect is missing, at which joint, and what would decide"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("model", metavar="M", help="model file")
+    parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    parser.add_argument("--effects", metavar="a,b", help="look for these effects only (left out: the whole catalogue)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose; the exit code is 0 whatever the verdict."""
+    from stopset.artifact import load_model
+    from stopset.effects import get
+    from stopset.offline.diagnose import diagnose_model
+    from stopset.recording import read_recordings
+
+    check_outputs(args.json, args.report)
+    model = load_model(args.model)
+    names = [get(name).name for name in args.effects.split(",")] if args.effects else None
+    recordings = read_recordings(args.data)
+    found, against = diagnose_model(model, recordings, names)
+    say(f"{found.verdict} (against the {against}; {found.trials} trials)")
+    for rank, r in enumerate(found.ranked, start=1):
+        say(f"{rank}. {r.label}: score {r.score:.0f}, torque error {r.error_before:.3g} -> {r.error_after:.3g} N m. {r.says}")
+        for symbol, p in r.parameters.items():
+            std = "" if p.std is None else f" +- {p.std:.2g}"
+            say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")
+        say(f"     look at: {r.look_at}")
+    for group in found.rivals:
+        say(f"these data hardly separate {' from '.join(group)}")
+    if found.depends_on:
+        say(f"what is left depends on: {', '.join(found.depends_on)}")
+    for line in found.not_identifiable:
+        say(f"not identifiable: {line}")
+    if found.next_experiment:
+        say(f"next: {found.next_experiment}")
+    if args.json:
+        write_json(args.json, found.as_json())
+    if args.report:
+        from stopset.offline.diagnose.page import page
+
+        page(model, found, against).save(args.report)
+        say(f"report {args.report}")
+    return 0
