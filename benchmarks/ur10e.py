@@ -84,7 +84,9 @@ def rms(left: np.ndarray, dq: np.ndarray, moving: np.ndarray) -> dict[str, list[
     }
 
 
-def ours(robot: Robot, fit: Recordings, test: Sequence[Recording], effects: Sequence[str | Effect], t: Tolerance) -> dict[str, Any]:
+def ours(
+    robot: Robot, fit: Recordings, test: Sequence[Recording], effects: Sequence[str | Effect], t: Tolerance
+) -> dict[str, Any]:
     start = time.perf_counter()
     nominal = identify_nominal(robot, fit, effects, tolerance=t)
     seconds = time.perf_counter() - start
@@ -167,7 +169,9 @@ def _rows(r: Recording, settings: Preprocessing) -> tuple[np.ndarray, ...]:
     return tuple(np.concatenate([p[i] for p in parts]) for i in range(4))
 
 
-def split(robot: Robot, everything: Recordings, fit: Sequence[int], test: Sequence[int], urdf: Path, other: bool) -> dict[str, Any]:
+def split(
+    robot: Robot, everything: Recordings, fit: Sequence[int], test: Sequence[int], urdf: Path, other: bool
+) -> dict[str, Any]:
     """All rungs of the ladder, and figaroh, on one split by suite."""
     a = replace(everything, trials=tuple(r for r in everything if r.suite in fit))
     b = [r for r in everything if r.suite in test]

@@ -72,7 +72,9 @@ def fourier(seconds: float, speed: float, rng: np.random.Generator, n: int = 3, 
     return t, scale * q, scale * dq, scale * ddq
 
 
-def moving(truth: Truth, suite: int, seconds: float, speed: float, seed: int, phase: str = "closed_loop", rate: float = RATE) -> Recording:
+def moving(
+    truth: Truth, suite: int, seconds: float, speed: float, seed: int, phase: str = "closed_loop", rate: float = RATE
+) -> Recording:
     """One closed-loop trial along a multisine."""
     rng = np.random.default_rng([seed, suite])
     t, q, dq, ddq = fourier(seconds, speed, rng, rate=rate)
@@ -133,5 +135,3 @@ def shaken(recording: Recording, spread: float, seed: int = 3) -> Recording:
         return np.column_stack([np.interp(t, recording.t, c) for c in x.T])
 
     return replace(recording, t=t, q=at(recording.q), dq=at(recording.dq), tau=at(recording.tau))
-
-

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nominal_cases import JOINTS, RATE, Truth, arm, campaign, moving, shaken
 
+from nominal_cases import JOINTS, RATE, Truth, arm, campaign, moving, shaken
 from stopset.cli.main import main
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.recording import Meta, Recording, write_recordings
@@ -99,8 +99,13 @@ def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, 
 
 @pytest.mark.parametrize(
     ("factor", "kind", "word"),
-    [(180 / np.pi, "wrong_unit", "deg/s"), (-1.0, "dq_not_derivative", "sign"), (60 / (2 * np.pi), "wrong_unit", "rpm"), (0.0, "dq_not_derivative", "zero")],
-)  # fmt: skip
+    [
+        (180 / np.pi, "wrong_unit", "deg/s"),
+        (-1.0, "dq_not_derivative", "sign"),
+        (60 / (2 * np.pi), "wrong_unit", "rpm"),
+        (0.0, "dq_not_derivative", "zero"),
+    ],
+)
 def test_dq_in_another_unit_or_sign(tmp_path: Path, trials: tuple[Recording, ...], factor: float, kind: str, word: str) -> None:
     slow = [r for r in trials if r.phase != "static"][-3:]  # at most 0.5 rad/s: deg/s passes the reader's door
 
@@ -202,7 +207,9 @@ def test_what_is_missing_is_said(tmp_path: Path, trials: tuple[Recording, ...]) 
     assert "gravity" not in {m.part for m in look(tmp_path, trials).missing}
 
 
-def test_command_answers_and_exit_codes(tmp_path: Path, trials: tuple[Recording, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_answers_and_exit_codes(
+    tmp_path: Path, trials: tuple[Recording, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     good, bad = tmp_path / "good.parquet", tmp_path / "bad.parquet"
     write_recordings(good, META, trials)
     write_recordings(bad, META, [replace(r, tau=-r.tau) for r in trials])

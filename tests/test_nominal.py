@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from nominal_cases import (
     F_C,
     F_V,
@@ -20,7 +21,6 @@ from nominal_cases import (
     shaken,
     wrong_cad,
 )
-
 from stopset.errors import EffectError, RecordingError
 from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.physical import pseudo_inertia
@@ -40,7 +40,7 @@ def found():  # type: ignore[no-untyped-def]
 
 
 def test_friction_rotor_and_torque_are_recovered(found) -> None:  # type: ignore[no-untyped-def]
-    truth, cad, _, nominal = found
+    _truth, _cad, _, nominal = found
     std = nominal.std
     for j, joint in enumerate(JOINTS):
         # five standard errors as the fit states them, and those within 3 % of the value: neither may be empty words
@@ -252,7 +252,7 @@ def test_compensated_torque_holds_no_gravity_and_no_coulomb() -> None:
 def test_no_usable_sample_is_one_sentence() -> None:
     true = arm()
     short = moving(Truth(true), 0, 0.1, 1.0, 1)
-    with pytest.raises(RecordingError, match="no usable sample.*expected"):
+    with pytest.raises(RecordingError, match=r"no usable sample.*expected"):
         identify_nominal(true, Recordings(Meta(joints=JOINTS), (short,)))
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nominal_cases import JOINTS, Truth, arm, moving, poses
 
+from nominal_cases import JOINTS, Truth, arm, moving, poses
 from stopset.cli.main import main
 from stopset.errors import RobotError, StopsetError
 from stopset.offline.plan import Plan, Wishes, design, write_plan

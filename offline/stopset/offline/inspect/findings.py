@@ -62,17 +62,19 @@ def clock(t: Tally, meta: Meta) -> list[Finding]:
     if lost > NOTABLE_GAPS:
         out.append(
             Finding("dropped_samples", "error" if lost > 0.02 else "warning", None,
-                    f"{t.missing} samples ({100 * lost:.2g} %) missing in {t.gaps} gaps, the longest {t.longest_gap * 1e3:.3g} ms",
+                    f"{t.missing} samples ({100 * lost:.2g} %) missing in {t.gaps} gaps, at most {t.longest_gap * 1e3:.3g} ms",
                     "none", "trials are split at long gaps; record again if a motion is lost in them", lost)
         )  # fmt: skip
     if t.repeated > max(2, NOTABLE_GAPS * t.samples):
         out.append(
-            Finding("repeated_samples", "error" if t.repeated > 0.005 * t.samples else "warning", None, f"{t.repeated} samples repeat their predecessor in mid-motion",
+            Finding("repeated_samples", "error" if t.repeated > 0.005 * t.samples else "warning", None,
+                    f"{t.repeated} samples repeat their predecessor in mid-motion",
                     "a new sample at every stamp", "the logger filled lost samples: record again or leave gaps", t.repeated)
         )  # fmt: skip
     if t.jumps > max(2, NOTABLE_GAPS * t.samples):
         out.append(
-            Finding("dropped_samples", "error", None, f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
+            Finding("dropped_samples", "error", None,
+                    f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
                     "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
         )  # fmt: skip
     if np.isfinite(meta.rate_hz) and abs(period * meta.rate_hz - 1) > 0.2:
@@ -145,7 +147,8 @@ def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:
     if abs(k - LAGS + part) < 0.75 or c[k] > 0.5 * c[LAGS]:
         return []
     return [
-        Finding("dq_lags", "warning", joint, f"dq is {abs(lag) * 1e3:.1f} ms {'behind' if lag > 0 else 'ahead of'} the derivative of q",
+        Finding("dq_lags", "warning", joint,
+                f"dq is {abs(lag) * 1e3:.1f} ms {'behind' if lag > 0 else 'ahead of'} the derivative of q",
                 f"less than a sample, {period * 1e3:.3g} ms", "dq is filtered or stamped apart: record it raw", float(lag))
     ]  # fmt: skip
 
@@ -175,7 +178,8 @@ def torque_power(t: Tally, joints: Sequence[str]) -> list[Finding]:
     for j, joint in enumerate(joints):
         if gross[j] > 0 and net[j] < -0.15 * gross[j]:
             out.append(
-                Finding("wrong_sign", "error", joint, f"the torque takes energy out of the motion ({100 * net[j] / gross[j]:.0f} % net power)",
+                Finding("wrong_sign", "error", joint,
+                        f"the torque takes energy out of the motion ({100 * net[j] / gross[j]:.0f} % net power)",
                         "energy put in, to feed friction", "turn the sign of tau (or of q and dq)", float(net[j] / gross[j]))
             )  # fmt: skip
     return out

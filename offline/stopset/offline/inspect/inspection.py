@@ -22,7 +22,6 @@ from stopset.recording import Recording, read_meta, stream_recordings
 from stopset.recording.types import Meta
 from stopset.robot import Robot
 
-
 # friction that is left out of the model looks like delay
 FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")
 

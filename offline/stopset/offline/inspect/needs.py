@@ -81,8 +81,9 @@ def needs(
         if motions < MOTIONS_1_PERCENT:
             held = max(motions // 2, 1)
             out.append(
-                Need("guarantee", f"{motions} independent open-loop motions: with half of them held out and none violated, at most "
-                     f"{100 * upper_bound(held):.1f} % may violate (95 %)", f"{MOTIONS_1_PERCENT} clean held-out motions make it 1 %")
+                Need("guarantee", f"{motions} independent open-loop motions: with half held out and none violated, at most "
+                     f"{100 * upper_bound(held):.1f} % may violate (95 %)",
+                     f"{MOTIONS_1_PERCENT} clean held-out motions make it 1 %")
             )  # fmt: skip
     for phase, what in (("stop0", "brake delay, rise and torque; sets of STOP 0"), ("stop1", "sets of STOP 1")):
         if phase not in phases:

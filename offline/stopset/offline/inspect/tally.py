@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.recording.types import Array, Recording
 
@@ -133,7 +134,7 @@ class Tally:
                     self.plateaus.append((name, j, top, run))
 
 
-def _longest(mask: Array) -> int:
+def _longest(mask: NDArray[np.bool_]) -> int:
     """Longest run of True."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
     return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
 from stopset.offline.nominal.gram import Layout, NormalEquations
@@ -41,7 +42,7 @@ class _Problem:
     """Reduced sums of each joint: ``A[j] (k, k), b[j] (k,), yy[j]`` with ``k`` its own columns, motions and poses apart."""
 
     layout: Layout
-    index: list[Array]
+    index: list[NDArray[np.intp]]
     moving: list[Array]
     still: list[Array]
     rows: Array
@@ -105,13 +106,13 @@ def _solve(p: _Problem, H: Array, b: Array, limits: Limits, speed: Array, refere
     return theta, notes
 
 
-def _inflation(data: NormalEquations, moving: Array, j: int, index: Array, theta: Array, variance: float) -> float:
+def _inflation(data: NormalEquations, moving: Array, j: int, index: NDArray[np.intp], theta: Array, variance: float) -> float:
     """How much wider errors are than for independent rows, from the scores of whole groups of motions."""
     groups = np.flatnonzero(data.rows_moving[:, j] > 0)
     if len(groups) < FEW_GROUPS:
         return ASSUMED_INFLATION
     cut = np.r_[0 : len(index), moving.shape[-1] - 1]
-    G = moving[np.ix_(groups, [j], cut, cut)][:, 0]
+    G = moving[groups, j][:, cut][:, :, cut]
     scores = G[:, :-1, -1] - G[:, :-1, :-1] @ theta
     A = G[:, :-1, :-1].sum(axis=0)
     d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
@@ -126,8 +127,8 @@ def _inflation(data: NormalEquations, moving: Array, j: int, index: Array, theta
 def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array) -> Fit:
     """Weighted least squares of all joints at once.
 
-    ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c): sums with one torque column last; weights, the correlation of errors and the
-    spread of the CAD's errors are estimated with the parameters (empirical Bayes): a CAD that the data contradict
+    ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c): sums with one torque column last; weights, the correlation of errors and
+    the spread of the CAD's errors are estimated with the parameters (empirical Bayes): a CAD that the data contradict
     counts for less.
     """
     layout, n = data.layout, data.layout.n
@@ -142,7 +143,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
         w, w_still = np.where(rows > 0, w, 0.0), np.where(rows_still > 0, w_still, 0.0)
         precision = prior.precision / scale**2
         H, b = assemble(p, w, w_still, precision, prior.mean)
-        theta = np.linalg.solve(H, b)
+        theta: Array = np.asarray(np.linalg.solve(H, b), np.float64)
         for j in range(n):
             own = theta[p.index[j]]
             if rows[j]:
@@ -157,9 +158,9 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
     theta, notes = _solve(p, H, b, limits, _seen(data)[0], reference)
     if scale > 1.5:
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
-    rms = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
+    rms: Array = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
-        theta, np.linalg.inv(H), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
+        theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
         _before(p, prior, rows), tuple(notes),
     )  # fmt: skip
 
@@ -182,14 +183,14 @@ def _before(p: _Problem, prior: Prior, rows: Array) -> Array:
         T[:head, -1] = -prior.mean[at]
         T[head:, :] = np.eye(len(T) - head)
         G = T.T @ p.moving[j] @ T
-        own = np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=1e-12)[0] if len(G) > 1 else np.zeros(0)
+        own: Array = np.zeros(0)
+        if len(G) > 1:
+            own = np.asarray(np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=1e-12)[0], np.float64)
         out[j] = np.sqrt(_residual(G, own) / rows[j])
     return out
 
 
-def leave_out(
-    data: NormalEquations, moving: Array, still: Array, prior: Prior, full: Fit
-) -> tuple[Array, Array]:
+def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, full: Fit) -> tuple[Array, Array]:
     """Torque residual (n,) on groups of motions left out of the fit, and the covariance widened by how much they matter.
 
     The widening is the jackknife over groups: friction differs from motion to motion, so that counting samples would
@@ -208,7 +209,7 @@ def leave_out(
     for g in groups:
         p = problem_of(data.layout, total - moving[g], still, rows, rows_still)
         H, b = assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
-        theta = np.linalg.solve(H, b)
+        theta: Array = np.asarray(np.linalg.solve(H, b), np.float64)
         left = problem_of(data.layout, moving[g], still, rows, rows_still)
         squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
         thetas.append(theta)

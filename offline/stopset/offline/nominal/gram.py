@@ -15,8 +15,10 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.effects import Effect, get
 from stopset.effects.signals import arm_signals
@@ -27,7 +29,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
 GROUPS = 32
-DELAYS = np.arange(-10, 11) * 0.006  # [s] torque is kept at these lags; 6 ms resolves 15 Hz to 0.3 %
+DELAYS: Array = 0.006 * np.arange(-10, 11, dtype=np.float64)  # [s] torque is kept at these lags; 6 ms resolves 15 Hz to 0.3 %
 STILL_PHASES = ("static",)
 BRAKED_PHASES = ("stop0", "stop1")  # the brake's torque is not in tau
 
@@ -61,7 +63,7 @@ class Layout:
     def size(self) -> int:
         return 11 * self.n + sum(len(c) for c in self.columns)
 
-    def index(self, joint: int) -> Array:
+    def index(self, joint: int) -> NDArray[np.intp]:
         """Places in the parameter vector of the columns in this joint's normal matrix (without padding)."""
         n = self.n
         start = 11 * n + sum(len(c) for c in self.columns[:joint])
@@ -228,7 +230,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
         out.skipped["too short"] = out.skipped.get("too short", 0) + 1
 
 
-def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, Array]:
+def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, NDArray[np.bool_]]:
     """(n, rows, c) regression rows of every joint, and (rows, n) which of them count."""
     k, n = m.kept, robot.n
     Y = regressors(robot.chain, m.q[k], m.dq[k], m.ddq[k])
@@ -262,7 +264,7 @@ def _friction_columns(layout: Layout, robot: Robot, m: Motion, still: float) -> 
             raw += [np.broadcast_to(np.asarray(c, float), m.t.shape) for c in effect.columns(signals[j])]
     smooth = m.smooth(np.column_stack(raw))[m.kept] if raw else np.zeros((len(m.kept), 0))
     edges = np.cumsum([0, *(len(c) for c in layout.columns)])
-    out = [[smooth[:, k] for k in range(lo, hi)] for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
+    out = [[smooth[:, k] for k in range(lo, hi)] for lo, hi in pairwise(edges)]
     load = np.column_stack([s.load for s in signals]) if "load" in needs else None
     return out, load
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
@@ -94,7 +95,7 @@ class Residual:
     ddq: Array
     measured: Array
     left: Array
-    moving: Array
+    moving: NDArray[np.bool_]
     temp: Array | None
 
 

@@ -7,6 +7,7 @@ identification; the constraint of each link is ``[[trace(I)/2 E - I, h], [h', m]
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def consistent(pi: Array, reference: Array) -> bool:
 
 def _scale(reference: Array) -> Array:
     """(4,) diagonal scaling that makes the reference's pseudo-inertia of order one (lengths against masses)."""
-    return 1 / np.sqrt(np.maximum(np.diag(pseudo_inertia(reference)), 1e-9 * reference[0]))
+    return np.asarray(1 / np.sqrt(np.maximum(np.diag(pseudo_inertia(reference)), 1e-9 * reference[0])))
 
 
 def _scaled(P: Array, reference: Array) -> Array:
@@ -47,7 +48,9 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
 
     ``H`` (p, p) positive definite; ``reference`` (n, 10) CAD, for scaling.  Raises `NotConformant` when the solver fails.
     """
-    import cvxpy as cp  # a second of import, needed only when the free solution is no body
+    import cvxpy  # a second of import, needed only when the free solution is no body
+
+    cp: Any = cvxpy
 
     n, p = len(reference), len(b)
     d = 1 / np.sqrt(np.diag(H))  # unit curvature in every parameter

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of th
 GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be invented across it
 SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are noise above it
 LOWEST = 6.0  # [Hz] of an adapted cut-off: below, the ringing around reversals costs more samples than noise does
-CLEAR, ABOVE = 4.0, 1.5  # spectrum over noise where the motion's band ends, and the cut-off over that end
+CLEAR, ABOVE = 4.0, 1.5  # spectrum over noise where the motion's band ends; cut-off over that end
 RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
 
 
@@ -34,7 +35,8 @@ RINGING = 0.8  # the filter's step response settles to 2 % within this many peri
 class Preprocessing:
     """How samples are prepared; part of the identification's settings, so that later recordings are treated alike.
 
-    ``cutoff`` [Hz], lowered to the motion's own `band` and to `SLOWEST` of the sampling rate; ``still`` [rad/s]: below it a joint is
+    ``cutoff`` [Hz], lowered to the motion's own `band` and to `SLOWEST` of the sampling rate;
+    ``still`` [rad/s]: below it a joint is
     taken to stand still; ``rate`` [Hz] of the rows kept for the regression.
     """
 
@@ -104,7 +106,7 @@ def band(q: Array, h: float) -> float:
     smooth = np.array([np.convolve(p, np.ones(w) / w, mode="same") for p in P.T]).T
     ends = [f[int(np.argmax(below))] if (below := smooth[:, j] < CLEAR * noise[j]).any() else f[-1] for j in range(q.shape[1])]
     # rounded to half a hertz: few distinct filters, and a trial's end does not decide
-    return max(LOWEST, np.ceil(2 * ABOVE * float(max(ends))) / 2)
+    return float(max(LOWEST, np.ceil(2 * ABOVE * float(max(ends))) / 2))
 
 
 @lru_cache(maxsize=64)
@@ -132,7 +134,7 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
     step = float(np.median(dt))
     holes = np.flatnonzero(dt > GAP * step)
     edges = [0, *(holes + 1).tolist(), len(r.t)]
-    for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+    for lo, hi in pairwise(edges):
         t, temp = r.t[lo:hi], None if r.temp is None else r.temp[lo:hi]
         if hi - lo < 8:
             continue

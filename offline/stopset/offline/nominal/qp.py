@@ -16,9 +16,9 @@ def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[
     The first-order solver finds the active rows, a linear solve then meets them to rounding: its own tolerance would
     leave friction that pushes a little.  Source: Stellato et al. (2020), OSQP.
     """
-    d = 1 / np.sqrt(np.diag(H))
+    d: Array = np.asarray(1 / np.sqrt(np.diag(H)), np.float64)
     Hs, bs = d[:, None] * H * d, d * b
-    x = np.linalg.solve(Hs, bs)
+    x: Array = np.asarray(np.linalg.solve(Hs, bs), np.float64)
     As = A * d
     size = np.abs(As).max(axis=1, initial=0.0)
     rows = size > 0
@@ -73,9 +73,9 @@ def _equality(H: Array, b: Array, A: Array, at: dict[int, tuple[float, float]]) 
     """Minimiser with the rows ``at`` met exactly, and the multipliers (positive: the limit pushes up)."""
     k = list(at)
     if not k:
-        return np.linalg.solve(H, b), np.zeros(0)
+        return np.asarray(np.linalg.solve(H, b), np.float64), np.zeros(0)
     E, e = A[k], np.array([at[i][0] for i in k])
-    W = np.linalg.solve(H, np.column_stack([E.T, b]))
+    W: Array = np.asarray(np.linalg.solve(H, np.column_stack([E.T, b])), np.float64)
     S, r = E @ W[:, :-1], e - E @ W[:, -1]
     multiplier = np.linalg.lstsq(S, r, rcond=1e-12)[0]
-    return W[:, -1] + W[:, :-1] @ multiplier, multiplier
+    return np.asarray(W[:, -1] + W[:, :-1] @ multiplier, np.float64), np.asarray(multiplier, np.float64)

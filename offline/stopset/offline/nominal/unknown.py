@@ -80,8 +80,8 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
     known, count = told(robot, prior.precision / result.prior_scale**2, result.covariance)
     if known < count:
-        names = kept(robot, prior.precision / result.prior_scale**2, result.covariance)
-        of = "; ".join(f"{joint}: {', '.join(p)}" for joint, p in names.items())
+        left = kept(robot, prior.precision / result.prior_scale**2, result.covariance)
+        of = "; ".join(f"{joint}: {', '.join(p)}" for joint, p in left.items())
         out.append(
             f"{count - known} of {count} base parameters of the links stayed at the CAD, these motions do not show them"
             + (f" ({of})" if of else "")
@@ -95,7 +95,7 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
             out.append(f"{robot.joints[j]}: rotor inertia kept at the {source}: too little acceleration")
     names = layout.names()
     for k in range(11 * n, layout.size):
-        joint = next(j for j in range(n) if k in layout.index(j)[10 * n + 1 :])
-        if data.rows_moving[:, joint].sum() and std[k] > SURE * max(abs(result.theta[k]), 1e-12):
+        owner = next(j for j in range(n) if k in layout.index(j)[10 * n + 1 :])
+        if data.rows_moving[:, owner].sum() and std[k] > SURE * max(abs(result.theta[k]), 1e-12):
             out.append(f"{names[k]} = {result.theta[k]:.4g} +- {std[k]:.2g}: not told from zero")
     return tuple(out)

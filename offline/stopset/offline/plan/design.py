@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -103,7 +104,7 @@ def design(
     waves, condition, blind = excitations(robot, e, wishes.excitations, wishes.period, wishes.rate, wishes.evaluations, rng)
     goals = random_goals(robot, e, wishes.motions, rng)
     fast = []
-    for k, (a, b) in enumerate(zip(goals[:-1], goals[1:], strict=True)):
+    for k, (a, b) in enumerate(pairwise(goals)):
         progress(f"PTP motion {k + 1} of {len(goals) - 1}")
         fast.append(ptp(robot, e, a, b, wishes.rate))
     slow = [p.slower(1 / wishes.slow) for p in fast[: max(1, min(8, len(fast)))]]
@@ -120,9 +121,7 @@ def design(
         warnings.append(f"only {len(poses)} of {wishes.poses} static poses can be held and stay above the floor")
     warnings.append("collisions with itself and the cell are not checked: run every motion in simulation and slowly first")
     gaps = None if nominal is None else nominal.undetermined
-    return Plan(
-        robot, wishes, parts, poses, suites, stops, condition, blind, outlook, gaps, tuple(warnings)
-    )
+    return Plan(robot, wishes, parts, poses, suites, stops, condition, blind, outlook, gaps, tuple(warnings))
 
 
 def _check(w: Wishes) -> None:
@@ -137,7 +136,7 @@ def _check(w: Wishes) -> None:
 
 def _suites(fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
     """Four start points per motion; the torques are those recorded closed-loop from there to the end, at most 5 s."""
-    rows = []
+    rows: list[dict[str, float]] = []
     for m, p in enumerate(fast):
         for share in STARTS:
             start = share * p.duration
@@ -150,7 +149,7 @@ def _suites(fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
 
 def _stops(robot: Robot, fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
     """For each joint the motion in which it is fastest, at three speeds, both categories, triggered at its peak."""
-    rows = []
+    rows: list[dict[str, float]] = []
     for j in range(robot.n):
         m = int(np.argmax([np.abs(p.dq[:, j]).max() for p in fast]))
         k = int(np.argmax(np.abs(fast[m].dq[:, j])))
@@ -175,16 +174,19 @@ def _parts(
     return (
         Part("static", "static", "gravity; Coulomb friction of both directions from the difference", (), 1, 6.0 * 2 * len(poses)),
         Part("excitation", "closed_loop", "link inertias, rotor inertias, delay", tuple(waves), 2, 2 * seconds(waves)),
-        Part("ptp_slow", "closed_loop", "Coulomb and load-dependent friction, Stribeck, hysteresis, ripple", tuple(slow), 1, seconds(slow)),
-        Part("ptp_fast", "closed_loop", "viscous and cubic friction, rotor inertias; the torques of the open-loop suites", tuple(fast), 1, seconds(fast)),
-        Part("open_loop", "open_loop", f"uncertainty sets X0, U, V_y ({len(suites)} suites, {len(fast)} independent motions)", (), w.repeats, open_loop),
+        Part("ptp_slow", "closed_loop", "Coulomb and load-dependent friction, Stribeck, hysteresis, ripple",
+             tuple(slow), 1, seconds(slow)),
+        Part("ptp_fast", "closed_loop", "viscous and cubic friction, rotor inertias; the torques of the open-loop suites",
+             tuple(fast), 1, seconds(fast)),
+        Part("open_loop", "open_loop", f"uncertainty sets X0, U, V_y ({len(suites)} suites, {len(fast)} independent motions)",
+             (), w.repeats, open_loop),
         Part("stops", "stop0 stop1", "brake delay, rise and torque; sets of STOP 0 and STOP 1", (), 3, halting),
     )  # fmt: skip
 
 
 def _poses_as_recordings(robot: Robot, poses: Array) -> list[Recording]:
     out = []
-    t = np.arange(4) * 0.004
+    t: Array = 0.004 * np.arange(4, dtype=np.float64)
     for k, q in enumerate(poses):
         for trial, way in enumerate((1.0, -1.0)):
             rows = np.tile(q, (4, 1))
@@ -236,7 +238,9 @@ def _tells(robot: Robot, data: NormalEquations, prior: Prior, sigma: Array) -> d
     }  # fmt: skip
 
 
-def _parameters(robot: Robot, total: NormalEquations, prior: Prior, now: Array | None, after: Array) -> tuple[dict[str, Any], ...]:
+def _parameters(
+    robot: Robot, total: NormalEquations, prior: Prior, now: Array | None, after: Array
+) -> tuple[dict[str, Any], ...]:
     n = robot.n
     before = np.sqrt(np.diag(np.linalg.inv(prior.precision)))
     rows = []
@@ -290,21 +294,36 @@ def as_dict(plan: Plan) -> dict[str, Any]:
 
 def summary(plan: Plan) -> str:
     """The table for people (Markdown)."""
-    lines = [f"# Experiments for {plan.robot.name}", "", "| part | motions | repeats | minutes | identifies | base parameters with half the error | rotor ± | F_c ± |", "|---|---|---|---|---|---|---|---|"]
+    lines = [
+        f"# Experiments for {plan.robot.name}",
+        "",
+        "| part | motions | repeats | minutes | identifies | base parameters with half the error | rotor ± | F_c ± |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for p in plan.parts:
         t = p.tells
-        count = len(plan.poses) if p.name == "static" else len(plan.suites) if p.name == "open_loop" else len(plan.stops) if p.name == "stops" else len(p.motions)
+        count = (
+            len(plan.poses)
+            if p.name == "static"
+            else len(plan.suites)
+            if p.name == "open_loop"
+            else len(plan.stops)
+            if p.name == "stops"
+            else len(p.motions)
+        )
         base = f"{t['base_parameters_halved']} of {t['base_parameters']}" if t else "-"
         rotor = f"{t['rotor_std_percent']:.2g} %" if t and t["rotor_std_percent"] is not None else "-"
         dry = f"{t['F_c_std_Nm']:.2g} N m" if t and t["F_c_std_Nm"] is not None else "-"
         lines.append(f"| {p.name} | {count} | {p.repeats} | {p.seconds / 60:.1f} | {p.identifies} | {base} | {rotor} | {dry} |")
     minutes = sum(p.seconds for p in plan.parts) / 60
     lines += ["", f"{minutes:.0f} minutes of motion in all, moving to start points not counted. "
-              f"Condition number of the excitation's regressor: {plan.condition:.0f} (random motions: {plan.condition_random:.0f}).", ""]  # fmt: skip
+              f"Condition number of the excitation's regressor: {plan.condition:.1f} "
+              f"(random motions: {plan.condition_random:.1f}).", ""]  # fmt: skip
     if plan.gaps is not None:
         lines += ["## What today's data leave undetermined", "", *([f"- {g}" for g in plan.gaps] or ["- nothing"]), ""]
     lines += ["## Before you run it", "", *[f"- {w}" for w in plan.warnings], "",
-              f"Static poses: approach each from {APPROACH} rad below and above, all joints, then hold two seconds.", ""]  # fmt: skip
+              f"Static poses: approach each from {APPROACH} rad below and above, all joints, then hold two seconds.",
+              ""]  # fmt: skip
     return "\n".join(lines)
 
 

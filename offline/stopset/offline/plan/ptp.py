@@ -24,7 +24,10 @@ LEAST_WAY = 0.6  # [rad] that some joint moves, or the motion is not worth its t
 
 
 def random_goals(robot: Robot, e: Envelope, count: int, rng: np.random.Generator) -> Array:
-    """(count + 1, n) uniformly random corners of a chain of motions, start at the middle; holdable, and above the floor if there is one."""
+    """(count + 1, n) uniformly random corners of a chain of motions, from the middle on.
+
+    Gravity can be held on every way between them, and no way leads below the floor, if there is one.
+    """
     goals = [e.q.mean(axis=1)]
     tries = 0
     while len(goals) < count + 1 and tries < 1000 * count:
@@ -56,7 +59,7 @@ def ptp(robot: Robot, e: Envelope, start: Array, goal: Array, rate: float) -> Pa
     ds = derivative(s, h)
     dds = derivative(ds, h)
     way = goal - start
-    return fitted(robot, e, Path(h * np.arange(len(s)), start + s * way, ds * way, dds * way))
+    return fitted(robot, e, Path(h * np.arange(len(s), dtype=np.float64), start + s * way, ds * way, dds * way))
 
 
 def _fastest(robot: Robot, e: Envelope, start: Array, goal: Array) -> tuple[Array, Array]:
