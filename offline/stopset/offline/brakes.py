@@ -3,8 +3,8 @@
 STOP 0. While joint i slides, its momentum ``p_i = (M v)_i`` obeys ``p_i' = 1/2 v' dM/dq_i v - g_i - D v_i - F s_i - b_i s_i``
 with ``s_i`` its direction, so the impulse the brake has given is read off the measured motion without differentiating it.
 Per joint a torque, a delay and a rise time are fitted to these curves of all training stops, with a delay and a torque of
-their own per stop; the intervals are hulls over the stops with a margin for the next ones, then widened until the stop bound encloses every
-training stop.  The held-out stops are only used to count violations.
+their own per stop; the intervals are hulls over the stops with a margin for the next ones, then widened until the stop bound
+encloses every training stop.  The held-out stops are only used to count violations.
 
 STOP 1. The speeds follow a common ramp of fixed time or fixed deceleration after a delay; tracking errors are what is left.
 """
@@ -140,10 +140,10 @@ def _spread(values: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Impulse:
-    """Impulse of one joint's brake in one stop: at ``t`` (K,) [s] after the trigger, ``I`` (K,) [N m s], with its noise."""
+    """Impulse of one joint's brake in one stop: at ``t`` (K,) [s] after the trigger, ``given`` (K,) [N m s], with its noise."""
 
     t: Array
-    I: Array
+    given: Array
     noise: float
 
 
@@ -177,8 +177,8 @@ def impulses(setting: Setting, r: Recording) -> list[Impulse | None]:
             out.append(None)
             continue
         sign = np.sign(v[0, i])
-        I = sign * (p[0, i] + push[:count, i] - p[:count, i])
-        out.append(Impulse(t[:count].copy(), I, float(max(noise[i], 1e-6))))
+        given = sign * (p[0, i] + push[:count, i] - p[:count, i])
+        out.append(Impulse(t[:count].copy(), given, float(max(noise[i], 1e-6))))
     return out
 
 
@@ -200,7 +200,7 @@ def _fit_joint(curves: list[Impulse], guess: float, friction: float) -> tuple[fl
         level, rise, delay, offset, slope = unpack(x)
         parts = []
         for c, d, o, s in zip(curves, delay, offset, slope, strict=True):
-            parts.append((c.I - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, d, rise, level)) / c.noise)
+            parts.append((c.given - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, d, rise, level)) / c.noise)
         return np.concatenate(
             [
                 *parts,
@@ -228,7 +228,7 @@ def _fit_joint(curves: list[Impulse], guess: float, friction: float) -> tuple[fl
         delays.append(d)
         if np.count_nonzero(after) >= 5:
             own = least_squares(
-                lambda y, c=c, o=o, s=s: (c.I - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, y[1], rise, y[0])) / c.noise,
+                lambda y, c=c, o=o, s=s: (c.given - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, y[1], rise, y[0])) / c.noise,
                 [level, d],
             ).x  # fmt: skip
             levels.append(float(own[0]))
@@ -389,8 +389,8 @@ def _line(what: str, tried: int, violated: int, trained: int, open_: int = 0) ->
     bound = clopper_pearson(violated, tried, CONFIDENCE) if tried else 1.0
     without = f"; {open_} more have no certified bound" if open_ else ""
     text = (
-        f"{what}: {violated} of {tried} held-out stops leave their bound; at {CONFIDENCE:.0%} confidence fewer than {bound:.1%} of "
-        f"such stops do ({trained} stops were used to identify{without})"
+        f"{what}: {violated} of {tried} held-out stops leave their bound; at {CONFIDENCE:.0%} confidence fewer than "
+        f"{bound:.1%} of such stops do ({trained} stops were used to identify{without})"
     )
     return Guarantee(tried, violated, bound, CONFIDENCE, text, trained)
 

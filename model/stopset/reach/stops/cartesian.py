@@ -127,7 +127,7 @@ def _longest(start: Array, J: Array, radius: Array, link: int) -> float:
         for r in range(3):
             p[r] += 2.0 * sign[i] * radius[i] * J[r, i]
         best = max(best, p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
-    return np.sqrt(best)
+    return float(np.sqrt(best))
 
 
 @njit(cache=True)

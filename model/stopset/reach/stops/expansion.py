@@ -134,7 +134,7 @@ def _momentum_of(
 @njit(cache=True, inline="always")
 def _along(z: Array, s: Array, f: tuple[float, float, float, float, float, float]) -> float:
     """Power of the wrench ``f`` along the twist (z, s)."""
-    return z[0] * f[0] + z[1] * f[1] + z[2] * f[2] + s[0] * f[3] + s[1] * f[4] + s[2] * f[5]
+    return float(z[0] * f[0] + z[1] * f[1] + z[2] * f[2] + s[0] * f[3] + s[1] * f[4] + s[2] * f[5])
 
 
 @njit(cache=True)

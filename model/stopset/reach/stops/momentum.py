@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from stopset.reach.stops.local import Local
 from stopset.reach.stops.moving import pivot
@@ -167,7 +168,7 @@ def _left(i: int, sign: float, at: Local, start: Local, v0_lo: Array, v0_hi: Arr
 @njit(cache=True, inline="always")
 def b_forward(b: Bands, i: int) -> bool:
     """Whether the first excursion of joint i goes forward."""
-    return b.sign[i] > 0.0
+    return bool(b.sign[i] > 0.0)
 
 
 @njit(cache=True)
@@ -239,7 +240,7 @@ def tighten(
 
 @njit(cache=True)
 def _visit(
-    A: Array, inside: Array, b: Bands, at: Local, Q_lo: Array, Q_hi: Array, l_lo: Array, l_hi: Array,
+    A: Array, inside: NDArray[np.bool_], b: Bands, at: Local, Q_lo: Array, Q_hi: Array, l_lo: Array, l_hi: Array,
     v0_lo: Array, v0_hi: Array, best_lo: Array, best_hi: Array, seen_in: Array, seen_out: Array,
 ) -> None:  # fmt: skip
     """Speeds when exactly the joints ``inside`` are in their first excursion, into the hulls if that is possible."""

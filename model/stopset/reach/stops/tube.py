@@ -209,7 +209,7 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
     middle = 0.5 * (q_lo + q_hi)
     E, scratch = empty_expansion(n)
     expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, middle, E, scratch)
-    K = plant.curvature
+    K, gravity = plant.curvature, E.g.copy()
     box_terms(E, K, q_lo - E.q, q_hi - E.q, v0_lo, v0_hi, parts, start, work)
     b, end = start_bands(v0_lo, v0_hi), start_bands(v0_lo, v0_hi)
     momentum = start_momentum(start, v0_lo, v0_hi, b)
@@ -225,6 +225,8 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
             far += abs(here[i] - E.q[i])
         if far > RECENTRE:
             expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, here + 0.5 * (here - E.q), E, scratch)
+            if parts.gravity_slope == 0.0:
+                E.g[:] = gravity
         early, late = (now, now + h) if parts.whole_step > 0.0 else (now + h, now)
         for i in range(n):
             B_lo[i] = plant.coulomb_lo[i] + plant.brake_lo[i] * _ramp(early, plant.delay_hi[i], plant.rise_hi[i])

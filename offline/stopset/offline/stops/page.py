@@ -130,8 +130,8 @@ def build_pdf(
         mine = [r for r in rows if r.category == category]
         doc.heading(NAMES[category])
         for joint in dict.fromkeys(r.joint for r in mine):
-            for what, title in (("time_s", "time [s]"), ("angle_rad", "angle [rad]")):
-                curves, points = _lines(rows, category, joint, what), _seen(measured, model, category, joint, what)
+            for quantity, title in (("time_s", "time [s]"), ("angle_rad", "angle [rad]")):
+                curves, points = _lines(rows, category, joint, quantity), _seen(measured, model, category, joint, quantity)
                 if curves:
                     doc.text(f"{joint}: {title} over speed, full extension; crosses are measured")
                     doc.plot(curves, points, "speed [rad/s]", title)

@@ -95,9 +95,8 @@ class Document:
             page.append("0 g")
         for a, b in zip(*points, strict=True):
             x, y = x0 + w * a / x1, y0 + height * b / y1
-            page.append(
-                f"0.6 w {x - 1.5:.2f} {y - 1.5:.2f} m {x + 1.5:.2f} {y + 1.5:.2f} l {x - 1.5:.2f} {y + 1.5:.2f} m {x + 1.5:.2f} {y - 1.5:.2f} l S"
-            )
+            arms = ((-1.5, -1.5, "m"), (1.5, 1.5, "l"), (-1.5, 1.5, "m"), (1.5, -1.5, "l"))
+            page.append("0.6 w " + " ".join(f"{x + dx:.2f} {y + dy:.2f} {op}" for dx, dy, op in arms) + " S")
         self._y = y0 - 22
 
     def bytes(self) -> bytes:

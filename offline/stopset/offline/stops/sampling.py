@@ -69,7 +69,9 @@ def _pick(lo: Array, hi: Array, share: Array) -> Array:
 
 @njit(cache=True)
 def _shares(kind: int, n: int) -> Array:
-    return np.random.randint(0, 2, n).astype(np.float64) if kind == 0 else np.random.random(n)
+    if kind == 0:
+        return np.random.randint(0, 2, n) * 1.0
+    return np.random.random(n)
 
 
 @njit(cache=True)

@@ -1,0 +1,108 @@
+"""Soundness, coverage and tightness of STOP 0 bounds: a million sampled stops, every half millisecond inside the tube.
+
+    python benchmarks/stops_soundness.py [--stops 1000000] [--json FILE]
+
+Prints one line per case: states certified, stops sampled, escapes, and the 5/50/95 % points of bound over worst sampled.
+A full run takes some 15 minutes on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stop_arms import prbt_like, ur5_like
+
+from stopset.artifact import Model
+from stopset.offline.stops.sampling import sample_stops, tightness
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.bounds import tube_of, tubes_of
+from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.tube import OK
+
+PER_STATE = 250
+CASES: list[tuple[str, Model, tuple[float, float], float, float]] = [  # name, model, payload, top speed, share of the stops
+    ("PRBT-like, no load", prbt_like(), (0.0, 0.0), 1.26, 0.25),
+    ("PRBT-like, 0 to 0.25 kg", prbt_like(), (0.0, 0.25), 1.26, 0.25),
+    ("PRBT-like, 2.75 to 3 kg", prbt_like(), (2.75, 3.0), 1.26, 0.25),
+    ("UR5-like, 0 to 0.25 kg", ur5_like(rotor_scale=1.0), (0.0, 0.25), 1.25, 0.15),
+    ("UR5-like, a quarter of the rotors, 0 to 0.25 kg", ur5_like(), (0.0, 0.25), 1.25, 0.05),
+    ("UR5-like, a quarter of the rotors, 4.75 to 5 kg", ur5_like(), (4.75, 5.0), 1.25, 0.05),
+]
+
+
+def run(model: Model, payload: tuple[float, float], top: float, stops: int, seed: int) -> dict[str, Any]:
+    s = StopBounds.of(model, payload).setting
+    assert s is not None
+    n, rng = model.n, np.random.default_rng(seed)
+    r, v = s.noise.radius[:n], s.noise.radius[n:]
+    angle: list[float] = []
+    times, tcps = [], []
+    states = certified = sampled = escaped = 0
+    excess = 0.0
+    while sampled < stops:
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)
+        states += 1
+        if states > 4 * max(stops // PER_STATE, 1):
+            break
+        tube = tube_of(s, q, dq, r, v)
+        if tube.end != OK:
+            continue
+        certified += 1
+        tcp = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com)[0]
+        x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, PER_STATE, seed * 1_000_003 + states)
+        sampled += x.stops
+        escaped += x.escaped + int(x.tcp > tcp)
+        excess = max(excess, x.excess)
+        ratio = tightness(tube, tcp, x, dq, np.full(n, top))
+        angle += ratio.angle.tolist()
+        times.append(ratio.time)
+        tcps.append(ratio.tcp)
+
+    def points(x: list[float]) -> list[float]:
+        return [round(float(y), 3) for y in np.percentile(x, [5, 50, 95])] if x else []
+
+    return {
+        "states": states, "certified": certified, "stops": sampled, "escapes": escaped, "excess": excess,
+        "angle": points(angle), "time": points(times), "tcp": points(tcps),
+    }  # fmt: skip
+
+
+def coverage(model: Model, payload: tuple[float, float], top: float, pieces: int, states: int) -> float:
+    """Share of random states with a certificate of at most ``pieces`` tubes."""
+    s = StopBounds.of(model, payload).setting
+    assert s is not None
+    n, rng, good = model.n, np.random.default_rng(77), 0
+    for _ in range(states):
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)
+        good += tubes_of(s, q, dq, s.noise.radius[:n], s.noise.radius[n:], pieces)[-1].end == OK
+    return good / states
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--stops", type=int, default=1_000_000)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    results: dict[str, Any] = {}
+    for seed, (name, model, payload, top, share) in enumerate(CASES, 1):
+        start = time.perf_counter()
+        results[name] = run(model, payload, top, int(args.stops * share), seed)
+        print(f"{name}: {results[name]} {time.perf_counter() - start:.0f} s", flush=True)
+    for top in (1.25, 1.5, 2.0):
+        share = coverage(ur5_like(), (4.75, 5.0), top, 64, 40)
+        results[f"coverage, UR5-like, a quarter of the rotors, 5 kg, {top} rad/s, 64 pieces"] = share
+        print(f"UR5-like, a quarter of the rotors, 5 kg, {top} rad/s: {share:.0%} certified with 64 pieces", flush=True)
+    total = sum(r["stops"] for r in results.values() if isinstance(r, dict))
+    escapes = sum(r["escapes"] for r in results.values() if isinstance(r, dict))
+    print(f"{total} stops, {escapes} escapes")
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
