@@ -23,24 +23,33 @@ from stopset.robot.rigid import gravity_torques
 
 Array = NDArray[np.float64]
 
-# these enter the abstraction itself (its damping polynomial, its inertia), not the compensation
-IN_ABSTRACTION = frozenset({"viscous", "cubic_viscous", "rotor_inertia", "payload"})
+# these enter the abstraction itself (its damping, its inertia) or the recorded torque's scale, not the compensation
+IN_ABSTRACTION = frozenset({"viscous", "rotor_inertia", "payload", "torque_gain"})
 # what no instantaneous compensation can take off stays in U: the link's swing, and a torque that is reported late
 LEFT_TO_U = frozenset({"elasticity", "delay"})
 GAIN = "torque_gain"
+
+
+def compensated(effects: Sequence[Fitted], abstraction: Abstraction) -> tuple[Fitted, ...]:
+    """The effects whose torque is taken off the measured one; the others are part of ``abstraction``, or left to ``U``."""
+    elsewhere = IN_ABSTRACTION | LEFT_TO_U
+    if np.any(abstraction.viscous[:, 2:3]):
+        elsewhere |= {"cubic_viscous"}
+    return tuple(f for f in effects if f.effect not in elsewhere)
 
 
 @dataclass(frozen=True, slots=True)
 class InputMap:
     """Turns torque into ``u``.
 
-    ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
+    ``effects``: those whose torque is taken off, see `compensated`; ``gain``: (n,) recorded torque per true torque; ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
     counts as still: there friction is set-valued and balances what it can, so only the rest of the torque is input.
     """
 
     robot: Robot
     effects: tuple[Fitted, ...]
     effort: str
+    gain: Array
     offset: Array
     standstill: Array
 
@@ -48,10 +57,10 @@ class InputMap:
         self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None
     ) -> Array:
         """``u`` (N, n) [N m] for samples ``q, dq, tau`` (N, n) in time order; ``temp`` (N, n) [degC], ``warm`` 0 to 1."""
-        u = tau / self._gain() - self.offset
+        u = tau / self.gain - self.offset
         if self.effort != "compensated_torque":
             u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
-        active = [f for f in self.effects if f.effect not in IN_ABSTRACTION | LEFT_TO_U | {GAIN}]
+        active = self.effects
         if not active:
             return np.asarray(u)
         more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t}
@@ -65,20 +74,17 @@ class InputMap:
         held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
         return np.where(still, u - held, moving)
 
-    def _gain(self) -> Array:
-        """(n,) recorded torque per true torque."""
-        gain = np.ones(self.robot.n)
-        for f in self.effects:
-            if f.effect == GAIN and f.joint is not None:
-                gain[self.robot.joints.index(f.joint)] += f.values["e"]
-        return gain
-
 
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
-    """The `InputMap` that belongs to an abstraction."""
+    """The `InputMap` that belongs to an abstraction and its effects."""
     none = np.zeros(robot.n)
+    gain = np.ones(robot.n)
+    for f in effects:
+        if f.effect == GAIN and f.joint is not None:
+            gain[robot.joints.index(f.joint)] += f.values["e"]
     offset = abstraction.offset if abstraction.offset.size else none
-    return InputMap(robot, effects, effort, offset, abstraction.standstill if abstraction.standstill.size else none)
+    standstill = abstraction.standstill if abstraction.standstill.size else none
+    return InputMap(robot, compensated(effects, abstraction), effort, gain, offset, standstill)
 
 
 def effect_torques(

@@ -14,6 +14,8 @@ import pyarrow.parquet as pq
 from stopset.files import replacing
 from stopset.recording.types import Meta, Recording
 
+GROUP_ROWS = 65_536  # rows gathered before they are written: one group per short trial costs more in headers than in data
+
 
 def write_recordings(path: str | Path, meta: Meta, trials: Iterable[Recording]) -> None:
     """Write ``trials`` one after the other to a Parquet file, float32 signals, zstd; the file appears only when complete.
@@ -28,12 +30,22 @@ def write_recordings(path: str | Path, meta: Meta, trials: Iterable[Recording]) 
         head["torque_constant"] = list(meta.torque_constant)
     with replacing(path) as part:
         writer: pq.ParquetWriter | None = None
+        waiting: list[pa.Table] = []
+
+        def flush() -> None:
+            nonlocal writer
+            if waiting:
+                table = pa.concat_tables(waiting).combine_chunks()
+                writer = writer or pq.ParquetWriter(part, table.schema, compression="zstd")
+                writer.write_table(table)
+                waiting.clear()
+
         try:
             for r in trials:
-                table = _table(r, meta).replace_schema_metadata({"recording": json.dumps(head)})
-                if writer is None:
-                    writer = pq.ParquetWriter(part, table.schema, compression="zstd")
-                writer.write_table(table)
+                waiting.append(_table(r, meta).replace_schema_metadata({"recording": json.dumps(head)}))
+                if sum(t.num_rows for t in waiting) >= GROUP_ROWS:
+                    flush()
+            flush()
         finally:
             if writer is not None:
                 writer.close()

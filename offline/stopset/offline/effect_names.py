@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from stopset.effects import Effect, get
+from stopset.effects.base import Fitted
 from stopset.errors import EffectError
+from stopset.recording import Recordings
 from stopset.robot import Robot
 
 
@@ -13,3 +15,18 @@ def parse_effect(name: str, robot: Robot) -> tuple[Effect, tuple[str, ...]]:
     if joint and not set(joint.split("+")) <= set(robot.joints):
         raise EffectError(f"{name}: {robot.name} has no joint {joint!r}; expected one of {', '.join(robot.joints)}")
     return get(effect), tuple(joint.split("+")) if joint else robot.joints
+
+
+def matches(fitted: Fitted, name: str) -> bool:
+    """Whether a fitted effect is what ``name`` asks for."""
+    effect, _, joint = name.partition(":")
+    return fitted.effect == effect and (not joint or fitted.joint == joint)
+
+
+def find(robot: Robot, recordings: Recordings, known: tuple[Fitted, ...], effect: str, joint: str | None) -> Fitted | None:
+    """Numbers of one effect in recordings of motor torque, beside the ``known`` ones; None if the data show no trace of it."""
+    from stopset.offline.diagnose import diagnose
+
+    ranked = diagnose(robot, recordings, fitted=known, names=[effect]).ranked
+    wanted = set(joint.split("+")) if joint else None
+    return next((r.fitted for r in ranked if r.effect == effect and (wanted is None or set(r.joints) == wanted)), None)

@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
 from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
-from stopset.errors import RecordingError
+from stopset.errors import EffectError, RecordingError
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear import STOP_TIME
 from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, conform, few_motions, gather
-from stopset.offline.effect_names import parse_effect
+from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.errors import Figures, joint_figures
+from stopset.offline.known import described, plain
 from stopset.offline.output_error import fit_joint
 from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.survey import Source, Survey, on_grid, survey
-from stopset.recording import Meta, Recording, read_meta, stream_recordings
+from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -77,7 +78,7 @@ class NominalPart:
 
 def identify(
     robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None,
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (),
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
@@ -101,16 +102,39 @@ def identify(
     return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
 
 
-def fit_nominal(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings) -> NominalPart:
+def fit_nominal(
+    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...] = ()
+) -> NominalPart:
     """Everything that must be known before the sets, from all trials of ``source``."""
     if meta.effort == "compensated_torque":
         return _compensated(robot, found, settings)
-    return _motor(robot, source, found, settings)
+    return _motor(robot, source, found, settings, known)
+
+
+def known_effects(
+    robot: Robot, meta: Meta, paths: Sequence[str | Path], settings: Settings, known: tuple[Fitted, ...] = ()
+) -> tuple[Fitted, ...]:
+    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from motor torque; ``known`` ones kept.
+
+    Raises `EffectError` for an effect that these recordings show no trace of.
+    """
+    if meta.effort == "compensated_torque":
+        return ()  # fitted with everything else, by output error
+    out = list(known)
+    for name in settings.effects:
+        effect, _ = parse_effect(name, robot)
+        if effect.base or any(matches(f, name) for f in out):
+            continue
+        found = find(robot, read_recordings(paths, robot), tuple(out), effect.name, name.partition(":")[2] or None)
+        if found is None:
+            raise EffectError(f"{name}: these recordings show no trace of it, so its numbers cannot be estimated; leave it out")
+        out.append(found)
+    return tuple(out)
 
 
 def nominal_figures(
     robot: Robot, paths: Sequence[str | Path], settings: Settings, train: Callable[[Recording], bool],
-    held: Callable[[Recording], bool],
+    held: Callable[[Recording], bool], known: tuple[Fitted, ...] = (),
 ) -> dict[str, dict[str, Any]]:  # fmt: skip
     """Errors per joint on the ``held`` trials of a nominal model fitted to the ``train`` trials alone."""
     meta = _meta(paths)
@@ -121,7 +145,7 @@ def nominal_figures(
         return lambda: (r for r in stream_recordings(paths, robot) if r.phase == "static" or keep(r))
 
     found = replace(survey(part(train)), repeats=everything.repeats, places=everything.places)
-    nominal = fit_nominal(robot, meta, part(train), found, settings)
+    nominal = fit_nominal(robot, meta, part(train), found, settings, known)
     judged = replace(survey(part(held)), repeats=everything.repeats, places=everything.places)
     pairs = _pairs(part(held), judged, nominal, meta.effort)
     return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))
@@ -156,13 +180,14 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
     return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
 
 
-def _motor(robot: Robot, source: Source, found: Survey, settings: Settings) -> NominalPart:
+def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
     """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
     from stopset.offline.nominal import identify_nominal
 
-    effects = ("coulomb", "viscous", *(e for e in settings.effects if e not in ("coulomb", "viscous")))
-    nominal = identify_nominal(robot, source(), effects)
-    arm = nominal.robot(robot)
+    cad = described(robot, known)
+    trials = (plain(r, cad, known, found.warm(r)) for r in source())
+    nominal = identify_nominal(cad, trials, ("coulomb", "viscous"))
+    arm = nominal.robot(cad)
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of U
     # widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
@@ -172,7 +197,7 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings) -> N
         1, 1, np.linalg.inv(inertia), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
     )
     notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
-    return NominalPart(arm, nominal.rotor, nominal.friction, abstraction, notes)
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes)
 
 
 def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:

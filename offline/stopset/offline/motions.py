@@ -6,43 +6,74 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+
+from stopset.offline.conform.noise import spread
 
 Array = NDArray[np.float64]
 Suite = tuple[str, int]
 
-SHIFT = 8  # samples by which the ends of two recordings of one motion may differ
-ALIKE = 0.02  # relative RMS difference of torques that are the same up to a shift of the clock within a sample
+OVERLAP = 0.25  # of the shorter recording must be shared at least
+FEWEST = 50  # samples, at least
+# Torques are the same where they differ by no more than their noise twice and a tenth of their variation: clocks differ by up
+# to half a sample, drives by a few percent. Different motions of the arms measured differ by half their variation or more.
+NOISES = 2.0
+ALIKE = 0.1
+VARIES = 5.0  # in noises: what hardly moves tells nothing
 
 
 def independent_motions(torques: Mapping[Suite, Array]) -> dict[Suite, int]:
     """Number of the motion each suite belongs to; ``torques``: suite -> (N, n) torque of one of its trials.
 
-    Two suites are starts of one motion where the shorter one's torques are the end of the longer one's, but for a few
-    samples of shift: so test suites are cut from a recorded motion (Liu & Althoff 2018, sec. V-B).
+    Two suites are starts of one motion where the torques of one, from some sample on, are those of the other: so test suites
+    are cut from a recorded motion (Liu & Althoff 2018, sec. V-B).  Every shift is tried; what cannot be told apart counts as
+    one motion, which can only weaken what is promised.
     """
-    motion: dict[Suite, int] = {}
-    heads: list[Array] = []  # longest suite of each motion
-    for suite in sorted(torques, key=lambda s: -len(torques[s])):
-        u = torques[suite]
-        for number, whole in enumerate(heads):
-            if _ends_alike(whole, u):
-                motion[suite] = number
-                break
-        else:
-            motion[suite] = len(heads)
-            heads.append(u)
-    order = {old: new for new, old in enumerate(dict.fromkeys(motion[s] for s in torques))}
-    return {s: order[motion[s]] for s in torques}
+    suites = list(torques)
+    found = {s: s for s in suites}
+
+    def head(s: Suite) -> Suite:
+        while found[s] != s:
+            s = found[s]
+        return s
+
+    signals = _Signals([torques[s] for s in suites])
+    for i, a in enumerate(suites):
+        for k in signals.alike(i):
+            found[head(suites[k])] = head(a)
+    numbers = {h: k for k, h in enumerate(dict.fromkeys(head(s) for s in suites))}
+    return {s: numbers[head(s)] for s in suites}
 
 
-def _ends_alike(whole: Array, u: Array) -> bool:
-    if len(u) < 2 * SHIFT or not np.ptp(u) > 0:
-        return False
-    tail = u[SHIFT : len(u) - SHIFT]
-    size = np.sqrt(np.mean(tail**2))
-    for shift in range(-SHIFT, SHIFT + 1):
-        first = len(whole) - len(u) + SHIFT + shift
-        other = whole[first : first + len(tail)] if first >= 0 else whole[:0]
-        if len(other) == len(tail) and np.sqrt(np.mean((other - tail) ** 2)) <= ALIKE * size:
-            return True
-    return False
+class _Signals:
+    """Torques of all suites with what comparing them at every shift needs: spectra and running sums."""
+
+    def __init__(self, torques: list[Array]) -> None:
+        mean = np.mean(np.vstack([x.mean(axis=0) for x in torques]), axis=0)
+        self.x = [x - mean for x in torques]
+        self.size = next_fast_len(2 * max(len(x) for x in torques), real=True)
+        self.spectrum = [rfft(x, self.size, axis=0) for x in self.x]
+        self.sums = [np.vstack([np.zeros(x.shape[1]), np.cumsum(x, axis=0)]) for x in self.x]
+        self.squares = [np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))]) for x in self.x]
+        self.noise = [float((spread(x) ** 2).sum()) for x in self.x]
+
+    def alike(self, i: int) -> list[int]:
+        """Later suites whose torques are those of suite ``i``, shifted."""
+        return [k for k in range(i + 1, len(self.x)) if self._same(i, k)]
+
+    def _same(self, i: int, k: int) -> bool:
+        a, b = len(self.x[i]), len(self.x[k])
+        least = max(FEWEST, round(OVERLAP * min(a, b)))
+        if min(a, b) < least:
+            return False
+        shift = np.arange(least - b, a - least + 1)  # sample j of k beside sample j + shift of i
+        product = irfft((self.spectrum[i] * np.conj(self.spectrum[k])).sum(axis=1), self.size)[shift]
+        i0, k0 = np.maximum(shift, 0), np.maximum(-shift, 0)
+        m = np.minimum(a - i0, b - k0)
+        ours, theirs = self.squares[i][i0 + m] - self.squares[i][i0], self.squares[k][k0 + m] - self.squares[k][k0]
+        apart = np.maximum(ours + theirs - 2.0 * product, 0.0)
+        middle = ((self.sums[k][k0 + m] - self.sums[k][k0]) ** 2).sum(axis=1) / m
+        varies = np.sqrt(np.maximum(theirs - middle, 0.0) / m)
+        noise = np.sqrt(self.noise[i] + self.noise[k])
+        same = np.sqrt(apart / m) <= NOISES * noise + ALIKE * varies
+        return bool(np.any(same & (varies > VARIES * noise) & (varies > 0)))

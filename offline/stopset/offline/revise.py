@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import Model, Revision
+from stopset.effects import get
+from stopset.effects.base import Fitted
 from stopset.errors import EffectError
-from stopset.offline.effect_names import parse_effect
+from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.identify import Settings, identify, nominal_figures
 from stopset.offline.survey import survey
 from stopset.recording import Recording, stream_recordings
@@ -69,6 +71,15 @@ def add(
     note = "" if helps else "forced: it does not help on held-out data"
     revision = Revision(number, name, before, after, note)
     return Revised(replace(fresh, revisions=(*model.revisions, revision)), before, after, helps, judged_on)
+
+
+def _no_trace(
+    robot: Robot, paths: Sequence[str | Path], settings: Settings, held: Callable[[Recording], bool], known: tuple[Fitted, ...],
+    judged_on: str,
+) -> Revised:  # fmt: skip
+    """Refused without a trial: the data show no trace of the effect, so there are no numbers to add, even if forced."""
+    now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
+    return Revised(None, now, now, False, judged_on)
 
 
 def description(model: Model) -> Robot:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
-from stopset.artifact.inputs import IN_ABSTRACTION
+from stopset.artifact.inputs import compensated
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.recording import Recording
@@ -117,7 +117,7 @@ class RollOut:
         inertia = 1.0 / np.diag(self.abstraction.Minv)
         states = []
         for j, (name, batch) in enumerate(zip(self.robot.joints, batches, strict=True)):
-            mine = [f for f in self.effects if f.effect not in IN_ABSTRACTION and f.joint in (name, None)]
+            mine = [f for f in compensated(self.effects, self.abstraction) if f.joint in (name, None)]
             terms = [EffectTerm(get(f.effect), {p.symbol: f.values[p.symbol] for p in get(f.effect).shapes}) for f in mine]
             values = [f.values[t.symbol] for f in mine for t in get(f.effect).terms]
             torque = np.array([[self.abstraction.offset[j], *values]])

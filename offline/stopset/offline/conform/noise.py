@@ -45,6 +45,13 @@ def _residual(x: Array) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(x, WINDOW, axis=0) @ _parabola_weights())
 
 
+def spread(x: Array) -> Array:
+    """Robust standard deviation of the noise of each column of ``x`` (N, n); zero where there are too few samples."""
+    if len(x) < WINDOW:
+        return np.zeros(x.shape[1])
+    return np.asarray(1.4826 * np.median(np.abs(_residual(x)), axis=0))
+
+
 def _finest(a: Array, b: Array) -> Array:
     """The smaller of two quanta; 0 says nothing."""
     return np.where((a > 0) & (b > 0), np.minimum(a, b), np.maximum(a, b))
@@ -66,7 +73,7 @@ class NoiseEstimate:
         x = np.hstack([r.q, r.dq])
         quantum = resolution(x)
         if len(x) >= WINDOW:
-            self._spread.setdefault(r.motion, []).append(1.4826 * np.median(np.abs(_residual(x)), axis=0))
+            self._spread.setdefault(r.motion, []).append(spread(x))
             self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
 
     def box(self, without: Collection[Suite] = ()) -> Box:

@@ -1,0 +1,47 @@
+"""Effects that are known with their numbers: how they change the robot's description and a recording, before a fit.
+
+What is inertial becomes part of the robot, a wrong torque scale is undone, a late torque is shifted back, and every other
+torque is taken off.  What is left is a recording of the plain arm with plain friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.artifact.inputs import GAIN, IN_ABSTRACTION, LEFT_TO_U, effect_torques
+from stopset.effects.base import Fitted
+from stopset.recording import Recording
+from stopset.robot import Robot
+
+
+def described(robot: Robot, known: Sequence[Fitted]) -> Robot:
+    """The robot with known payloads and rotor inertias in its description."""
+    pi, drives = robot.pi.copy(), list(robot.drives)
+    for f in known:
+        if f.effect == "payload":
+            order = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+            pi[-1] += [f.values[k] for k in order]
+        elif f.effect == "rotor_inertia" and f.joint is not None:
+            j = robot.joints.index(f.joint)
+            drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + f.values["dJ"])
+    return replace(robot.with_parameters(pi), drives=tuple(drives))
+
+
+def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> Recording:
+    """The recording as the arm without the ``known`` effects would have made it; ``robot`` as `described`."""
+    if not known:
+        return r
+    tau = r.tau.copy()
+    for f in known:
+        if f.effect == "delay" and f.joint is not None:
+            j = robot.joints.index(f.joint)
+            tau[:, j] = np.interp(r.t + f.values["d"], r.t, tau[:, j])
+        elif f.effect == GAIN and f.joint is not None:
+            tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values["e"]
+    torques = [f for f in known if f.effect not in IN_ABSTRACTION | LEFT_TO_U]
+    if torques:
+        tau -= effect_torques(robot, torques, r.q, r.dq, temp=r.temp, warm=warm, t=r.t)
+    return replace(r, tau=tau)
