@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.artifact.inputs import IN_ABSTRACTION
+from stopset.artifact.inputs import compensated
 from stopset.effects import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term, get
 from stopset.errors import EffectError
 from stopset.ring import CText
@@ -35,9 +35,7 @@ def parameters_of(effect: Effect) -> list[Term | Shape]:
 def active_effects(model: Model) -> list[tuple[Fitted, Effect]]:
     """The effects that the input compensates; raises `EffectError` for one whose law the FMU cannot evaluate."""
     out = []
-    for f in model.effects:
-        if f.effect in IN_ABSTRACTION:
-            continue
+    for f in compensated(model.effects, model.abstraction):
         effect = get(f.effect)
         beyond = sorted(set(effect.needs) - AVAILABLE)
         if beyond or effect.states:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.artifact.inputs import IN_ABSTRACTION, InputMap
+from stopset.artifact.inputs import InputMap, compensated
 from stopset.effects.registry import get
 from stopset.errors import NotCovered
 
@@ -31,7 +31,7 @@ class Inputs:
     @classmethod
     def of(cls, model: Model, quantum: Quantum, warm: float) -> Inputs:
         """Raises `NotCovered` for effects with a memory, which a single sample cannot evaluate."""
-        active = [f for f in model.effects if f.effect not in IN_ABSTRACTION]
+        active = compensated(model.effects, model.abstraction)
         lasting = [f.label for f in active if get(f.effect).states]
         if lasting:
             raise NotCovered(
