@@ -58,9 +58,19 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """Which stops are bounded live, how often. Reaction times before the drives act are the consumer's to add."""
+    """Which stops are bounded live, how often. Reaction times before the drives act are the consumer's to add.
+
+    The ramp of STOP 1 and 2: what the model holds from stop1 recordings, or stated here: every speed to rest in
+    ``ramp_time_s``, or with ``ramp_deceleration`` [rad/s^2], begun within ``ramp_control_s``; power taken after
+    ``ramp_off_after_s`` whatever happens (SS1-t, 0 = never), or when a ``ramp_monitored`` ramp is left (SS1-r).
+    """
 
     categories: tuple[str, ...] = ("0", "1")
+    ramp_time_s: float = 0.0
+    ramp_deceleration: float = 0.0
+    ramp_control_s: float = 0.024
+    ramp_off_after_s: float = 0.0
+    ramp_monitored: bool = False
     rate_hz: float = 40.0
 
 
@@ -148,12 +158,18 @@ def load_config(path: str | Path) -> Config:
         ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
         ("publish.evidence_s", config.publish.evidence_s, 0.0, 10.0),
         ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
+        ("stops.ramp_time_s", config.stops.ramp_time_s, 0.0, 10.0),
+        ("stops.ramp_deceleration", config.stops.ramp_deceleration, 0.0, 1e3),
+        ("stops.ramp_control_s", config.stops.ramp_control_s, 0.0, 10.0),
+        ("stops.ramp_off_after_s", config.stops.ramp_off_after_s, 0.0, 10.0),
         ("data_id", config.data_id, 0, 2**32 - 1),
         ("warm", config.warm, 0.0, 1.0),
     )
     for name, value, lo, hi in limits:
         if not lo <= value <= hi:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}")
+    if config.stops.ramp_time_s and config.stops.ramp_deceleration:
+        raise ConfigError(f"{p}: stops.ramp_time_s and stops.ramp_deceleration are both given; expected one of them")
     if bad := [c for c in config.stops.categories if c not in ("0", "1", "2")]:
         raise ConfigError(f"{p}: stops.categories holds {bad[0]!r}; expected some of 0, 1, 2")
     for part in (config.site, config.cell, config.arm):

@@ -83,7 +83,7 @@ class Daemon:
         self.cycle_s = cycle_s
         self.watch = Watch(model, source.quantum, config.payload_kg, config.warm)
         self.latch, self.tally = Latch(), Tally()
-        self.desk = StopDesk(config.model, model.n, config.stops.categories, config.payload_kg, config.stops.rate_hz)
+        self.desk = StopDesk(config.model, model.n, config.stops, config.payload_kg)
         self.stopping = False
         self._boot, self._seq = secrets.randbits(64), 0
         self._sample: Sample | None = None

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import load_model
 from stopset.errors import StopsetError
+from stopset.monitor.config import Stops
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -77,16 +78,24 @@ def _numbers(bound: Any, n: int) -> Numbers:
     return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
 
 
-def _work(model_path: str, payload: float, categories: tuple[str, ...], pipe: Connection) -> None:
+def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
     """The other process: takes the newest state, answers for a box around it."""
     from stopset.reach.stops import StopBounds
+    from stopset.reach.stops.ramp import Ramp
 
     parent = os.getppid()
     model = load_model(model_path)
-    prepared = StopBounds.of(model, (payload, payload) if payload else None)
     n = model.n
+    ramp = None
+    if stops.ramp_time_s or stops.ramp_deceleration:
+        ramp = Ramp.stated(
+            n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
+            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
+        )  # fmt: skip
+    prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp)
     if prepared.setting is not None:  # load the compiled code before anybody waits for it
-        prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), "0")
+        for category in categories:
+            prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), cast(Any, category))
     pipe.send(None)
     while True:
         while not pipe.poll(0.5):
@@ -119,9 +128,8 @@ class StopDesk:
 
     model_path: str
     n: int
-    categories: tuple[str, ...]
+    stops: Stops
     payload: float
-    rate_hz: float
     answer: Answer | None = None
     why: str = "the first stop bound is being computed"
     restarts: int = 0
@@ -134,10 +142,15 @@ class StopDesk:
     def __post_init__(self) -> None:
         self._start()
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """What is asked for, STOP 1 with and without a working ramp."""
+        return tuple(e for c in self.stops.categories for e in EXPANDED[c])
+
     def _start(self) -> None:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (self.model_path, self.payload, tuple(e for c in self.categories for e in EXPANDED[c]), theirs)
+        args = (self.model_path, self.payload, self.stops, self.categories, theirs)
         self._process = context.Process(target=_work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()
@@ -150,10 +163,10 @@ class StopDesk:
             self._past.popleft()
         self._collect()
         now = time.monotonic()
-        if self._waiting or now - self._asked < 1.0 / self.rate_hz or self._pipe is None:
+        if self._waiting or now - self._asked < 1.0 / self.stops.rate_hz or self._pipe is None:
             return
         took = min(self.answer.took if self.answer else 0.01, LONGEST)
-        ahead = 1.2 / self.rate_hz + 2.0 * took
+        ahead = 1.2 / self.stops.rate_hz + 2.0 * took
         before, was = self._past[0]
         a = (dq - was) / (t - before) if 0.0 < t - before < 2 * LOOK_BACK else np.zeros(self.n)
         # the middle of the box is where the arm is half way to the next answer
@@ -185,7 +198,7 @@ class StopDesk:
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
         """Bounds by category that hold for this state, and whether they are fresh."""
-        names = [e for c in self.categories for e in EXPANDED[c]]
+        names = self.categories
         if self.answer is None:
             return {c: Numbers.none(self.n, self.why) for c in names}, False
         if not self.answer.covers(q, dq):
