@@ -99,7 +99,9 @@ def run(args: argparse.Namespace) -> int:
     story.do("stops", second, "--report", str(out / "stops.html"), "--json", str(out / "stops.json"))
     _monitored(story, out, second)
     story.chapter("The model leaves the house as an FMU.")
-    story.do("export-fmu", second, "--out", str(out / "arm.fmu"))
+    from stopset.fmu.build import native
+
+    story.do("export-fmu", second, "--out", str(out / "arm.fmu"), "--platform", native())
     _closing(out, time.monotonic() - story.start)
     return 0
 
