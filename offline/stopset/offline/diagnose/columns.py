@@ -33,6 +33,7 @@ class Source:
     robot: Robot
     data: Prepared
     compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
+    gain: float = 1.0  # recorded over true torque: what a new load adds to the record
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     _cache: dict[str, Array] = field(default_factory=dict)
@@ -212,7 +213,8 @@ def columns(
             if effect.states:
                 s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
             moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
-        out[i] = (moving, _at_rest(source, effect, i, shapes))
+        gain = source.gain if effect.name == "payload" else 1.0
+        out[i] = (gain * moving, gain * _at_rest(source, effect, i, shapes))
     return out
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
-from stopset.offline.diagnose.baseline import known_robot
-from stopset.offline.diagnose.engine import Engine, Scored, Tolerance
+from stopset.offline.diagnose.baseline import baseline
+from stopset.offline.diagnose.engine import Engine, Known, Scored, Tolerance
 from stopset.offline.diagnose.residual import Dependence, dependences, held_out
 from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
 from stopset.recording import Recording, Recordings
@@ -109,16 +109,17 @@ def diagnose(
     fitted: Sequence[Fitted] = (),
     tolerance: Tolerance | None = None,
     names: Sequence[str] | None = None,
+    known: Known | None = None,
 ) -> Diagnosis:
     """Find the effects that the rigid body of ``robot`` and friction (and ``fitted``) do not explain in ``recordings``.
 
     ``robot``: description and data sheet, the prior of what is known; ``fitted``: effects the model already has (kept as
-    nuisance, refitted); ``names``: look for these effects only.
+    nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
     Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
     """
     if not any(_moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
-    engine = Engine.build(robot, recordings, tolerance)
+    engine = Engine.build(robot, recordings, tolerance, known)
     _include(engine, fitted)
     hyper, _ = engine.fit()
     before = held_out(engine, hyper)
@@ -152,8 +153,8 @@ def diagnose_model(
     model: Model, recordings: Recordings, names: Sequence[str] | None = None
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file; also says what the recordings were measured against."""
-    robot, against = known_robot(model, recordings.meta)
-    return diagnose(robot, recordings, model.effects, names=names), against
+    robot, known, against = baseline(model, recordings)
+    return diagnose(robot, recordings, model.effects, names=names, known=known), against
 
 
 def _moves(r: Recording) -> bool:

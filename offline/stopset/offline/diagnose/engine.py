@@ -32,6 +32,20 @@ class Tolerance:
 
 
 @dataclass(frozen=True, slots=True)
+class Known:
+    """What a model from other recordings adds to the description: then only what has *changed* is asked for.
+
+    ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
+    ``gain``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES`.
+    """
+
+    friction: Array
+    gain: float = 1.0
+    spread: float = 0.15
+    scales: tuple[float, ...] = (0.1, 0.3)
+
+
+@dataclass(frozen=True, slots=True)
 class Candidate:
     """An effect at its joints with fixed shapes; ``cols``: its global columns; ``sd``: prior deviation of each term."""
 
@@ -89,18 +103,23 @@ class Engine:
     cad: Index  # base columns whose prior is the robot description
     rotors: Index  # and those whose prior is the data sheet
     size: int  # columns in all; column 0 is y
+    scales: tuple[float, ...] = SCALES
     active: list[Candidate] = field(default_factory=list)
 
     # -- building ---------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def build(robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None) -> Engine:
+    def build(
+        robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None, known: Known | None = None
+    ) -> Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
         source, n = Source(robot, data, compensated), robot.n
         units = list(dict.fromkeys(t.unit for t in data.trials))
         folds = np.array([units.index(t.unit) % FOLDS for t in data.trials], dtype=np.intp)
+        source.gain = known.gain if known else 1.0
+        scales = known.scales if known else SCALES
         rows = _all_rows(source)
         base = 1 + np.arange(10 * n)
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
@@ -112,12 +131,15 @@ class Engine:
         friction, grams = np.zeros((n, 2)), []
         for j in range(n):
             X = _base_columns(source, rows[j])
-            friction[j] = _first_friction(X, np.concatenate([sd[base] * 10, sd[own[j]]]))
+            if known:
+                sd[own[j, 1:3]] = np.maximum(known.spread * known.friction[j], 1e-3)
+                X[:, 0] -= X[:, -4:-2] @ known.friction[j]
+            friction[j] = known.friction[j] if known else _first_friction(X, np.concatenate([sd[base] * 10, sd[own[j]]]))
             f = rows[j].column(np.stack([data.way[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
-        return Engine(robot, data, source, rows, folds, friction, grams, sd, base.astype(np.intp), own[:, 0].astype(np.intp), 1 + 15 * n)
+        return Engine(robot, data, source, rows, folds, friction, grams, sd, base.astype(np.intp), own[:, 0].astype(np.intp), 1 + 15 * n, scales)
 
     def add(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> Candidate | None:
         """Append an effect's columns to the Grams; None if it leaves no trace in these motions."""
@@ -207,12 +229,12 @@ class Engine:
         """The current model's hyperparameters by evidence, and its coefficients."""
         n = self.data.n
         view = self._view()
-        h = start or Hyper((0.02,) * n, (1.0,) * n, 1.0)
+        h = start or Hyper((0.02,) * n, (1.0,) * n, min(1.0, self.scales[-1]))
         for _ in range(3):
             before = h
             for j in range(n):
                 h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
-            h = view._best(h, [replace(h, scale=s) for s in SCALES])
+            h = view._best(h, [replace(h, scale=s) for s in self.scales])
             p = view._project(h)[0]
             h = replace(h, kappa=tuple(view.kappa(j, p.theta, h.sigma[j]) for j in range(n)))
             if h == before:
@@ -296,7 +318,7 @@ class Engine:
         consider(base, 0.0, everyone)
         if quick:
             return sorted(best.values(), key=lambda r: -r.score)
-        for scale in SCALES:
+        for scale in self.scales:
             if scale != hyper.scale:
                 p = project(base_G, 0, nuisance, rest, self.precision(scale))
                 consider(p, self.criterion(p, scale, base_logdet) - reference, everyone)
