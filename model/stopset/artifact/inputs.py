@@ -42,7 +42,8 @@ def compensated(effects: Sequence[Fitted], abstraction: Abstraction) -> tuple[Fi
 class InputMap:
     """Turns torque into ``u``.
 
-    ``effects``: those whose torque is taken off, see `compensated`; ``gain``: (n,) recorded torque per true torque; ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
+    ``effects``: those whose torque is taken off, see `compensated`; ``gain``: (n,) recorded torque per true torque;
+    ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
     counts as still: there friction is set-valued and balances what it can, so only the rest of the torque is input.
     """
 

@@ -37,7 +37,11 @@ def run(args: argparse.Namespace) -> int:
 
     check_outputs(args.out, args.json)
     model = load_model(args.model)
-    done = add(model, args.effect, args.joint, args.data, args.force, lambda text: sys.stderr.write(f"{text}\n"))
+
+    def tell(text: str) -> None:
+        sys.stderr.write(f"{text}\n")
+
+    done = add(model, args.effect, args.joint, args.data, args.force, tell)
     say(f"{'':<46}{'before':>12}{'after':>12}   judged on {done.judged_on}")
     for key, means, unit in SHOWN:
         if key in done.before and key in done.after:

@@ -72,7 +72,9 @@ def run(args: argparse.Namespace) -> int:
     except OSError as e:
         raise OutputError(f"--out {out} cannot be created ({e.strerror}); choose another place") from e
     story = Story(out)
-    robot, data, first, second = (str(out / name) for name in ("robot.urdf", "recording.parquet", "first.model.json", "second.model.json"))
+    robot, data, first, second = (
+        str(out / name) for name in ("robot.urdf", "recording.parquet", "first.model.json", "second.model.json")
+    )
 
     story.chapter("A Schunk LWA-4P in a simulated cell is measured. Something pulls at one of its joints; the model is not told.")
     story.do("simulate", "--robot", "lwa4p", "--hide", HIDDEN, "--out", str(out), "--seed", "3", keep=lambda x: "recordings" in x)
@@ -93,7 +95,16 @@ def run(args: argparse.Namespace) -> int:
     best = found["ranked_effects"][0]
     where = ("--joint", best["joint"]) if best["joint"] else ()
     story.do("add", first, best["effect"], *where, "--data", data, "--out", second, keep=lambda x: "%" in x or "revision" in x)
-    story.do("compare", second, "--data", data, "--report", str(out / "compare-second.html"), good=(0, 1), keep=lambda x: "recordings leave" in x)
+    story.do(
+        "compare",
+        second,
+        "--data",
+        data,
+        "--report",
+        str(out / "compare-second.html"),
+        good=(0, 1),
+        keep=lambda x: "recordings leave" in x,
+    )
     story.do("history", second, "--report", str(out / "history.html"))
     story.chapter("How far does it go when it is stopped? Tables as ISO 10218-1 asks.")
     story.do("stops", second, "--report", str(out / "stops.html"), "--json", str(out / "stops.json"))

@@ -32,7 +32,10 @@ def run(args: argparse.Namespace) -> int:
     if all(f is not None for f in floor):
         say("repeatability floor of the torque, per joint: " + ", ".join(f"{f:.3g}" for f in floor) + " N m")
     if args.json:
-        rows = [{"number": r.number, "added": r.added, "before": dict(r.before), "after": dict(r.after), "note": r.note} for r in model.revisions]
+        rows = [
+            {"number": r.number, "added": r.added, "before": dict(r.before), "after": dict(r.after), "note": r.note}
+            for r in model.revisions
+        ]
         write_json(args.json, rows)
     if args.report:
         from stopset.offline.history_page import page

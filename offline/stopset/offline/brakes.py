@@ -37,6 +37,7 @@ LEAST = 4  # training stops needed
 WIDENINGS = 12
 WIDEN = 1.15  # of the intervals, per round, until the training stops are enclosed
 PIECES = 4
+OUTLIER = 9.0  # squared misfit per sample (three times the noise) beyond which a stop counts no more
 REST = 15  # samples at the end of a stop that tell the noise
 
 
@@ -182,57 +183,52 @@ def impulses(setting: Setting, r: Recording) -> list[Impulse | None]:
     return out
 
 
-def _ramp_impulse(t: Array, delay: float, rise: float, level: float) -> Array:
-    s = np.maximum(t - delay, 0.0)
-    return level * np.where(s < rise, 0.5 * s * s / max(rise, 1e-9), s - 0.5 * rise)
+def _unit_ramp(t: Array, delays: Array, rise: float) -> Array:
+    """(D, K) impulse of a brake of 1 N m at ``t`` (K,), for every delay (D,)."""
+    x = np.maximum(t[None, :] - delays[:, None], 0.0)
+    return np.where(x < rise, 0.5 * x * x / max(rise, 1e-9), x - 0.5 * rise)
+
+
+def _misfits(c: Impulse, drift: float, delays: Array, rise: float, levels: Array) -> Array:
+    """(L, D) squared misfit of one stop for every level and delay, the best offset and friction of this stop taken off.
+
+    A stop's own offset (noise of its first speed) and friction (within ``drift`` of the model's) are linear with priors, so
+    they are projected out once.
+    """
+    H = np.stack([np.ones_like(c.t), drift * c.t / c.noise], axis=1)
+    Q = np.eye(len(c.t)) - H @ np.linalg.solve(np.eye(2) + H.T @ H, H.T)
+    y, R = c.given / c.noise, _unit_ramp(c.t, delays, rise) / c.noise
+    RQ = R @ Q
+    out: Array = y @ Q @ y - 2.0 * levels[:, None] * (RQ @ y) + levels[:, None] ** 2 * np.sum(RQ * R, axis=1)
+    return out
 
 
 def _fit_joint(curves: list[Impulse], guess: float, friction: float) -> tuple[float, float, Array, Array]:
-    """Torque, rise, and per stop delay and torque of one joint's brake, from the impulses of the training stops."""
-    count = len(curves)
+    """Torque, rise, and per stop delay and torque of one joint's brake, from the impulses of the training stops.
+
+    A search over torque and rise, each stop taking its own best delay: no start value to be wrong about.
+    """
     drift = 0.1 * friction + 1e-3  # how far a stop's friction may lie from the model's, as prior
-
-    def unpack(x: Array) -> tuple[float, float, Array, Array, Array]:
-        rest = x[2:].reshape(count, 3)
-        return float(np.exp(x[0])), float(np.exp(x[1])), rest[:, 0], rest[:, 1], rest[:, 2]
-
-    def miss(x: Array) -> Array:
-        level, rise, delay, offset, slope = unpack(x)
-        parts = []
-        for c, d, o, s in zip(curves, delay, offset, slope, strict=True):
-            parts.append((c.given - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, d, rise, level)) / c.noise)
-        return np.concatenate(
-            [
-                *parts,
-                offset,
-                slope,
-                0.1 * (delay - np.median(delay)) / 0.002,
-                [(x[1] - np.log(0.012)) / 1.0, (x[0] - np.log(guess)) / 0.3],
-            ]
-        )
-
-    best, lowest = None, np.inf
-    longest = max(float(c.t[-1]) for c in curves)
-    for start in np.linspace(0.01, max(0.9 * longest, 0.02), 4):
-        x0 = np.concatenate([[np.log(guess), np.log(0.012)], np.tile([start, 0.0, 0.0], count)])
-        fit = least_squares(miss, x0, loss="soft_l1", max_nfev=25)
-        if fit.cost < lowest:
-            best, lowest = fit.x, fit.cost
-    assert best is not None
-    level, rise, delay, offset, slope = unpack(best)
-    delays, levels = [], []
-    for c, d, o, s in zip(curves, delay, offset, slope, strict=True):
-        after = c.t > d + rise
+    delays = np.arange(0.0, max(float(c.t[-1]) for c in curves), 5e-4)
+    levels, rises = guess * np.exp(np.linspace(-1.2, 1.2, 97)), np.array([1, 3, 5, 8, 11, 14, 18, 23, 30, 40]) * 1e-3
+    prior = (np.log(levels / guess) / 0.3) ** 2
+    best = (np.inf, guess, 0.01)
+    for rise in rises:
+        # one stop that no ramp explains must not decide for the others
+        cost = prior + sum(np.minimum(_misfits(c, drift, delays, rise, levels).min(axis=1), OUTLIER * len(c.t)) for c in curves)
+        k = int(np.argmin(cost))
+        best = min(best, (float(cost[k]), float(levels[k]), float(rise)))
+    _, level, rise = best
+    told, own = [], []
+    for c in curves:
+        d = float(delays[int(np.argmin(_misfits(c, drift, delays, rise, np.array([level]))[0]))])
         if np.count_nonzero(c.t > d + 0.5 * rise) < 2:
             continue  # it came to rest before its brake told anything
-        delays.append(d)
-        if np.count_nonzero(after) >= 5:
-            own = least_squares(
-                lambda y, c=c, o=o, s=s: (c.given - o * c.noise - s * drift * c.t - _ramp_impulse(c.t, y[1], rise, y[0])) / c.noise,
-                [level, d],
-            ).x  # fmt: skip
-            levels.append(float(own[0]))
-    return level, rise, np.array(delays), np.array(levels)
+        told.append(d)
+        if np.count_nonzero(c.t > d + rise) >= 5:
+            near = delays[np.abs(delays - d) < 0.015]
+            own.append(float(levels[np.argmin(_misfits(c, drift, near, rise, levels).min(axis=1))]))
+    return level, rise, np.array(told), np.array(own)
 
 
 def _fit_brakes(model: Model, stops: list[Recording], notes: list[str]) -> tuple[Brakes | None, Guarantee | None]:

@@ -13,13 +13,13 @@ from stopset.offline.conform.noise import spread
 Array = NDArray[np.float64]
 Suite = tuple[str, int]
 
-OVERLAP = 0.25  # of the shorter recording must be shared at least
+OVERLAP = 0.4  # of the shorter recording must be shared at least
 FEWEST = 50  # samples, at least
-# Torques are the same where they differ by no more than their noise twice and a tenth of their variation: clocks differ by up
+# Torques are the same where they differ by no more than their noise one and a half times and a tenth of their variation: clocks differ by up
 # to half a sample, drives by a few percent. Different motions of the arms measured differ by half their variation or more.
-NOISES = 2.0
+NOISES = 1.5
 ALIKE = 0.1
-VARIES = 5.0  # in noises: what hardly moves tells nothing
+VARIES = 2.0  # in noises: what hardly moves tells nothing
 
 
 def independent_motions(torques: Mapping[Suite, Array]) -> dict[Suite, int]:
@@ -56,6 +56,7 @@ class _Signals:
         self.sums = [np.vstack([np.zeros(x.shape[1]), np.cumsum(x, axis=0)]) for x in self.x]
         self.squares = [np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))]) for x in self.x]
         self.noise = [float((spread(x) ** 2).sum()) for x in self.x]
+        self.varies = [bool(x.var(axis=0).sum() > VARIES**2 * e) for x, e in zip(self.x, self.noise, strict=True)]
 
     def alike(self, i: int) -> list[int]:
         """Later suites whose torques are those of suite ``i``, shifted."""
@@ -63,6 +64,8 @@ class _Signals:
 
     def _same(self, i: int, k: int) -> bool:
         a, b = len(self.x[i]), len(self.x[k])
+        if not self.varies[i] and not self.varies[k]:
+            return True
         least = max(FEWEST, round(OVERLAP * min(a, b)))
         if min(a, b) < least:
             return False

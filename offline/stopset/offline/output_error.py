@@ -78,7 +78,10 @@ def _residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_ja
     P = np.vstack([p, p + np.diag(step)]) if with_jacobian else p[None, :]
     Q, DQ = roll_out(batch, np.exp(P[:, 0]), np.exp(P[:, 1]), P[:, 2:], terms)
     e = np.concatenate(
-        [((batch.q - Q) * batch.inside).reshape(len(P), -1), (VELOCITY_TIME * (batch.dq - DQ) * batch.inside).reshape(len(P), -1)],
+        [
+            ((batch.q - Q) * batch.inside).reshape(len(P), -1),
+            (VELOCITY_TIME * (batch.dq - DQ) * batch.inside).reshape(len(P), -1),
+        ],
         axis=1,
     )
     return e[0], ((e[1:] - e[0]) / step[: len(e) - 1, None]).T

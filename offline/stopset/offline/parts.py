@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
@@ -46,7 +47,7 @@ def within(source: Source, trials: Range) -> Source:
 def ranges(trials: int, parts: int) -> list[Range]:
     """``parts`` consecutive ranges that cover ``trials``."""
     edges = [round(k * trials / parts) for k in range(parts + 1)]
-    return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
 def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None) -> tuple[A, B]:
@@ -73,10 +74,14 @@ def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: st
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as e:
-        raise StopsetError(f"no Dask scheduler answers at {scheduler} ({type(e).__name__}); start one and name its address") from e
+        raise StopsetError(
+            f"no Dask scheduler answers at {scheduler} ({type(e).__name__}); start one and name its address"
+        ) from e
     with client:
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         if not workers:
-            raise StopsetError(f"the Dask scheduler at {scheduler} has no worker; start at least one that can read the recordings")
+            raise StopsetError(
+                f"the Dask scheduler at {scheduler} has no worker; start at least one that can read the recordings"
+            )
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
         return list(client.gather(jobs))

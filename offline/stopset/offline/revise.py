@@ -20,7 +20,7 @@ from stopset.errors import EffectError
 from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.identify import Settings, identify, nominal_figures
 from stopset.offline.survey import survey
-from stopset.recording import Recording, stream_recordings
+from stopset.recording import Recording, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 
@@ -55,16 +55,25 @@ def add(
     if name in settings.effects:
         raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
     more = replace(settings, effects=(*settings.effects, name))
-    tell(f"judging {name} on held-out data")
     held, judged_on = _halves(robot, paths)
-    old = nominal_figures(robot, paths, settings, lambda r: not held(r), held)
-    new = nominal_figures(robot, paths, more, lambda r: not held(r), held)
+    known = with_it = _known(model)
+    if model.effort != "compensated_torque":
+        tell(f"estimating {name}")
+        fitted = find(robot, read_recordings(paths, robot), known, effect, joint)
+        if fitted is None:
+            # no trace in the data, so there are no numbers to add, even if forced
+            now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
+            return Revised(None, now, now, False, judged_on)
+        with_it = (*known, fitted)
+    tell(f"judging {name} on held-out data")
+    old = nominal_figures(robot, paths, settings, lambda r: not held(r), held, known)
+    new = nominal_figures(robot, paths, more, lambda r: not held(r), held, with_it)
     before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
     helps = _helps(before, after)
     if not helps and not force:
         return Revised(None, before, after, False, judged_on)
     tell("identifying the new revision")
-    fresh = identify(robot, paths, more, tell).model
+    fresh = identify(robot, paths, more, tell, known=with_it).model
     before |= dict(model.revisions[-1].after) if model.revisions else {}
     after |= dict(fresh.revisions[-1].after)
     number = model.revisions[-1].number + 1 if model.revisions else 1
@@ -73,18 +82,16 @@ def add(
     return Revised(replace(fresh, revisions=(*model.revisions, revision)), before, after, helps, judged_on)
 
 
-def _no_trace(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings, held: Callable[[Recording], bool], known: tuple[Fitted, ...],
-    judged_on: str,
-) -> Revised:  # fmt: skip
-    """Refused without a trial: the data show no trace of the effect, so there are no numbers to add, even if forced."""
-    now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
-    return Revised(None, now, now, False, judged_on)
-
-
 def description(model: Model) -> Robot:
     """The robot as it was described (CAD and data sheet), from the texts in the model."""
     return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
+
+
+def _known(model: Model) -> tuple[Fitted, ...]:
+    """Effects beyond base friction with the numbers the model holds; none where they are refitted with everything else."""
+    if model.effort == "compensated_torque":
+        return ()
+    return tuple(f for f in model.effects if not get(f.effect).base)
 
 
 def settings_of(model: Model) -> Settings:

@@ -71,7 +71,9 @@ def joint_batches(robot: Robot, trials: Sequence[Recording], warm: Sequence[floa
     return [JointBatch(dt, q[j], dq[j], u[j], load[j], temp[j], places, inside) for j in range(n)]
 
 
-def roll_out(batch: JointBatch, inertia: Array, damping: Array, torque: Array, terms: Sequence[EffectTerm]) -> tuple[Array, Array]:
+def roll_out(
+    batch: JointBatch, inertia: Array, damping: Array, torque: Array, terms: Sequence[EffectTerm]
+) -> tuple[Array, Array]:
     """Simulated ``q, dq`` (S, N, B) for ``S`` parameter sets at once.
 
     ``inertia, damping`` (S,); ``torque`` (S, 1 + columns): the offset [N m] and the value of every column of ``terms``.
@@ -123,6 +125,4 @@ class RollOut:
             torque = np.array([[self.abstraction.offset[j], *values]])
             q, dq = roll_out(batch, inertia[j : j + 1], self.abstraction.viscous[j, :1], torque, terms)
             states.append((q[0], dq[0]))
-        return [
-            np.column_stack([x[: len(r.t), b] for k in (0, 1) for x in (s[k] for s in states)]) for b, r in enumerate(trials)
-        ]
+        return [np.column_stack([x[: len(r.t), b] for k in (0, 1) for x in (s[k] for s in states)]) for b, r in enumerate(trials)]
