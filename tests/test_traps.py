@@ -26,9 +26,9 @@ from stopset.offline.identify import Settings, identify
 from stopset.offline.motions import independent_motions
 from stopset.offline.survey import on_grid
 from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
-from stopset.recording import Recording, read_meta, read_recordings
+from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.sets import Box
-from synthetic import DT, arm, columns, lag, meta, names, recordings, save, save_trials
+from synthetic import DT, arm, columns, lag, meta, names, recordings, save, save_trials, torques
 
 # two joints that push each other: the off-diagonal of M^-1 is negative
 COUPLED = Abstraction(1, 1, np.linalg.inv(np.array([[2.0, 0.8], [0.8, 1.0]])), np.array([[3.0], [8.0]]))
@@ -298,15 +298,52 @@ def test_p7_a_constant_bias_stays_out_of_the_width() -> None:
 # ---- P8: the motion is the independent unit
 
 
+def motion(seed: int, N: int = 900) -> np.ndarray:
+    return torques(np.random.default_rng(seed), N, 3, 8.0)
+
+
 def test_p8_repetitions_and_later_starts_of_one_motion_count_once() -> None:
-    u = np.random.default_rng(1).normal(size=(600, 2)).cumsum(axis=0)
+    u = motion(1)
     suites = {("open_loop", 0): u, ("open_loop", 1): u[200:], ("open_loop", 2): u[397:]}
     assert set(independent_motions(suites).values()) == {0}
-    other = np.random.default_rng(2).normal(size=(600, 2)).cumsum(axis=0)
-    assert len(set(independent_motions(suites | {("open_loop", 3): other}).values())) == 2
+    assert len(set(independent_motions(suites | {("open_loop", 3): motion(2)}).values())) == 2
     # counting 100 repetitions would promise 3 %; two motions promise nothing
     assert clopper_pearson(0, 100) < 0.03
     assert clopper_pearson(0, 0) == 1.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+def test_p8_noise_and_cut_ends_do_not_make_one_motion_several(noise: float) -> None:
+    """Measured torques of four starts, each cut at both ends, against twelve motions that really differ."""
+    rng = np.random.default_rng(3)
+
+    def measured(u: np.ndarray) -> np.ndarray:
+        return u + noise * rng.normal(size=u.shape)
+
+    starts = {("open_loop", k): measured(motion(1)[130 * k : 480 + 137 * k]) for k in range(4)}
+    assert set(independent_motions(starts).values()) == {0}
+    others = {("open_loop", 10 + k): measured(motion(20 + k, 600)) for k in range(12)}
+    found = independent_motions(starts | others)
+    assert len(set(found.values())) == 13
+    assert list(found.values()) == [0] * 4 + list(range(1, 13))  # numbered as they come
+    assert independent_motions({s: u[:, :1] * 0.0 for s, u in starts.items()}) == dict.fromkeys(starts, 0)
+
+
+@pytest.mark.shared
+def test_p8_four_starts_of_two_motions_are_two_motions(shared_data) -> None:
+    """Eight suites; all that fits in noise is one motion. Starts of different motions are never taken for one."""
+    folder = shared_data("hidden_effect")
+    several = 0
+    for path in sorted(folder.glob("*/recording.parquet")):
+        first: dict[tuple[str, int], np.ndarray] = {}
+        for r in stream_recordings(path):
+            if r.phase == "open_loop":
+                first.setdefault(r.motion, r.tau)
+        found = independent_motions(first)
+        quads = [{found[k] for k in list(found)[i : i + 4]} for i in range(0, len(found), 4)]
+        assert not set.intersection(quads[0], quads[1])
+        several += len(set(found.values())) > len(quads)
+    assert several <= 3  # of 28
 
 
 def test_p8_the_bound_is_the_one_of_the_textbook() -> None:
