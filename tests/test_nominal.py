@@ -21,7 +21,7 @@ from nominal_cases import (
     shaken,
     wrong_cad,
 )
-from stopset.errors import EffectError, RecordingError
+from stopset.errors import EffectError, ModelFileError, RecordingError
 from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.physical import pseudo_inertia
 from stopset.recording import Meta, Recordings
@@ -305,3 +305,25 @@ def test_p24_current_counts_through_its_torque_constant(tmp_path) -> None:  # ty
     nominal = identify_nominal(true, read_recordings(tmp_path / "current.parquet", true))
     for j, joint in enumerate(JOINTS):
         assert nominal.value("coulomb", joint)["F_c"] == pytest.approx(F_C[j], rel=0.03)
+
+
+def test_sums_survive_a_file_and_take_new_recordings_in(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from stopset.offline.nominal import load_sums, save_sums
+
+    true, cad = wrong_cad()
+    trials = campaign(Truth(true), seconds=5.0).trials
+    old, new = accumulate(cad, trials[:82], reference=cad.pi), accumulate(cad, trials[82:], reference=cad.pi)
+    path = tmp_path / "model.sums"
+    save_sums(path, old)
+    back = load_sums(path, cad)
+    np.testing.assert_array_equal(back.moving, old.moving)  # to the last bit
+    np.testing.assert_array_equal(back.still, old.still)
+    np.testing.assert_array_equal(solve_nominal(cad, back + new).theta, solve_nominal(cad, old + new).theta)
+    for damage in (b"", path.read_bytes()[:-300], b"PK" + bytes(200)):
+        path.write_bytes(damage)
+        with pytest.raises(ModelFileError):
+            load_sums(path, cad)
+    save_sums(path, old)
+    other = arm()
+    with pytest.raises(ModelFileError, match="joints"):
+        load_sums(path, replace(other, joints=("a", "b", "c")))

@@ -3,6 +3,7 @@
 from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.nominal import Nominal, Residual, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.offline.nominal.sums import load_sums, save_sums
 
 __all__ = [
     "Nominal",
@@ -11,6 +12,8 @@ __all__ = [
     "Residual",
     "accumulate",
     "identify_nominal",
+    "load_sums",
     "residuals",
+    "save_sums",
     "solve_nominal",
 ]
