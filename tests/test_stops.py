@@ -273,3 +273,27 @@ def test_ramp_survives_the_model_file() -> None:
     ramp = Ramp.stated(6, time=0.3, off_after=0.4)
     back = Ramp.from_dict(ramp.as_dict())
     assert back.as_dict() == ramp.as_dict()
+
+
+# ---- the fast loop -----------------------------------------------------------------------------------------------------
+
+
+def test_fast_bound_holds_inside_its_box_and_refuses_outside() -> None:
+    model, rng = prbt_like(), np.random.default_rng(17)
+    bounds = StopBounds.of(model, (0.0, 0.25))
+    certificate = bounds.certify(Q, DQ, np.full(6, 0.01), np.full(6, 0.05))
+    assert certificate is not None
+    s = bounds.setting
+    assert s is not None
+    for k in range(10):
+        q, dq = Q + rng.uniform(-0.01, 0.01, 6), DQ + rng.uniform(-0.05, 0.05, 6)
+        time, forward, back, speed = certificate.bound(q, dq)
+        r, v = s.noise.radius[:6], s.noise.radius[6:]
+        x = sample_stops(s.plant, q, dq, r, v, s.payload_com, certificate.tube, 60, k)
+        assert x.escaped == 0
+        assert np.all(x.forward <= forward + 2e-6) and np.all(x.back <= back + 2e-6) and np.all(x.time <= time + 0.5e-3)
+        whole = bounds.bound(q, dq)
+        # the box costs little: within 15 % of the bound made for the state alone
+        assert np.median(np.maximum(forward, back) / whole.angle) < 1.15 and np.all(speed >= np.abs(dq))
+    with pytest.raises(NotCovered, match="left the certified box"):
+        certificate.bound(Q + 0.02, DQ)

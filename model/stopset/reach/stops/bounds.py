@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.ramp import Cell, Ramp, failed_cells, infeasible, ramp_of, ramp_time, ramp_tube
@@ -102,6 +103,22 @@ class StopBounds:
         if category == "1 guaranteed":
             return self._failed_ramp(q, dq, noise.radius[:n], noise.radius[n:])
         return self._working_ramp(q, dq, noise.radius[:n], noise.radius[n:], category)
+
+    def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
+        """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
+
+        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in, measurement noise on top.
+        """
+        if self.setting is None:
+            return None
+        q, dq = self._checked(q, dq)
+        n, noise = self.model.n, self.setting.noise
+        q, dq = q - noise.centre[:n], dq - noise.centre[n:]
+        q_radius, dq_radius = q_radius + noise.radius[:n], dq_radius + noise.radius[n:]
+        tube = tube_of(self.setting, q, dq, q_radius, dq_radius)
+        if tube.end != OK:
+            return None
+        return Certificate(tube, q, dq, q_radius, dq_radius, noise.radius[:n], noise.radius[n:])
 
     def _checked(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
         robot, n = self.model.robot, self.model.n

@@ -1,0 +1,156 @@
+"""`stopset stops`: rows with the agreed keys, shapes of the vendors' tables, files, separation terms, refusals in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.artifact import save_model
+from stopset.cli.main import main
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+
+KEYS = [
+    "category",
+    "joint",
+    "speed_percent",
+    "payload_percent",
+    "extension_percent",
+    "time_s",
+    "angle_rad",
+    "tcp_m",
+    "certified",
+    "why",
+]
+RAMP = ["--ramp-time", "0.3", "--off-after", "0.1"]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("stops") / "p.model.json"
+    save_model(prbt_like((0.0, 1.0)), path)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def rows(model: str, tmp_path_factory: pytest.TempPathFactory) -> list[dict]:  # type: ignore[type-arg]
+    folder = tmp_path_factory.mktemp("out")
+    files = [
+        f"{o}={folder / f}" for o, f in (("--json", "a.json"), ("--csv", "a.csv"), ("--pdf", "a.pdf"), ("--report", "a.html"))
+    ]
+    assert main(["stops", model, *files, *RAMP]) == 0
+    out = json.loads((folder / "a.json").read_text())
+    table = list(csv.DictReader((folder / "a.csv").open()))
+    assert len(table) == len(out) and table[0]["time [s]"] == str(out[0]["time_s"])
+    pdf = (folder / "a.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF-1.4") and pdf.rstrip().endswith(b"%%EOF")
+    html = (folder / "a.html").read_text()
+    assert "<html" in html and 'src="http' not in html and "Not a safety function" in html
+    return out
+
+
+def pick(rows, **want):  # type: ignore[no-untyped-def]
+    found = [r for r in rows if all(r[k] == v for k, v in want.items())]
+    assert found
+    return found
+
+
+def test_rows_have_the_agreed_keys_and_the_whole_grid(rows: list[dict]) -> None:  # type: ignore[type-arg]
+    assert all(list(r) == KEYS for r in rows)
+    for category in ("0", "1", "1 guaranteed", "2"):
+        grid = {
+            (r["joint"], r["speed_percent"], r["payload_percent"], r["extension_percent"]) for r in pick(rows, category=category)
+        }
+        singles = {g for g in grid if "+" not in g[0]}
+        assert len(singles) == 81 and len(grid) == 81 + 9  # three axes x 27, and all three at once at full extension
+    for r in rows:
+        numbers = [r["time_s"], r["angle_rad"], r["tcp_m"]]
+        assert all(isinstance(x, float) for x in numbers) if r["certified"] else numbers == [None] * 3 and r["why"]
+
+
+def test_stop0_full_extension_is_certified_and_shaped_like_vendors_tables(rows: list[dict]) -> None:  # type: ignore[type-arg]
+    stop0 = [r for r in pick(rows, category="0") if "+" not in r["joint"]]
+    assert all(r["certified"] for r in stop0)
+    for joint in {r["joint"] for r in stop0}:
+        a, b, c = (
+            pick(stop0, joint=joint, speed_percent=float(s), payload_percent=100.0, extension_percent=100.0)[0]
+            for s in (33, 66, 100)
+        )
+        # between linear (delay) and quadratic (brake) in speed, so the ratio at three times the speed lies between 2 and 9
+        assert 2.0 < c["angle_rad"] / a["angle_rad"] < 9.0 and a["angle_rad"] < b["angle_rad"] < c["angle_rad"]
+        assert a["time_s"] < b["time_s"] < c["time_s"]
+        # free fall in the delay raises s / (v t) above a constant deceleration's 0.5
+        assert 0.35 <= c["angle_rad"] / (1.26 * c["time_s"]) <= 1.1
+    flat = pick(stop0, joint="arm_1_joint", speed_percent=100.0, payload_percent=100.0, extension_percent=100.0)[0]
+    down = pick(stop0, joint="arm_2_joint", speed_percent=100.0, payload_percent=100.0, extension_percent=100.0)[0]
+    assert down["angle_rad"] > 1.1 * flat["angle_rad"] and down["time_s"] > flat["time_s"]
+
+
+def test_fixed_time_ramps_are_linear_and_do_not_know_the_load(rows: list[dict]) -> None:  # type: ignore[type-arg]
+    nominal = pick(rows, category="1", joint="arm_1_joint", extension_percent=100.0)
+    noise = 0.01 * (0.024 + 0.15)  # speed noise of 10 mrad/s over the ramp
+    by = {(r["payload_percent"], r["speed_percent"]): r["angle_rad"] - noise for r in nominal}
+    for load in (33.0, 66.0, 100.0):
+        assert by[load, 66.0] / by[load, 33.0] == pytest.approx(2.0, rel=1e-3)
+        assert by[load, 100.0] / by[load, 33.0] == pytest.approx(100 / 33, rel=1e-3)
+        assert by[load, 100.0] == pytest.approx(by[33.0, 100.0], rel=1e-6)
+
+
+def test_guaranteed_is_never_shorter_than_power_off(rows: list[dict]) -> None:  # type: ignore[type-arg]
+    keys = ("joint", "speed_percent", "payload_percent", "extension_percent")
+    off = {tuple(r[k] for k in keys): r for r in pick(rows, category="0")}
+    for r in pick(rows, category="1 guaranteed"):
+        if r["certified"]:
+            assert r["angle_rad"] >= off[tuple(r[k] for k in keys)]["angle_rad"]
+
+
+def test_a_pose_with_all_axes_and_its_separation_distance(model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "at.json"
+    terms = ["--separation", "--v-human", "1.6", "--reaction", "0.1", "--intrusion", "0.85", "--person-uncertainty", "0.1"]
+    pose = ["--at", "0.1,0.5,0.3,-0.4,0.2,0.1", "--speed", "1,0.8,-0.7,0.3,0.5,-1", "--category", "0"]
+    assert main(["stops", model, *pose, *terms, "--robot-uncertainty", "0.02", "--json", str(out)]) == 0
+    rows = json.loads(out.read_text())
+    assert len(rows) == 6 and all(r["certified"] for r in rows)
+    text = capsys.readouterr().out
+    time, tcp = max(r["time_s"] for r in rows), rows[0]["tcp_m"]
+    speed = float(next(x for x in text.splitlines() if x.strip().startswith("v_r")).split()[1])
+    total = float(next(x for x in text.splitlines() if "15066" in x).split()[-2])
+    # printed to 1 mm and 1e-4 m/s
+    assert total == pytest.approx(1.6 * (0.1 + time) + 0.1 * speed + tcp + 0.85 + 0.1 + 0.02, abs=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("extra", "word"),
+    [
+        (["--payload", "4"], "payload of 4 kg lies outside"),
+        (["--at", "9,0,0,0,0,0", "--speed", "1,1,1,1,1,1"], "beyond its limits"),
+        (["--at", "0,0,0,0,0,0", "--speed", "5,1,1,1,1,1"], "beyond its limit"),
+        (["--at", "0,0,0", "--speed", "1,1,1,1,1,1"], "expected 6"),
+        (["--at", "0,0,0,0,0,0"], "--speed"),
+        (["--at", "0,0,0,0,0,0", "--speed", "50%", "--separation", "--v-human", "1.6"], "missing"),
+        (["--ramp-time", "-1"], "positive"),
+        (["--off-after", "0.1"], "--ramp-time"),
+    ],
+)
+def test_bad_questions_get_one_sentence(model: str, extra: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stops", model, *extra]) == 2
+    err = capsys.readouterr().err
+    assert word in err and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_extension_means_what_it_says() -> None:
+    from stopset.offline.stops.poses import Poses
+
+    robot = prbt_like().robot
+    poses = Poses.of(robot, robot.tip)
+    assert 0.70 < poses.reach < 0.76  # 0.350 + 0.305 + 0.084 m stretched
+    for share in (0.33, 0.66, 1.0):
+        q = poses.worst_for(1, share, robot.pi)
+        assert abs(poses.extension_of(q) - share) <= 0.021
+        assert np.all(q >= robot.q_limit[:, 0]) and np.all(q <= robot.q_limit[:, 1])
