@@ -83,7 +83,7 @@ class Daemon:
         self.cycle_s = cycle_s
         self.watch = Watch(model, source.quantum, config.payload_kg, config.warm)
         self.latch, self.tally = Latch(), Tally()
-        self.desk = StopDesk(config.model, model.n, config.stops, config.payload_kg)
+        self.desk = StopDesk(config.model, model.n, config.stops, config.payload_kg, source.quantum)
         self.stopping = False
         self._boot, self._seq = secrets.randbits(64), 0
         self._sample: Sample | None = None
@@ -236,6 +236,8 @@ class Daemon:
             self.outlet.put("state/json", msgspec.json.encode(self.twin(state, flags, why, numbers)))
         if now >= self._next_health:
             self._next_health = now + 1.0
+            for words in self.source.complaints():
+                self._event("bus", why=words)
             self.outlet.put("health", msgspec.json.encode(self.health()))
             self._notify.say(f"STATUS={state.name}: {why}"[:200])
 

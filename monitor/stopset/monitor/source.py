@@ -23,12 +23,16 @@ GAP = 1000  # a step in the cycle number that no run of samples makes
 
 
 class Source(Protocol):
-    """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more."""
+    """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
+
+    ``complaints``: what the other side has said or sent wrongly since the last call, in words.
+    """
 
     quantum: Quantum
 
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
+    def complaints(self) -> list[str]: ...
     def close(self) -> None: ...
 
 
@@ -110,6 +114,13 @@ class CanSource:
             "missed_cycles": self._count.missed,
         }
 
+    def complaints(self) -> list[str]:
+        said, self.decoder.emergencies = self.decoder.emergencies, []
+        names = {node: joint for joint, node in self.profile.nodes.items()}
+        return [
+            f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
+        ]
+
     def close(self) -> None:
         self.bus.close()
 
@@ -131,6 +142,9 @@ class NoSource:
 
     def counters(self) -> dict[str, int]:
         return {}
+
+    def complaints(self) -> list[str]:
+        return []
 
     def close(self) -> None:
         """Nothing is open."""
@@ -194,6 +208,10 @@ class JointStateSource:
 
     def counters(self) -> dict[str, int]:
         return {"messages": self.received, "refused_messages": self.refused, "missed_cycles": self.missed}
+
+    def complaints(self) -> list[str]:
+        said, self.complaint = self.complaint, ""
+        return [said] if said else []
 
     def close(self) -> None:
         """Nothing to close: the session belongs to the daemon."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from stopset.artifact import load_model
 from stopset.errors import StopsetError
 from stopset.monitor.config import Stops
+from stopset.monitor.watch import Quantum
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -66,8 +67,10 @@ class Answer:
     numbers: dict[str, Numbers]
     took: float
 
-    def covers(self, q: Array, dq: Array) -> bool:
-        return bool(np.all(np.abs(q - self.q_mid) <= self.q_radius) and np.all(np.abs(dq - self.dq_mid) <= self.dq_radius))
+    def covers(self, q: Array, dq: Array, quantum: Quantum) -> bool:
+        """Whether a reading lies inside with everything that bus rounding may have hidden; the noise ``V`` is in the bound."""
+        near = np.abs(q - self.q_mid) + quantum.q <= self.q_radius
+        return bool(near.all() and np.all(np.abs(dq - self.dq_mid) + quantum.dq <= self.dq_radius))
 
 
 def _numbers(bound: Any, n: int) -> Numbers:
@@ -130,6 +133,7 @@ class StopDesk:
     n: int
     stops: Stops
     payload: float
+    quantum: Quantum
     answer: Answer | None = None
     why: str = "the first stop bound is being computed"
     restarts: int = 0
@@ -201,7 +205,7 @@ class StopDesk:
         names = self.categories
         if self.answer is None:
             return {c: Numbers.none(self.n, self.why) for c in names}, False
-        if not self.answer.covers(q, dq):
+        if not self.answer.covers(q, dq, self.quantum):
             why = "the arm has left the states the last bound was computed for"
             return {c: Numbers.none(self.n, why) for c in names}, False
         return self.answer.numbers, True
@@ -212,6 +216,6 @@ class StopDesk:
             with contextlib.suppress(OSError, ValueError):
                 self._pipe.send(None)
         if self._process is not None:
-            self._process.join(timeout=1.0)
+            self._process.join(timeout=0.2)
             if self._process.is_alive():
                 self._process.kill()

@@ -1,0 +1,238 @@
+"""The daemon's loop with a scripted arm: whatever goes wrong is on the wire as FAULT before anything else happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from monitor_arm import DT, known_model, motion
+from monitor_process import free_port, running, write_config
+from stopset.artifact import save_model
+from stopset.errors import BusError, NotCovered
+from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
+from stopset.monitor.daemon import MAX_FAULTS, Daemon
+from stopset.monitor.layout import Flag, State, unpack
+from stopset.monitor.source import Source
+from stopset.monitor.watch import Quantum, Sample
+
+Script = list[Sample | Exception | None]
+
+
+class Arm:
+    """Gives what the script says; an exception in it is raised, None is silence; at the end the daemon is asked to stop."""
+
+    def __init__(self, script: Script) -> None:
+        self.script, self.quantum = script, Quantum.none(6)
+        self.daemon: Daemon | None = None
+        self.closed = 0
+
+    def next(self, timeout: float) -> Sample | None:
+        if not self.script:
+            assert self.daemon is not None
+            self.daemon.stopping = True
+            return None
+        step = self.script.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        if step is None:
+            time.sleep(timeout)
+            return None
+        return replace(step, t=time.time())
+
+    def counters(self) -> dict[str, int]:
+        return {}
+
+    def complaints(self) -> list[str]:
+        return ["arm_1_joint: EMCY 0x2310"]
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Wire:
+    """Remembers what is published."""
+
+    def __init__(self) -> None:
+        self.states: list[dict[str, Any]] = []
+        self.slow: dict[str, list[Any]] = {}
+        self.handlers: dict[str, Callable[[str, bytes], None]] = {}
+
+    def fast(self, name: str) -> Callable[[bytes], None]:
+        return lambda data: self.states.append(unpack(data))
+
+    def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
+        self.slow.setdefault(name, []).append(json.loads(data))
+
+    def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
+        self.handlers[name] = handler
+
+    def serve(self, name: str, answer: Callable[[], bytes]) -> None:
+        assert answer()
+
+    def alive(self, name: str) -> None:
+        pass
+
+    @property
+    def words(self) -> list[State]:
+        """The states in order, repetitions left out."""
+        out: list[State] = []
+        for s in self.states:
+            if not out or out[-1] is not State(s["state"]):
+                out.append(State(s["state"]))
+        return out
+
+
+Made = tuple[Daemon, Arm, Wire]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Made]]:
+    made: list[Daemon] = []
+
+    def build(script: Script, **more: Any) -> Made:
+        model = save_model(known_model(), tmp_path / "arm.model.json")
+        config = Config(
+            str(tmp_path / "arm.model.json"), Bus("hub:1"), stops=Stops(("0",)),
+            publish=Publish(valid_for_ms=5000, stale_ms=100), sha256="ab" * 32, **more,
+        )  # fmt: skip
+        arm, wire = Arm(script), Wire()
+        daemon = Daemon(config, model, arm, wire, DT)
+        arm.daemon = daemon
+        made.append(daemon)
+        return daemon, arm, wire
+
+    yield build
+    for d in made:
+        d.desk.close()
+
+
+def samples(count: int = 20, k0: int = 0) -> list[Sample]:
+    r = motion(0, count)
+    return [Sample(k0 + k, 0.0, r.q[k], r.dq[k], r.tau[k]) for k in range(count)]
+
+
+def never() -> Source:
+    raise AssertionError("the bus was not lost")
+
+
+def test_states_of_a_quiet_life(make: Callable[..., Made]) -> None:
+    daemon, _, wire = make([None, *samples(), *[None] * 15])
+    assert daemon.run(never) == 0
+    daemon.close()
+    words = [w for w in wire.words if w is not State.OK]
+    # DEGRADED: right after the start no stop bound has been certified yet
+    assert words == [State.INIT, State.UNKNOWN, State.DEGRADED, State.FAULT, State.SHUTDOWN]
+    stale = next(s for s in wire.states if s["state"] == State.FAULT)
+    assert stale["flags"] & Flag.BUS_STALE and stale["stop0_provable"] == 0
+    seqs = [s["seq"] for s in wire.states]
+    assert seqs == list(range(len(seqs))) and len({s["boot_id"] for s in wire.states}) == 1
+    assert len(wire.states) >= 1 + 20 + 15, "a heartbeat goes out when no sample comes"
+    assert wire.slow["state/json"][-1]["state"] == "SHUTDOWN"
+    kinds = [e["kind"] for e in wire.slow["event"]]
+    assert kinds[0] == "bus" and "started" in kinds and kinds[-1] == "stopped", kinds
+
+
+def test_an_error_in_the_loop_is_published_as_fault_and_survived(make: Callable[..., Made]) -> None:
+    daemon, _, wire = make([*samples(5), ValueError("something nobody thought of"), *samples(5, k0=5)])
+    assert daemon.run(never) == 0
+    assert State.FAULT in wire.words
+    assert any("something nobody thought of" in e.get("why", "") for e in wire.slow["event"] if e["kind"] == "fault")
+    assert State(wire.states[-2]["state"]) is not State.FAULT, "and the next samples are judged again"
+
+
+def test_errors_in_a_row_end_the_daemon_for_its_supervisor(make: Callable[..., Made], capsys: pytest.CaptureFixture[str]) -> None:
+    daemon, _, wire = make([*samples(3), *[RuntimeError("broken")] * (MAX_FAULTS + 5)])
+    assert daemon.run(never) == 3
+    assert sum(s["state"] == State.FAULT for s in wire.states) == MAX_FAULTS and "broken" in capsys.readouterr().err
+
+
+def test_an_error_inside_the_check_is_fault(make: Callable[..., Made]) -> None:
+    bad = replace(samples(6)[5], q=np.zeros(7))
+    daemon, _, wire = make([*samples(5), bad])
+    daemon.run(never)
+    assert wire.words[-1] is State.FAULT and wire.states[-1]["conformance"] in (0, 3)
+
+
+def test_a_lost_bus_is_fault_until_it_is_back(make: Callable[..., Made]) -> None:
+    daemon, first, wire = make([*samples(5), BusError("cable out")])
+    second = Arm([*samples(5)])
+    second.daemon = daemon
+    tries = iter([BusError("still out"), second])
+
+    def reopen() -> Source:
+        step = next(tries)
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+    begin = time.monotonic()
+    assert daemon.run(reopen) == 0
+    assert first.closed == 1 and time.monotonic() - begin > 0.9, "it does not hammer the bus"
+    fault = [s for s in wire.states if s["state"] == State.FAULT]
+    assert len(fault) > 50, "and it keeps saying so"
+    assert wire.slow["state/json"][-1]["samples"] == 10 or wire.words[-1] is not State.FAULT
+
+
+def test_refuted_model_withdraws_its_numbers_for_the_stated_fallback(make: Callable[..., Made]) -> None:
+    r = motion(1, 60)
+    tau = r.tau.copy()
+    tau[:, 4] *= 1.5
+    script: Script = [Sample(k, 0.0, r.q[k], r.dq[k], tau[k]) for k in range(60)]
+    daemon, _, wire = make(script, fallback=Fallback(time_s=1.5, angle_rad=0.7, tcp_m=0.9))
+    daemon.run(never)
+    last = wire.states[-2]
+    assert State(last["state"]) is State.VIOLATION and last["first_joint"] == 5
+    assert last["stop0_time_max"] == 1.5 and last["stop0_provable"] == 0 and last["flags"] & Flag.FALLBACK_IN_FORCE
+    assert last["stop0_angle_forward"][0] >= 0.7 and last["stop0_tcp"] >= 0.9
+    event = next(e for e in wire.slow["event"] if e["kind"] == "violation")
+    assert event["violations"][0]["joint"] == "arm_5_joint"
+    k, _, q, dq, u = event["evidence"][-1]
+    assert np.allclose(q, r.q[k]) and np.allclose(dq, r.dq[k]) and np.allclose(u, tau[k]), "the evidence is the measurement"
+
+
+def test_systemd_hears_ready_watchdog_and_stopping(make: Callable[..., Made], tmp_path: Path, monkeypatch: Any) -> None:
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as s:
+        s.bind(str(path))
+        s.setblocking(False)
+        monkeypatch.setitem(os.environ, "NOTIFY_SOCKET", str(path))
+        daemon, _, wire = make(samples(8))
+        heard: list[str] = []
+        daemon.outlet.put = lambda *a, **k: heard.extend(drain(s))  # type: ignore[method-assign]
+        daemon.run(never)
+        daemon.close()
+        heard += drain(s)
+    assert heard[0].startswith("READY=1") and heard.count("WATCHDOG=1") >= 3 and "STOPPING=1" in heard
+    assert len(wire.states) >= 8
+
+
+def drain(s: socket.socket) -> list[str]:
+    out = []
+    try:
+        while True:
+            out.append(s.recv(4096).decode())
+    except BlockingIOError:
+        return out
+
+
+def test_a_model_of_another_cycle_is_refused_at_the_start(tmp_path: Path) -> None:
+    model = save_model(known_model(), tmp_path / "m.json")
+    with pytest.raises(NotCovered, match="cycle"):
+        Daemon(Config(str(tmp_path / "m.json"), Bus("hub:1")), model, Arm([]), Wire(), 0.010)
+
+
+def test_a_bus_that_never_appears_ends_with_a_sentence(tmp_path: Path) -> None:
+    save_model(known_model(), tmp_path / "m.json")
+    bus = f'[bus]\nlink = "hub:{free_port()}"\nwait_s = 0.3'
+    with running("monitor", "--config", str(write_config(tmp_path, tmp_path / "m.json", bus, free_port()))) as p:
+        _, err = p.communicate(timeout=30)
+    assert p.returncode == 2 and "no hub at" in err and "Traceback" not in err
