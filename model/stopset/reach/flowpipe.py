@@ -1,7 +1,7 @@
 """The reachable set of the linear model as a box hull, and the deviation tube that measurements are held against.
 
-Identification and monitor use these same arrays (trap P18).  Inputs may vary in time within ``U`` (trap P4), and signs of
-the response decide which corner counts (trap P1)::
+Identification and monitor use these same arrays (trap P18).  Inputs may vary in time within ``U`` (trap P4), and signs
+of the response decide which corner counts (trap P1)::
 
     sup x(t) = E1+ X0.hi + E1- X0.lo + (int K+) U.hi + (int K-) U.lo,    K(t) = e^{At} B,  E1 = e^{At}
 
@@ -55,8 +55,8 @@ def discretise(abstraction: Abstraction, dt: float) -> tuple[Array, Array]:
 class Responses:
     """Responses on the grid ``k dt``, k = 0..H: ``E1`` (H+1, 2n, 2n), ``plus`` and ``minus`` (H+1, 2n, n).
 
-    ``plus`` is an upper bound of the integral of ``max(K, 0)``, ``minus`` a lower bound of that of ``min(K, 0)``; where K
-    keeps its sign within a step (always, for a decoupled model) both are exact.
+    ``plus`` is an upper bound of the integral of ``max(K, 0)``, ``minus`` a lower bound of that of ``min(K, 0)``; where
+    K keeps its sign within a step (always, for a decoupled model) both are exact.
     """
 
     dt: float
@@ -128,6 +128,11 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets) -> Tube:
 
 def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:
     """Nominal prediction ``x*`` (N, 2n) from ``x0`` (2n,) under inputs ``u`` (N, n) held over each step."""
+    if not abstraction.linear:
+        from stopset.reach.nonlinear import nominal  # which rests on this module
+
+        path: Array = nominal(abstraction, x0[None], u[None, :-1], dt)[0]
+        return path
     Ad, Bd = discretise(abstraction, dt)
     out = np.empty((u.shape[0], x0.shape[0]))
     out[0] = x0

@@ -17,8 +17,11 @@ from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
 from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError, RecordingError
+from stopset.offline.abstraction.identified import best_order
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear import STOP_TIME
+from stopset.offline.conform.nonlinear import GRID, coarser
+from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, conform, few_motions, gather
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.errors import Figures, joint_figures
@@ -99,6 +102,8 @@ def identify(
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
     nominal = fit_nominal(robot, meta, lambda: (r for r in source() if r.motion not in held), learnt, chosen)
+    if chosen.model != 1 or chosen.order not in (None, 1):
+        nominal = _abstracted(nominal, source, found, chosen, meta.effort)
     return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
 
 
@@ -114,7 +119,8 @@ def fit_nominal(
 def known_effects(
     robot: Robot, meta: Meta, paths: Sequence[str | Path], settings: Settings, known: tuple[Fitted, ...] = ()
 ) -> tuple[Fitted, ...]:
-    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from motor torque; ``known`` ones kept.
+    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from motor torque; ``known``
+    ones kept.
 
     Raises `EffectError` for an effect that these recordings show no trace of.
     """
@@ -189,8 +195,8 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
     nominal = identify_nominal(cad, trials, ("coulomb", "viscous"))
     arm = nominal.robot(cad)
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
-    # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of U
-    # widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
+    # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
+    # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
     inertia = np.mean([mass_matrix(arm.chain, arm.pi, q) for q in poses], axis=0) + np.diag(nominal.rotor)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
     abstraction = Abstraction(
@@ -198,6 +204,28 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
     )
     notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes)
+
+
+def _abstracted(nominal: NominalPart, source: Source, found: Survey, settings: Settings, effort: str) -> NominalPart:
+    """The nominal part with another abstraction; its order, if not asked for, by the error on held-out motions."""
+    if effort == "compensated_torque":
+        raise RecordingError(
+            f"model {settings.model} of order {settings.order or 'any'} needs the arm's inertias, which compensated torque does not "
+            "show; give recordings of motor torque, or take --model 1 --order 1"
+        )
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    held = found.held_out or frozenset(found.motion)
+    every = max(1, round(GRID / found.dt))
+    trials = [
+        (np.hstack([r.q, r.dq]), u)
+        for _, r, u in _pairs(lambda: (r for r in found.sample if r.motion in held), found, nominal, effort)()
+    ]
+    standstill = nominal.abstraction.standstill
+    chosen = best_order(
+        nominal.robot, nominal.rotor, nominal.effects, settings.model, settings.order, poses, coarser(trials, every),
+        every * found.dt, standstill if standstill.size else None,
+    )  # fmt: skip
+    return replace(nominal, abstraction=chosen.abstraction, notes=(*nominal.notes, chosen.note))
 
 
 def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:
@@ -237,9 +265,19 @@ def _with_sets(
         few = few_motions(len(split(list(range(motions))).used))
         return gather(pairs, nominal.abstraction, found.dt, horizon, options.windows, few), figures
 
-    gathered, figures = in_parts(part, found.places, scheduler)
-    tell("identifying the sets")
-    result = conform(gathered, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
+    if nominal.abstraction.linear:
+        gathered, figures = in_parts(part, found.places, scheduler)
+        tell("identifying the sets")
+        result = conform(gathered, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
+    else:  # its windows do not fold into an envelope: trials in memory, one process
+        figures = Figures(nominal.abstraction, found.dt)
+        pairs = _pairs(source, found, nominal, meta.effort)
+        for _, r, u in pairs():
+            figures.add(r, u)
+        tell("identifying the sets along the nominal solutions")
+        result = conform_nonlinear(
+            pairs, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
+        )
     errors, u_hull = figures.result(robot.joints), figures.u
     assert u_hull is not None
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
@@ -287,8 +325,8 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
 def assumed_brakes(robot: Robot) -> Brakes | None:
     """Brakes from the data sheet, as an assumption until stops were recorded; None where the sheet gives no torque.
 
-    Delay [5, 60] ms and rise [5, 30] ms cover small servo brakes with fast and slow suppression; torque +-30 % covers wear,
-    oil and temperature.
+    Delay [5, 60] ms and rise [5, 30] ms cover small servo brakes with fast and slow suppression; torque +-30 % covers
+    wear, oil and temperature.
     """
     drives = robot.drives
     nominal = np.array([d.brake_torque for d in drives])

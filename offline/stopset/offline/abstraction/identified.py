@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
+from stopset.offline.abstraction.choose import ranked
 from stopset.offline.abstraction.models import build
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 
 Array = NDArray[np.float64]
+ORDERS = {1: (1, 3), 2: (3, 5, 12), 3: (1, 3, 5)}  # tried where none is asked for; 12 is exact for six joints
 # power of dq and the effect's parameter; the other effects are taken off the input
 POWERS = {"viscous": (1, "F_v"), "cubic_viscous": (3, "v_3")}
 
@@ -45,3 +48,28 @@ def abstract(
         M = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
         model = replace(model, Minv=np.linalg.inv(M))
     return model if standstill is None else replace(model, standstill=standstill)
+
+
+class Chosen(NamedTuple):
+    """An abstraction, and why this order."""
+
+    abstraction: Abstraction
+    note: str
+
+
+def best_order(
+    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, order: int | None, poses: Array,
+    held_out: Sequence[tuple[Array, Array]], dt: float, standstill: Array | None = None,
+) -> Chosen:  # fmt: skip
+    """The abstraction of ``kind`` and ``order``; without an order the one that predicts ``held_out`` trials best.
+
+    ``held_out``: states (N, 2n) and inputs (N, n) every ``dt`` [s].
+    """
+    bent = friction_polynomial(robot.joints, effects).shape[1] > 1
+    orders = (order,) if order is not None else ORDERS[kind] if bent or kind != 1 else (1,)
+    models = [abstract(robot, rotor, effects, kind, p, poses, standstill) for p in orders]
+    if len(models) == 1:
+        return Chosen(models[0], f"model {kind} of order {models[0].order}")
+    found = ranked(models, held_out, dt)
+    table = ", ".join(f"order {c.abstraction.order}: {1e3 * c.error:.2f} mrad" for c in found)
+    return Chosen(found[0].abstraction, f"model {kind}: order {found[0].abstraction.order} by prediction error ({table})")
