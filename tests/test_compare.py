@@ -1,0 +1,123 @@
+"""Compare: what it calls a violation is one, where and when it says; its files can be read anywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.artifact import load_model
+from stopset.cli.main import main
+from stopset.errors import RecordingError
+from stopset.offline.compare import answer, compare
+from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.recording import Meta, read_recordings, write_recordings
+from synthetic import names, recordings, save_trials
+
+JOINTS = names(2)
+
+
+def test_the_worst_excess_is_the_one_found_by_brute_force(planar, tmp_path: Path) -> None:
+    _, trials, found = planar
+    model = found.model
+    pushed = dataclasses.replace(trials[3], tau=trials[3].tau + np.array([0.0, 1.5]))
+    (violation,) = compare(model, [save_trials(tmp_path / "a.parquet", [pushed], JOINTS)]).violations
+    tube = deviation_tube(model.abstraction, model.powered)
+    half = 0.5 * (tube.hi - tube.lo)
+    u = model.input(pushed.q, pushed.dq, pushed.tau)
+    x = np.hstack([pushed.q, pushed.dq])
+    worst, where = 0.0, (0, 0, 0)
+    for s in range(len(x) - 1):
+        e = (x[s:] - predict(model.abstraction, model.powered.dt, x[s], u[s:]))[: len(tube.ages)]
+        excess = np.maximum(e - tube.hi[: len(e)], tube.lo[: len(e)] - e)[1:] / half[1 : len(e)]
+        if excess.size and excess.max() > worst:
+            worst = float(excess.max())
+            age, state = np.unravel_index(int(excess.argmax()), excess.shape)
+            where = (s, int(age) + 1, int(state))
+    assert violation.relative == pytest.approx(worst, rel=1e-6)
+    assert violation.start_s == pytest.approx(where[0] * model.powered.dt)
+    assert violation.age_s == pytest.approx(where[1] * model.powered.dt)
+    assert violation.state == [f"{s}_{j}" for s in ("q", "dq") for j in JOINTS][where[2]]
+
+
+def test_open_loop_errors_are_those_of_the_prediction(planar) -> None:
+    folder, trials, found = planar
+    figures = compare(found.model, [folder / "rec.parquet"]).figures
+    m = found.model
+    e = np.vstack(
+        [
+            np.hstack([r.q, r.dq])
+            - predict(m.abstraction, m.powered.dt, np.concatenate([r.q[0], r.dq[0]]), m.input(r.q, r.dq, r.tau))
+            for r in trials
+        ]
+    )
+    for k, j in enumerate(JOINTS):
+        assert figures[j]["position_rmse"] == pytest.approx(np.sqrt(np.mean(e[:, k] ** 2)), rel=1e-6)
+        assert figures[j]["velocity_rmse"] == pytest.approx(np.sqrt(np.mean(e[:, 2 + k] ** 2)), rel=1e-6)
+        # the hidden torque is +-0.2 N m in steps of 40 ms, averaged over 0.2 s: 0.2 / sqrt(3) / sqrt(5)
+        assert figures[j]["torque_rmse"] == pytest.approx(0.052, rel=0.3)
+
+
+def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, trials, _ = planar
+    out = ["--json", str(tmp_path / "a.json"), "--report", str(tmp_path / "a.html")]
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(folder / "rec.parquet"), *out]) == 0
+    body = json.loads((tmp_path / "a.json").read_text(), parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
+    assert body["violations"] == 0
+    assert body["recordings"] == len(trials)
+    assert set(body["joints"]) == set(JOINTS)
+    assert {"torque_rmse", "torque_rmse_floor", "velocity_rmse", "position_rmse"} <= set(body["joints"][JOINTS[0]])
+    assert {"U", "X0_q", "X0_dq"} <= set(body["sets"][JOINTS[0]])
+    assert {"motions", "violated", "upper_bound", "confidence"} <= set(body["guarantee"])
+    page = (tmp_path / "a.html").read_text()
+    # self-contained: no script, style, font or picture from elsewhere
+    assert not re.search(r"""<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=\s*["'](?:https?:)?//""", page)
+    assert "Conformant" in page
+    assert "not a" in page
+    pushed = [dataclasses.replace(r, tau=1.5 * r.tau) for r in trials]
+    bad = save_trials(tmp_path / "bad.parquet", pushed, JOINTS)
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(bad)]) == 1
+    said = capsys.readouterr().out
+    assert "violation: open_loop suite" in said
+    assert load_model(folder / "m.model.json").sha256
+
+
+def test_data_without_a_powered_phase_are_refused(planar, tmp_path: Path) -> None:
+    _, trials, found = planar
+    still = [dataclasses.replace(r, phase="static") for r in trials]
+    with pytest.raises(RecordingError, match="static"):
+        compare(found.model, [save_trials(tmp_path / "a.parquet", still, JOINTS)])
+
+
+def test_another_sampling_rate_is_brought_to_the_models_grid(planar, tmp_path: Path) -> None:
+    """The same arm recorded four times as fast: its tube still holds (reading noise is the same)."""
+    _, _, found = planar
+    fast = recordings((2.0, 0.7), (9.0, 4.0), dt=0.001, seed=1, spread=0.1)
+    result = compare(found.model, [save_trials(tmp_path / "a.parquet", fast, JOINTS)])
+    assert len(result.rows) == len(fast)
+    assert np.all(np.isfinite([r.torque_rms for r in result.rows]))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("joint", [1, 2])
+def test_one_joints_torque_off_by_half_is_found_on_the_real_arm(schunk, schunk_file, tmp_path: Path, joint: int) -> None:
+    """Joint 3 in most trials; joint 2, whose unknown torque is as wide as half its torque, in a few."""
+    data = read_recordings(schunk_file)
+    scaled = [dataclasses.replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in data]
+    write_recordings(tmp_path / "scaled.parquet", Meta(data.meta.joints, effort="compensated_torque"), scaled)
+    result = compare(schunk.model, [tmp_path / "scaled.parquet"])
+    assert len(result.violations) >= (1 if joint == 1 else 50)
+    assert {v.state.removeprefix("d") for v in result.violations} == {f"q_arm_{joint + 1}_joint"}
+    assert answer(schunk.model, result)["violations"] == len(result.violations)
+
+
+@pytest.mark.shared
+def test_the_real_recordings_conform_to_their_own_model(schunk, schunk_file) -> None:
+    result = compare(schunk.model, [schunk_file])
+    assert len(result.rows) == 100
+    assert not result.violations
+    assert result.outside_domain == 0
