@@ -20,6 +20,7 @@ from stopset.errors import EffectError
 from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.identify import Settings, identify, nominal_figures
 from stopset.offline.survey import survey
+from stopset.reach.stops import stop
 from stopset.recording import Recording, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
@@ -74,8 +75,10 @@ def add(
         return Revised(None, before, after, False, judged_on)
     tell("identifying the new revision")
     fresh = identify(robot, paths, more, tell, known=with_it).model
+    tell("bounding stops before and after")
     before |= dict(model.revisions[-1].after) if model.revisions else {}
-    after |= dict(fresh.revisions[-1].after)
+    before |= stop_figures(model, model)
+    after |= dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     number = model.revisions[-1].number + 1 if model.revisions else 1
     note = "" if helps else "forced: it does not help on held-out data"
     revision = Revision(number, name, before, after, note)
@@ -85,6 +88,20 @@ def add(
 def description(model: Model) -> Robot:
     """The robot as it was described (CAD and data sheet), from the texts in the model."""
     return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
+
+
+def stop_figures(model: Model, seen: Model) -> dict[str, float]:
+    """``stop0_angle``: mean STOP 0 angle bound [rad] over single-axis stops from the largest speed and mid pose that ``seen``
+    saw; empty where not every one of them can be proved."""
+    angles = []
+    for joint in range(model.n):
+        speed = np.zeros(model.n)
+        speed[joint] = np.abs([seen.domain.dq.lo[joint], seen.domain.dq.hi[joint]]).max()
+        bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        if bound is None:
+            return {}
+        angles.append(float(bound[joint]))
+    return {"stop0_angle": float(np.mean(angles))}
 
 
 def _known(model: Model) -> tuple[Fitted, ...]:
