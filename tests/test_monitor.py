@@ -66,6 +66,19 @@ def test_mutant_with_a_smaller_set_is_refuted(shrink: float) -> None:
     assert any(v.deviations for seed in range(5) for v in verdicts(Watch(small), samples(motion(seed))))
 
 
+@pytest.mark.parametrize(("kick", "side"), [(0.3, "above"), (-0.3, "below")])
+@pytest.mark.parametrize(("state", "joint"), [("q", 0), ("dq", 4)])
+def test_each_side_of_each_state_is_held(kick: float, side: str, state: str, joint: int) -> None:
+    run = samples(motion(2, 30))
+    moved = getattr(run[-1], state) + kick * np.eye(6)[joint]
+    watch = Watch(known_model())
+    *_, v = verdicts(watch, [*run[:-1], replace(run[-1], **{state: moved})])
+    (d,) = v.deviations
+    assert (d.joint, d.state, d.side) == (known_model().joints[joint], state, side)
+    assert d.measured == moved[joint] and abs(d.measured - d.bound) == pytest.approx(d.excess)
+    assert 0.5 * abs(kick) < d.excess < abs(kick) and (d.measured > d.bound) == (side == "above")
+
+
 def test_every_age_up_to_the_horizon_is_compared() -> None:
     watch = Watch(known_model(horizon=0.4))
     out = verdicts(watch, samples(motion(0, 150)))
