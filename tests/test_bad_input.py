@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import os
@@ -348,6 +349,18 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), replacing(target) as part:
         part.write_text("half of the n")
         raise KeyboardInterrupt
+    assert snapshot(tmp_path) == {"m.json": b"old"}
+
+
+def test_no_room_at_the_last_moment_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m.json").write_text("old")
+
+    def full(self: Path, target: Path) -> None:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(OutputError, match="nothing was written"):
+        write_text(tmp_path / "m.json", "new")
     assert snapshot(tmp_path) == {"m.json": b"old"}
 
 
