@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
-from stopset.artifact import Abstraction, UncertaintySets
+from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
+from stopset.offline.compare import compare
 from stopset.offline.conform import cooperative as co
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear import fit_sets
 from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.conform.sets import Options, Pairs
+from stopset.offline.identify import Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording
+from stopset.robot import load_robot
 from stopset.sets import Box
 from test_abstraction import ROTOR, two_link
 
@@ -329,3 +335,25 @@ def test_the_abstraction_of_an_identified_arm() -> None:
         assert model.kind == kind and model.standstill[0] == 0.01
         rest = model.ddq(poses.mean(axis=0)[None], np.zeros((1, 2)), np.ones((1, 2)))
         assert np.all(np.isfinite(rest))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("model", [1, 2])
+def test_a_nonlinear_model_is_identified_and_compared_on_recordings(model: int, tmp_path: Path) -> None:
+    """Enclosed on its own recordings; the same recordings with the elbow's torque half as large again leave it, at the elbow."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data" / "hidden_effect" / "d04"
+    if not folder.exists():
+        pytest.skip("../shared/data is not here")
+    robot = load_robot(folder / "robot.urdf")
+    found = identify(robot, [folder / "recording.parquet"], Settings(model=model, order=3, horizon=1.0, margin=1.0))
+    kept = save_model(found.model, tmp_path / "m.model.json")
+    assert (kept.abstraction.kind, kept.abstraction.order) == (model, 3)
+    loaded = load_model(tmp_path / "m.model.json")
+    assert not compare(loaded, [folder / "recording.parquet"]).violations
+    table = pq.read_table(folder / "recording.parquet")
+    column = f"tau_{robot.joints[1]}"
+    wrong = table.set_column(table.column_names.index(column), column, pc.multiply(table[column], 1.5))
+    pq.write_table(wrong, tmp_path / "wrong.parquet")
+    seen = compare(loaded, [tmp_path / "wrong.parquet"]).violations
+    assert len(seen) > 20
+    assert sum(v.state.endswith(robot.joints[1]) for v in seen) > 0.8 * len(seen)

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations
+from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.errors import joint_figures, torque_error
 from stopset.offline.identify import roller
 from stopset.offline.survey import Survey, on_grid, survey
-from stopset.reach.flowpipe import Tube, deviation_tube
+from stopset.reach.flowpipe import Tube, deviation_tube, predict
+from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, read_meta, stream_recordings
 
 Array = NDArray[np.float64]
@@ -69,10 +71,15 @@ def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) 
     """Trials of the surveyed phase on the model's grid with their input ``u``, as (motion, trial, u)."""
     for r in stream_recordings(paths, model.robot):
         if r.phase == found.phase and len(r.t) >= 3:
-            g = on_grid(r, dt)
+            # a nonlinear model's sets live on a coarser grid; its inputs are means over the steps
+            every = 1 if model.abstraction.linear else max(1, round(dt / found.dt))
+            g = on_grid(r, dt if every == 1 else dt / every)
             if len(g.t) < 3:
                 continue
-            yield found.motion[r.motion], g, model.input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+            u = model.input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+            if every > 1:
+                g, u = thinned(g, u, every)
+            yield found.motion[r.motion], g, u
 
 
 def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
@@ -87,6 +94,8 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
     def pairs() -> Iterator[tuple[int, Recording, Array]]:
         return inputs(model, paths, found, dt)
 
+    if not model.abstraction.linear:
+        return _compare_nonlinear(model, found, list(pairs()))
     tube = deviation_tube(model.abstraction, model.powered)
     deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows)
     rows = []
@@ -96,6 +105,31 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, _worst(model, deviations, tube, r, u)))
     figures = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
+    return Comparison(figures, tuple(rows), found, tube)
+
+
+def _compare_nonlinear(model: Model, found: Survey, trials: list[tuple[int, Recording, Array]]) -> Comparison:
+    """The same for a nonlinear model, whose tube is another one along every trial: it is that of the first."""
+    sets, n = model.powered, model.n
+    data = [(np.hstack([r.q, r.dq]), u) for _, r, u in trials]
+    excesses = worst_excess(model.abstraction, sets, data)
+    rows = []
+    for (motion, r, u), e in zip(trials, excesses, strict=True):
+        error = torque_error(model.abstraction, sets.dt, r.q, r.dq, u)
+        covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
+        rms = np.sqrt(np.mean(error**2, axis=0)) if len(error) else np.full(n, np.nan)
+        violation = None
+        if e is not None:
+            name = f"{'q' if e.state < n else 'dq'}_{model.joints[e.state % n]}"
+            side = "above" if e.above else "below"
+            violation = Violation(r.label, name, side, e.start * sets.dt, e.age * sets.dt, e.size, e.size / e.half)
+        rows.append(Row(r.label, motion, r.place, rms, covered, violation))
+    x, u = data[0]
+    last = min(round(sets.horizon / sets.dt), len(x) - 1)
+    lo, hi = predicted_tube(model.abstraction, sets, x[0], u[:last])
+    path = predict(model.abstraction, sets.dt, x[0], u[: last + 1])
+    tube = Tube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
+    figures = joint_figures(lambda: iter(trials), model.abstraction, model.joints, sets.dt)
     return Comparison(figures, tuple(rows), found, tube)
 
 

@@ -15,7 +15,8 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare import Comparison, inputs
 from stopset.offline.explained import explained
 from stopset.offline.report import COLOURS, Page
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import Tube, deviation_tube, predict
+from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 
 Array = NDArray[np.float64]
@@ -103,10 +104,16 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     first, u = max(trials, key=lambda p: len(p[0].t))
     x0 = np.mean([np.concatenate([r.q[0], r.dq[0]]) for r, _ in trials], axis=0)
     for sets, colour in _cases(model):
-        tube = deviation_tube(model.abstraction, sets)
-        last = min(len(first.t), len(tube.ages))
+        last = min(len(first.t), round(sets.horizon / sets.dt) + 1)
+        if model.abstraction.linear:
+            tube = deviation_tube(model.abstraction, sets)
+        else:  # another tube along every motion; the picture takes the one from the mean start
+            path = predict(model.abstraction, dt, x0, u[:last])
+            a, b = predicted_tube(model.abstraction, sets, x0, u[: last - 1])
+            tube = Tube(np.asarray(dt * np.arange(last)), a - path, b - path)
         nominal = predict(model.abstraction, dt, x0, u[:last])
-        # each trial is held against the prediction from its own measured start; one picture takes the hull of the starts
+        # each trial is held against the prediction from its own measured start; one picture takes the hull of the
+        # starts
         starts = np.array(
             [
                 predict(model.abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), w[:last])[:last]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from stopset.offline.conform import nonlinear as along
 from stopset.offline.conform.cooperative import Trial, fit_cooperative, needed_factor
 from stopset.offline.conform.linear import Fit
 from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions
+from stopset.reach.nonlinear import predicted_tube
+from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -149,3 +152,49 @@ def _margin(algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[i
         return 1.0, ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
     factor = worst(halves, lambda k: halves[1 - k])
     return factor, [f"too few motions to calibrate across them: margin {factor:.2f} is that between repetitions (even, odd)"]
+
+
+class Excess(NamedTuple):
+    """The worst reading of one trial outside its predicted tube; ``half``: the tube's half-width there."""
+
+    start: int
+    age: int
+    state: int
+    above: bool
+    size: float
+    half: float
+
+
+def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trials: Sequence[Trial]) -> list[Excess | None]:
+    """Per trial, the reading furthest outside (in half-widths), or None; the windows are those of the identification.
+
+    ``trials`` on the sets' grid.  A decoupled model, whose every start was identified on, is checked at evenly spread
+    ones.
+    """
+    n, steps = abstraction.n, round(sets.horizon / sets.dt)
+    out: list[Excess | None] = [None] * len(trials)
+    for k, s in along.starts(trials, sets.windows, along.WINDOWS):
+        x, u = trials[k]
+        last = min(steps, len(x) - 1 - s)
+        lo, hi = predicted_tube(abstraction, sets, x[s], u[s : s + last])
+        seen = x[s : s + last + 1]
+        states = slice(0, 2 * n if sets.conform == "all" else n)
+        half = np.maximum(0.5 * (hi - lo)[1:, states], 1e-12)
+        above, below = (seen - hi)[1:, states], (lo - seen)[1:, states]
+        relative = np.maximum(above, below) / half
+        age, state = np.unravel_index(int(np.argmax(relative)), relative.shape)
+        size = float(max(above[age, state], below[age, state]))
+        before = out[k]
+        if size > 0.0 and (before is None or size / half[age, state] > before.size / before.half):
+            up = bool(above[age, state] >= below[age, state])
+            out[k] = Excess(s, int(age) + 1, int(state), up, size, float(half[age, state]))
+    return out
+
+
+def thinned(r: Recording, u: Array, every: int) -> tuple[Recording, Array]:
+    """A trial and its input on the sets' grid, every so many samples of its own, as `nonlinear.coarser` does it."""
+    (x, mean) = along.coarser([(np.hstack([r.q, r.dq]), u)], every)[0]
+    at, n = slice(0, (len(x) - 1) * every + 1, every), r.q.shape[1]
+    temp = None if r.temp is None else r.temp[at]
+    coarse = replace(r, t=r.t[at], q=x[:, :n], dq=x[:, n:], tau=r.tau[at], temp=temp, current=None, stop_trigger=None)
+    return coarse, mean
