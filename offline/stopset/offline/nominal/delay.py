@@ -21,7 +21,7 @@ LEAST_STD = 2e-4  # [s] no clock is known better
 BLUNT = 0.005  # [s] joints with a larger standard error do not say where the middle is
 CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
 FEW = 3  # with fewer motions none can be left out
-TOGETHER = 20.0  # rows whose errors then count as one: half a second
+TOGETHER = 10.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
 
 
@@ -109,7 +109,7 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
     best, std = np.full(n, np.nan), np.full(n, np.inf)
     for j in range(n):
         G = data.moving[:, j]
-        if data.rows_moving[:, j].sum() < 100:
+        if data.rows_moving[:, j].sum() < 60:
             continue
         ridge = _ridge(G.sum(axis=0), prior, data, j)
         mean = np.zeros(G.shape[-1] - len(DELAYS))

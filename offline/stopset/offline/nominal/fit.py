@@ -16,7 +16,7 @@ from stopset.recording.types import Array
 
 ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
-ASSUMED_INFLATION = 20.0  # then a joint's errors are taken to hang together over half a second at 40 rows per second
+ASSUMED_INFLATION = 10.0  # then errors are taken to hang together over half a second, at 20 rows per second
 MOST_INFLATION = 1000.0
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot

@@ -42,7 +42,7 @@ class Preprocessing:
 
     cutoff: float = 15.0
     still: float = 0.015
-    rate: float = 40.0
+    rate: float = 20.0
 
 
 @dataclass(frozen=True, slots=True)

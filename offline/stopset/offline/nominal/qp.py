@@ -26,7 +26,10 @@ def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[
     active = np.zeros(len(A), bool)
     if not _violated(As, lo, hi, x).any():
         return d * x, active
-    at = _active(Hs, bs, As, lo, hi)
+    # the solver works at a solution of size one; a limit a million times beyond it is none, and spoils its scaling
+    f = float(np.abs(x).max()) or 1.0
+    l1, h1 = np.where(lo < -1e6 * f, -np.inf, lo / f), np.where(hi > 1e6 * f, np.inf, hi / f)
+    at = {k: (float(lo[k] if side > 0 else hi[k]), side) for k, side in _active(Hs, bs / f, As, l1, h1).items()}
     for _ in range(3 * len(lo) + 10):
         x, multiplier = _equality(Hs, bs, As, at)
         bad = _violated(As, lo, hi, x)
@@ -47,11 +50,12 @@ def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[
 
 def _violated(A: Array, lo: Array, hi: Array, x: Array) -> Array:
     v = A @ x
-    return np.asarray((v < lo - TOLERANCE) | (v > hi + TOLERANCE))
+    left = TOLERANCE * max(1.0, float(np.abs(x).max(initial=0.0)))
+    return np.asarray((v < lo - left) | (v > hi + left))
 
 
-def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, tuple[float, float]]:
-    """Rows that the solver ends on, with their value and side (+1 lower, -1 upper)."""
+def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, float]:
+    """Rows that the solver ends on, with their side (+1 lower, -1 upper); none when it does not converge."""
     import osqp
     from scipy import sparse
 
@@ -61,12 +65,11 @@ def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, tup
         verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=20_000, polishing=True,
     )  # fmt: skip
     result = problem.solve(raise_error=False)
-    y = np.asarray(result.y)
+    y = np.asarray(result.y, np.float64)
+    if result.info.status_val not in (1, 2) or not np.isfinite(y).all():
+        return {}  # the caller adds violated rows one by one
     scale = float(np.abs(y).max(initial=0.0))
-    out: dict[int, tuple[float, float]] = {}
-    for k in np.flatnonzero(np.abs(y) > 1e-6 * scale):
-        out[int(k)] = (float(lo[k]), 1.0) if y[k] < 0 else (float(hi[k]), -1.0)
-    return out
+    return {int(k): (1.0 if y[k] < 0 else -1.0) for k in np.flatnonzero(np.abs(y) > 1e-6 * scale)}
 
 
 def _equality(H: Array, b: Array, A: Array, at: dict[int, tuple[float, float]]) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from stopset.offline.nominal.gram import NormalEquations
 from stopset.recording.types import Array
 from stopset.robot import Robot
 
-TOGETHER = 20.0  # rows whose errors count as one: half a second
+TOGETHER = 10.0  # rows whose errors count as one: half a second
 SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
 
 
