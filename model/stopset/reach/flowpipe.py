@@ -37,8 +37,8 @@ def expm(X: Array) -> Array:
 def _linear(abstraction: Abstraction) -> tuple[Array, Array]:
     if not abstraction.linear:
         raise NotCovered(
-            f"this model is of kind {abstraction.kind} and order {abstraction.order}; the linear flowpipe covers model 1 "
-            "of order 1: use the nonlinear one"
+            f"this is model {abstraction.kind} of order {abstraction.order}; the constant tube that is watched live and exported "
+            "belongs to a linear model: identify with --model 1 --order 1"
         )
     return abstraction.A, abstraction.B
 
