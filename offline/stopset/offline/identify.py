@@ -103,7 +103,7 @@ def identify(
     learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
     nominal = fit_nominal(robot, meta, lambda: (r for r in source() if r.motion not in held), learnt, chosen)
     if chosen.model != 1 or chosen.order not in (None, 1):
-        nominal = _abstracted(nominal, source, found, chosen, meta.effort)
+        nominal = _abstracted(nominal, learnt, chosen, meta.effort)
     return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
 
 
@@ -206,20 +206,19 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes)
 
 
-def _abstracted(nominal: NominalPart, source: Source, found: Survey, settings: Settings, effort: str) -> NominalPart:
-    """The nominal part with another abstraction; its order, if not asked for, by the error on held-out motions."""
+def _abstracted(nominal: NominalPart, found: Survey, settings: Settings, effort: str) -> NominalPart:
+    """The nominal part with another abstraction; its order, if not asked for, by the error of predictions.
+
+    An order is not fitted, so the motions the nominal model knows may choose it; those held out to judge the sets must not.
+    """
     if effort == "compensated_torque":
         raise RecordingError(
             f"model {settings.model} of order {settings.order or 'any'} needs the arm's inertias, which compensated torque does not "
             "show; give recordings of motor torque, or take --model 1 --order 1"
         )
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
-    held = found.held_out or frozenset(found.motion)
     every = max(1, round(GRID / found.dt))
-    trials = [
-        (np.hstack([r.q, r.dq]), u)
-        for _, r, u in _pairs(lambda: (r for r in found.sample if r.motion in held), found, nominal, effort)()
-    ]
+    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in _pairs(lambda: found.sample, found, nominal, effort)()]
     standstill = nominal.abstraction.standstill
     chosen = best_order(
         nominal.robot, nominal.rotor, nominal.effects, settings.model, settings.order, poses, coarser(trials, every),
