@@ -61,7 +61,9 @@ def test_everything_optional_survives(planar, tmp_path: Path) -> None:
     rich = dataclasses.replace(
         model,
         abstraction=Abstraction(2, 3, model.abstraction.Minv, np.hstack([model.abstraction.viscous] * 3), (cubic, cubic)),
-        domain=Domain(model.domain.q, model.domain.dq, Box.of([-np.inf] * 2, [np.inf] * 2), Box.of([20.0] * 2, [40.0] * 2), (0.0, 3.0)),
+        domain=Domain(
+            model.domain.q, model.domain.dq, Box.of([-np.inf] * 2, [np.inf] * 2), Box.of([20.0] * 2, [40.0] * 2), (0.0, 3.0)
+        ),
         effects=(Fitted("coulomb", "axis_1", {"F_c": 1.0}, {"F_c": 0.1}), Fitted("base_tilt", None, {"a": 0.1}, {})),
     )  # fmt: skip
     save_model(rich, tmp_path / "m.json")
