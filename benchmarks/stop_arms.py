@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, Unce
 from stopset.effects.base import Fitted
 from stopset.robot import Robot, load_robot
 from stopset.robot.arm import robot_from_text
+from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -70,6 +73,16 @@ def prbt_like(payload: tuple[float, float] = (0.0, 3.0), top_speed: float = 1.26
         np.array([222.0, 222.0, 106.0, 106.0, 25.0, 12.0]), np.array([15.0, 15.0, 10.0, 8.0, 3.0, 2.0]),
         np.array([5.0, 5.0, 3.0, 3.0, 1.0, 1.0]), payload, top_speed,
     )  # fmt: skip
+
+
+def uncertain_rotors() -> Model:
+    """The PRBT-like arm as compensated torque tells it: two opinions on each rotor, 30 % apart, both allowed."""
+    arm = prbt_like((0.0, 0.25))
+    q = np.zeros(arm.n)  # the middle of the domain, where the identified inertia is compared
+    rigid = np.diag(mass_matrix(arm.robot.chain, arm.robot.pi, q))
+    seen = np.diag(1.0 / (rigid + 1.3 * arm.rotor))
+    viscous = np.array([f.values["F_v"] for f in arm.effects if f.effect == "viscous"])[:, None]
+    return replace(arm, effort="compensated_torque", abstraction=Abstraction(1, 1, seen, viscous))
 
 
 def ur5_like(payload: tuple[float, float] = (0.0, 5.0), top_speed: float = 3.19, rotor_scale: float = 0.25) -> Model:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stop_arms import prbt_like, ur5_like
+from stop_arms import prbt_like, uncertain_rotors, ur5_like
 
 from stopset.artifact import Model
 from stopset.offline.stops.sampling import sample_stops, tightness
@@ -29,7 +29,8 @@ CASES: list[tuple[str, Model, tuple[float, float], float, float]] = [  # name, m
     ("PRBT-like, no load", prbt_like(), (0.0, 0.0), 1.26, 0.25),
     ("PRBT-like, 0 to 0.25 kg", prbt_like(), (0.0, 0.25), 1.26, 0.25),
     ("PRBT-like, 2.75 to 3 kg", prbt_like(), (2.75, 3.0), 1.26, 0.25),
-    ("UR5-like, 0 to 0.25 kg", ur5_like(rotor_scale=1.0), (0.0, 0.25), 1.25, 0.15),
+    ("PRBT-like, rotors known to 30 %, 0 to 0.25 kg", uncertain_rotors(), (0.0, 0.25), 1.26, 0.05),
+    ("UR5-like, 0 to 0.25 kg", ur5_like(rotor_scale=1.0), (0.0, 0.25), 1.25, 0.10),
     ("UR5-like, a quarter of the rotors, 0 to 0.25 kg", ur5_like(), (0.0, 0.25), 1.25, 0.05),
     ("UR5-like, a quarter of the rotors, 4.75 to 5 kg", ur5_like(), (4.75, 5.0), 1.25, 0.05),
 ]

@@ -24,7 +24,7 @@ from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from stop_arms import prbt_like, ur5_like
+from stop_arms import prbt_like, uncertain_rotors, ur5_like
 
 Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
 DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
@@ -129,6 +129,17 @@ def test_every_half_millisecond_of_every_stop_is_inside(payload: tuple[float, fl
     assert np.median(np.concatenate([r.angle for r in ratios])) < 1.15
     assert np.median([r.time for r in ratios]) < 1.10
     assert np.median([r.tcp for r in ratios]) < 1.50
+
+
+def test_two_opinions_on_the_rotors_are_both_inside() -> None:
+    s = setting((0.0, 0.25), uncertain_rotors())
+    assert np.all(s.plant.rotor_half > 0.03)
+    for k, (q, dq) in enumerate(states(4, 41)):
+        tube = tube_of(s, q, dq, s.noise.radius[:6], s.noise.radius[6:])
+        assert tube.end == OK and escapes(s, tube, q, dq, 80, k) == 0
+    point = replace(s, plant=s.plant._replace(rotor=s.plant.rotor - s.plant.rotor_half, rotor_half=np.zeros(6)))
+    q, dq = states(1, 41)[0]
+    assert escapes(s, tube_of(point, q, dq, s.noise.radius[:6], s.noise.radius[6:]), q, dq, 80, 0) > 0
 
 
 def test_pieces_certify_what_one_tube_cannot() -> None:

@@ -34,6 +34,14 @@ def pivot(A: Array, k: int, into: bool) -> None:
     A[k, k] = -d
 
 
+@njit(cache=True, inline="always")
+def _least(x: float, d: float) -> float:
+    """Least of ``x / (1 + e)`` over ``|e| <= d``."""
+    if x >= 0.0:
+        return x / (1.0 + d)
+    return x / (1.0 - d) if d < 1.0 else -np.inf
+
+
 @njit(cache=True)
 def accelerations(
     M: Array, dM: Array, s_lo: Array, s_hi: Array, own_up: Array, own_down: Array, B_lo: Array, B_hi: Array,
@@ -56,16 +64,14 @@ def accelerations(
     for i in range(n):
         push = 0.0
         for j in range(n):
-            push += dM[i, j] * a_far[j]
+            if j != i:
+                push += dM[i, j] * a_far[j]
         f_lo[i], f_hi[i] = s_lo[i] - push - B_hi[i], s_hi[i] + push - (B_lo[i] if sign[i] >= 0.0 else B_later[i])
         b_lo[i], b_hi[i] = s_lo[i] - push + (B_lo[i] if sign[i] <= 0.0 else B_later[i]), s_hi[i] + push + B_hi[i]
         later[i] = B_later[i] - B_lo[i]
-        if plus[i] > 0.0 and minus[i] > 0.0:
-            r_lo[i], r_hi[i] = f_lo[i], b_hi[i]
-        elif minus[i] > 0.0:
-            r_lo[i], r_hi[i] = b_lo[i], b_hi[i]
-        else:
-            r_lo[i], r_hi[i] = f_lo[i], f_hi[i]
+        own = dM[i, i] * a_far[i]
+        r_lo[i] = (f_lo[i] if plus[i] > 0.0 or minus[i] == 0.0 else b_lo[i]) - own
+        r_hi[i] = (b_hi[i] if minus[i] > 0.0 else f_hi[i]) + own
     for i in range(n):
         for row in (0, 2, 5, 7, 9):
             out[row, i] = np.inf
@@ -103,18 +109,22 @@ def accelerations(
             if not inside[i]:
                 lo *= w
                 hi *= w
+            # the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w d) = the rest, |d| <= dM_ii
+            d = w * dM[i, i]
             if zero[i] > 0.0 or plus[i] > 0.0:
-                out[0, i] = min(out[0, i], lo + w * f_lo[i])
-                out[1, i] = max(out[1, i], hi + w * f_hi[i])
-                out[4, i] = max(out[4, i], hi + w * (f_hi[i] - own_up[i]))
-                out[5, i] = min(out[5, i], lo + w * (f_lo[i] + own_down[i]))
-                out[8, i] = max(out[8, i], hi + w * (f_hi[i] - (later[i] if sign[i] >= 0.0 else 0.0)))
+                out[0, i] = min(out[0, i], _least(lo + w * f_lo[i], d))
+                out[1, i] = max(out[1, i], -_least(-hi - w * f_hi[i], d))
+                out[4, i] = max(out[4, i], -_least(-hi - w * (f_hi[i] - own_up[i]), d))
+                out[5, i] = min(out[5, i], _least(lo + w * (f_lo[i] + own_down[i]), d))
+                rested = later[i] if sign[i] >= 0.0 else 0.0
+                out[8, i] = max(out[8, i], -_least(-hi - w * (f_hi[i] - rested), d))
             if zero[i] > 0.0 or minus[i] > 0.0:
-                out[2, i] = min(out[2, i], lo + w * b_lo[i])
-                out[3, i] = max(out[3, i], hi + w * b_hi[i])
-                out[6, i] = max(out[6, i], hi + w * (b_hi[i] - own_up[i]))
-                out[7, i] = min(out[7, i], lo + w * (b_lo[i] + own_down[i]))
-                out[9, i] = min(out[9, i], lo + w * (b_lo[i] + (later[i] if sign[i] <= 0.0 else 0.0)))
+                out[2, i] = min(out[2, i], _least(lo + w * b_lo[i], d))
+                out[3, i] = max(out[3, i], -_least(-hi - w * b_hi[i], d))
+                out[6, i] = max(out[6, i], -_least(-hi - w * (b_hi[i] - own_up[i]), d))
+                out[7, i] = min(out[7, i], _least(lo + w * (b_lo[i] + own_down[i]), d))
+                rested = later[i] if sign[i] <= 0.0 else 0.0
+                out[9, i] = min(out[9, i], _least(lo + w * (b_lo[i] + rested), d))
         subset += 1
         if subset >= 1 << count:
             break

@@ -14,6 +14,7 @@ from stopset.reach.stops.expansion import Curvature, curvature
 from stopset.reach.stops.tube import Plant
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
+from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -126,6 +127,20 @@ def friction_of(model: Model) -> Friction:
     )
 
 
+def rotor_of(model: Model) -> Box:
+    """(n,) reflected rotor inertia: a point where torque told the rigid body apart from it.
+
+    With compensated torque the identified inertia of each joint and the data sheet's are two opinions; both are in the box.
+    """
+    stated = np.array(model.rotor, float)
+    if model.effort != "compensated_torque" or model.abstraction.kind != 1:
+        return Box.point(stated)
+    q = np.clip(model.domain.q.centre, model.robot.q_limit[:, 0], model.robot.q_limit[:, 1])
+    rigid = np.diag(mass_matrix(model.robot.chain, model.robot.pi, q))
+    seen = np.maximum(1.0 / np.diag(model.abstraction.Minv) - rigid, 1e-3)
+    return Box(np.minimum(stated, seen), np.maximum(stated, seen))
+
+
 def _largest_gravity(robot: Robot) -> Array:
     """(n,) no pose loads joint i with more than this [N m]: weight times the largest first moment beyond it."""
     n = robot.n
@@ -189,8 +204,9 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
     a, b = curvature(model.robot.chain, middle), curvature(model.robot.chain, half)
     # a constant torque seen in the powered data may belong to the drive or to the arm: with and without it
     offset = model.abstraction.offset if model.abstraction.offset.shape == (n,) else np.zeros(n)
+    rotor = rotor_of(model)
     plant = Plant(
-        chain=model.robot.chain, pi=middle, pi_half=half, rotor=np.array(model.rotor, float),
+        chain=model.robot.chain, pi=middle, pi_half=half, rotor=0.5 * (rotor.lo + rotor.hi), rotor_half=rotor.radius,
         coulomb_lo=friction.dry.lo, coulomb_hi=friction.dry.hi,
         viscous_lo=friction.viscous.lo, viscous_hi=friction.viscous.hi,
         u_lo=sets.U.lo + friction.push.lo - np.maximum(offset, 0.0), u_hi=sets.U.hi + friction.push.hi - np.minimum(offset, 0.0),
@@ -207,6 +223,8 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
+    if np.any(rotor.width > 0):
+        assumptions.append(f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2")
     if friction.left_out:
         assumptions.append(f"effects not in the stop bound except through U: {', '.join(friction.left_out)}")
     if np.all(friction.dry.hi == 0):

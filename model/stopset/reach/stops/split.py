@@ -1,6 +1,7 @@
-"""When one tube is not enough: brakes are constant during a stop, so their intervals may be cut in two and each half bounded.
+"""When one tube is not enough: brakes and rotors are constant during a
+stop, so their intervals may be cut in two and each half bounded.
 
-The half to cut next is where a brake's uncertain impulse can do most harm to the other joints.
+The interval to cut next is the one whose uncertain impulse can do most harm to the other joints.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ FIELDS = ("delay", "rise", "brake")
 
 
 def _harm(plant: Plant, q: Array, lasts: float) -> Array:
-    """(3, n): speed change, in units of kinetic energy shared with other joints, by each brake parameter's interval."""
+    """(4, n): speed change, in units of kinetic energy shared with other joints, by each interval."""
     M = expand(plant.chain, plant.pi, plant.pi_half, plant.rotor, q).M
     size = np.sqrt(np.diag(M))
     shared = np.abs(M / np.outer(size, size)).sum(axis=1) - 1.0
@@ -26,15 +27,23 @@ def _harm(plant: Plant, q: Array, lasts: float) -> Array:
             plant.brake_hi * (plant.delay_hi - plant.delay_lo),
             plant.brake_hi * (plant.rise_hi - plant.rise_lo) / 2.0,
             (plant.brake_hi - plant.brake_lo) * max(lasts - float(np.mean(plant.delay_lo)), 0.0),
+            # what the joint's own momentum may be short of, at the speed its brake takes away meanwhile
+            2.0 * plant.rotor_half / np.diag(M) * plant.brake_hi * lasts,
         ]
     )
-    out: Array = impulse / size * shared
+    out: Array = impulse / size * (0.05 + shared)
     return out
 
 
 def halves(plant: Plant, q: Array, lasts: float) -> tuple[Plant, Plant]:
-    """The same arm with its most harmful brake interval cut in two; ``lasts``: [s] how long a stop takes, roughly."""
-    field, i = np.unravel_index(int(np.argmax(_harm(plant, q, lasts))), (3, plant.rotor.shape[0]))
+    """The same arm with its most harmful interval cut in two; ``lasts``: [s] how long a stop takes, roughly."""
+    field, i = np.unravel_index(int(np.argmax(_harm(plant, q, lasts))), (4, plant.rotor.shape[0]))
+    if field == 3:
+        middle, half = plant.rotor, plant.rotor_half.copy()
+        half[i] *= 0.5
+        shift = np.zeros_like(half)
+        shift[i] = half[i]
+        return plant._replace(rotor=middle - shift, rotor_half=half), plant._replace(rotor=middle + shift, rotor_half=half)
     name = FIELDS[field]
     lo, hi = getattr(plant, f"{name}_lo").copy(), getattr(plant, f"{name}_hi").copy()
     middle = 0.5 * (lo[i] + hi[i])
@@ -44,7 +53,7 @@ def halves(plant: Plant, q: Array, lasts: float) -> tuple[Plant, Plant]:
 
 
 def certify(march: Callable[[Plant], Tube], plant: Plant, q: Array, lasts: float, pieces: int) -> list[Tube]:
-    """Tubes that together hold every stop, cutting brake intervals where one tube does not come to rest.
+    """Tubes that together hold every stop, cutting intervals where one tube does not come to rest.
 
     At most ``pieces`` tubes are kept; if these do not suffice the last tube is the failed one.
     """

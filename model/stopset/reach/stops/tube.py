@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.reach.stops.expansion import Curvature, empty_expansion, expand_into
+from stopset.reach.stops.expansion import Curvature, Expansion, Scratch, empty_expansion, expand_into
 from stopset.reach.stops.local import Local, Parts, box_terms, empty_local
 from stopset.reach.stops.momentum import Bands, Momentum, carry_on, start_bands, start_momentum, tighten, total
 from stopset.reach.stops.moving import accelerations
@@ -45,7 +45,8 @@ class Plant(NamedTuple):
     chain: Chain
     pi: Array  # (n, 10) at the middle of the payload's range
     pi_half: Array  # (n, 10) half the payload's range
-    rotor: Array
+    rotor: Array  # middle of its interval
+    rotor_half: Array
     coulomb_lo: Array
     coulomb_hi: Array
     viscous_lo: Array
@@ -189,6 +190,15 @@ def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
 
 
 @njit(cache=True)
+def _expand(plant: Plant, q: Array, E: Expansion, scratch: Scratch) -> None:
+    """The expansion at ``q``, the rotors' half intervals beside the payload's: both are constant during a stop."""
+    expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, q, E, scratch)
+    loaded = np.any(plant.pi_half[q.shape[0] - 1] != 0.0)
+    for i in range(q.shape[0]):
+        E.Mp[i, i] = (abs(E.Mp[i, i]) if loaded else 0.0) + plant.rotor_half[i]
+
+
+@njit(cache=True)
 def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h: float, steps: int, parts: Parts) -> Tube:
     """The tube from the box ``[q_lo, q_hi] x [v0_lo, v0_hi]`` at the cut, in steps of ``h`` seconds, at most ``steps``."""
     n = q_lo.shape[0]
@@ -208,7 +218,7 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
     at, start = empty_local(n), empty_local(n)
     middle = 0.5 * (q_lo + q_hi)
     E, scratch = empty_expansion(n)
-    expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, middle, E, scratch)
+    _expand(plant, middle, E, scratch)
     K, gravity = plant.curvature, E.g.copy()
     box_terms(E, K, q_lo - E.q, q_hi - E.q, v0_lo, v0_hi, parts, start, work)
     b, end = start_bands(v0_lo, v0_hi), start_bands(v0_lo, v0_hi)
@@ -224,7 +234,7 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
             here[i] = middle[i] + 0.5 * (d_lo[k, i] + d_hi[k, i])
             far += abs(here[i] - E.q[i])
         if far > RECENTRE:
-            expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, here + 0.5 * (here - E.q), E, scratch)
+            _expand(plant, here + 0.5 * (here - E.q), E, scratch)
             if parts.gravity_slope == 0.0:
                 E.g[:] = gravity
         early, late = (now, now + h) if parts.whole_step > 0.0 else (now + h, now)

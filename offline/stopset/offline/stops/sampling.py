@@ -95,6 +95,7 @@ def sample_stops(
         kind = s % 5
         load = float(np.random.randint(0, 2)) if kind != 1 else np.random.random()
         pi = plant.pi + (2.0 * load - 1.0) * plant.pi_half
+        rotor = _pick(plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half, _shares(min(kind, 1), n))
         if kind <= 1:  # 0: any corner; 1: anywhere inside
             F = _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n))
             D = _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n))
@@ -128,7 +129,7 @@ def sample_stops(
             for p in range(PIECES):
                 u[p] = np.where(ahead > 0.0, plant.u_hi, plant.u_lo)
         qs, vs = simulate_stop(
-            plant.chain, pi, plant.rotor, F, D, B, delay, rise, q0, v0, DT, steps, u
+            plant.chain, pi, rotor, F, D, B, delay, rise, q0, v0, DT, steps, u
         )  # fmt: skip
         out = False
         R, o = link_frames(plant.chain, q0)
