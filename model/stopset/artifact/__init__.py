@@ -9,6 +9,7 @@ from stopset.artifact.model import (
     Guarantee,
     Model,
     Revision,
+    TemperatureBand,
     UncertaintySets,
 )
 from stopset.artifact.store import load_model, model_text, save_model
@@ -22,6 +23,7 @@ __all__ = [
     "Guarantee",
     "Model",
     "Revision",
+    "TemperatureBand",
     "UncertaintySets",
     "load_model",
     "model_text",

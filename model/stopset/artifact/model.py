@@ -34,6 +34,31 @@ class ActiveBound:
 
 
 @dataclass(frozen=True, slots=True)
+class TemperatureBand:
+    """Where the sets of a temperature band hold: the arm's warmth lies in ``[lo, hi]``.
+
+    Warmth is the mean over the joints of ``(T - reference.lo) / (reference.hi - reference.lo)``; ``reference``: (n,)
+    coldest and hottest reading of each joint [degC] when the bands were drawn (joints whose reading never moved are left
+    out).
+    """
+
+    reference: Box
+    lo: float
+    hi: float
+
+    def warmth(self, temp: Array) -> Array:
+        """Warmth (N,) of temperatures (N, n) [degC]."""
+        span = self.reference.width
+        moving = span > 0
+        return np.asarray(((temp - self.reference.lo)[:, moving] / span[moving]).mean(axis=1))
+
+    def covers(self, temp: Array) -> NDArray[np.bool_]:
+        """Row by row, whether temperatures (N, n) [degC] lie in the band; shape (N,)."""
+        w = self.warmth(temp)
+        return np.asarray((w >= self.lo) & (w <= self.hi))
+
+
+@dataclass(frozen=True, slots=True)
 class UncertaintySets:
     """Sets of one regime (powered, stop0, stop1), and how they were found (trap P18: the runtime must do the same).
 
@@ -50,6 +75,7 @@ class UncertaintySets:
     windows: str = "sliding"  # or "start"
     margin: float = 1.0
     active: tuple[ActiveBound, ...] = ()
+    temp: TemperatureBand | None = None  # None: at every temperature of the domain
 
 
 @dataclass(frozen=True, slots=True)

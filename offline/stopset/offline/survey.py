@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,21 +43,30 @@ class Survey:
     sample: tuple[Recording, ...]
     irregular: bool
     repeats: int  # most trials of one suite
+    # of a nominal model that is given, not fitted: suites it was fitted to, and the repeats and places it counts warming in
+    learnt: frozenset[Suite] = frozenset()
+    session: tuple[int, int] | None = None
+    means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
+
+    @property
+    def learnt_motions(self) -> frozenset[int]:
+        """Motions that a given nominal model was fitted to: they can judge nothing."""
+        return frozenset(self.motion[s] for s in self.learnt if s in self.motion)
 
     @property
     def held_out(self) -> frozenset[Suite]:
         """Suites of the motions that nothing is fitted to: on them the sets are judged."""
-        held = split(sorted(set(self.motion.values()))).held
-        return frozenset(s for s, m in self.motion.items() if m in held)
+        return _held(self.motion, self.learnt)
 
     def warm(self, r: Recording) -> float:
         """How long the drives have been running, 0 to 1: the variable of warming where no temperature is recorded.
 
         The repetition within a suite where suites are repeated (each starts anew), else the place in the session.
         """
-        if self.repeats >= REPEATED:
-            return min(r.trial / (self.repeats - 1), 1.0)
-        return r.place / max(self.places - 1, 1)
+        repeats, places = self.session or (self.repeats, self.places)
+        if repeats >= REPEATED:
+            return min(r.trial / (repeats - 1), 1.0)
+        return min(r.place / max(places - 1, 1), 1.0)
 
 
 def on_grid(r: Recording, dt: float) -> Recording:
@@ -75,46 +84,82 @@ def on_grid(r: Recording, dt: float) -> Recording:
     return replace(r, t=t, q=q, dq=dq, tau=tau, temp=sampled(r.temp), current=sampled(r.current), stop_trigger=trigger)
 
 
-def survey(source: Source) -> Survey:
-    """Read all trials once. Raises `RecordingError` if no trial has powered motion."""
-    chosen = _phase(source)
-    kept: list[Recording] = []
-    stride, seen, places, samples, longest = 1, 0, 0, 0, 0.0
-    torques: dict[Suite, Array] = {}
-    repeats: dict[Suite, int] = {}
-    steps: list[float] = []
-    irregular = False
-    noise = NoiseEstimate()
-    hulls: dict[str, Box] = {}
-    for r in source():
-        places = max(places, r.place + 1)
-        noise.add(r)
-        if r.phase != chosen or len(r.t) < 3:
-            continue
+def _held(motion: dict[Suite, int], learnt: frozenset[Suite]) -> frozenset[Suite]:
+    fitted = {motion[s] for s in learnt if s in motion}
+    held = split(sorted(set(motion.values()))).held
+    return frozenset(s for s, m in motion.items() if m in held and m not in fitted)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What a survey counts, fed trial by trial in campaign order; later recordings can be added to it."""
+
+    phase: str
+    torques: dict[Suite, Array] = field(default_factory=dict)  # of one trial of each suite
+    repeats: dict[Suite, int] = field(default_factory=dict)
+    steps: list[float] = field(default_factory=list)  # median step of each trial [s]
+    means: list[Array] = field(default_factory=list)
+    hulls: dict[str, Box] = field(default_factory=dict)
+    noise: NoiseEstimate = field(default_factory=NoiseEstimate)
+    places: int = 0
+    samples: int = 0
+    longest: float = 0.0
+    irregular: bool = False
+    kept: list[Recording] = field(default_factory=list)
+    stride: int = 1
+
+    def add(self, r: Recording) -> None:
+        """Take one trial in."""
+        self.places = max(self.places, r.place + 1)
+        self.noise.add(r)
+        if r.phase != self.phase or len(r.t) < 3:
+            return
         for name, x in (("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp)):
             if x is not None:
-                hulls[name] = hulls[name] | Box.hull(x) if name in hulls else Box.hull(x)
-        torques.setdefault(r.motion, r.tau)
-        repeats[r.motion] = repeats.get(r.motion, 0) + 1
-        steps.append(float(np.median(np.diff(r.t))))
-        irregular |= bool(np.abs(np.diff(r.t) - steps[-1]).max() > 0.05 * steps[-1])
-        samples += len(r.t)
-        longest = max(longest, float(r.t[-1] - r.t[0]))
-        if seen % stride == 0:
-            kept.append(r)
-            if len(kept) > KEEP:
-                kept, stride = kept[::2], 2 * stride
-        seen += 1
-    if not seen:
-        raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
-    motion = independent_motions(torques)
-    held = split(sorted(set(motion.values()))).held
-    return Survey(
-        phase=chosen, dt=round(float(np.median(steps)), 6), trials=seen, samples=samples, longest=longest, places=places,
-        motion=motion, noise=noise.box(without={s for s, m in motion.items() if m in held}),
-        q=hulls["q"], dq=hulls["dq"], tau=hulls["tau"],
-        temp=hulls.get("temp"), sample=tuple(kept), irregular=irregular, repeats=max(repeats.values()),
-    )  # fmt: skip
+                self.hulls[name] = self.hulls[name] | Box.hull(x) if name in self.hulls else Box.hull(x)
+        if r.temp is not None:
+            self.means.append(r.temp.mean(axis=0))
+        self.torques.setdefault(r.motion, r.tau)
+        self.repeats[r.motion] = self.repeats.get(r.motion, 0) + 1
+        if len(self.steps) % self.stride == 0:
+            self.kept.append(r)
+            if len(self.kept) > KEEP:
+                self.kept, self.stride = self.kept[::2], 2 * self.stride
+        self.steps.append(float(np.median(np.diff(r.t))))
+        self.irregular |= bool(np.abs(np.diff(r.t) - self.steps[-1]).max() > 0.05 * self.steps[-1])
+        self.samples += len(r.t)
+        self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
+
+    def survey(
+        self, learnt: frozenset[Suite] = frozenset(), session: tuple[int, int] | None = None, dt: float | None = None
+    ) -> Survey:
+        """What was found; the arguments come with a nominal model that is given, see `Survey`.
+
+        Raises `RecordingError` if no trial has powered motion.
+        """
+        if not self.steps:
+            raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
+        motion = independent_motions(self.torques)
+        return Survey(
+            phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
+            samples=self.samples, longest=self.longest, places=self.places, motion=motion,
+            noise=self.noise.box(without=_held(motion, learnt)), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
+            temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular, repeats=max(self.repeats.values()),
+            learnt=learnt, session=session, means=np.array(self.means) if self.means else None,
+        )  # fmt: skip
+
+
+def survey(source: Source) -> Survey:
+    """Read all trials once. Raises `RecordingError` if no trial has powered motion."""
+    return tallied(source).survey()
+
+
+def tallied(source: Source) -> Tally:
+    """The counts of a survey, to be kept for later recordings. Raises `RecordingError` if no phase has powered motion."""
+    tally = Tally(_phase(source))
+    for r in source():
+        tally.add(r)
+    return tally
 
 
 def _phase(source: Source) -> str:
