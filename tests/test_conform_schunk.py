@@ -130,9 +130,7 @@ def test_all_trials_are_enclosed_from_their_starts_and_from_every_later_sample(s
             N = len(d)
             for start in range(N - 1):
                 h = min(N - start, joint.ages + 1)
-                e = d[start : start + h] - np.column_stack(
-                    [d[start, 0] + coast[:h] * d[start, 1], fade[:h] * d[start, 1]]
-                )
+                e = d[start : start + h] - np.column_stack([d[start, 0] + coast[:h] * d[start, 1], fade[:h] * d[start, 1]])
                 worst = max((e[1:] - hi[1:h]).max(), (lo[1:h] - e[1:]).max())
                 assert worst <= SOLVER, f"{m.joints[j]}: {worst:.3g} outside from sample {start}"
 
