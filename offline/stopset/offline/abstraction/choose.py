@@ -1,4 +1,4 @@
-"""Which abstraction: the one that predicts held-out motion best, since a higher order is not a better model (Table I).
+"""Which abstraction: the one that predicts recorded motion best, since a higher order is not a better model (Table I).
 
 Source: Liu & Althoff (2018), Table I (not monotone in p).
 """

@@ -59,17 +59,17 @@ class Chosen(NamedTuple):
 
 def best_order(
     robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, order: int | None, poses: Array,
-    held_out: Sequence[tuple[Array, Array]], dt: float, standstill: Array | None = None,
+    seen: Sequence[tuple[Array, Array]], dt: float, standstill: Array | None = None,
 ) -> Chosen:  # fmt: skip
-    """The abstraction of ``kind`` and ``order``; without an order the one that predicts ``held_out`` trials best.
+    """The abstraction of ``kind`` and ``order``; without an order the one that predicts ``seen`` trials best.
 
-    ``held_out``: states (N, 2n) and inputs (N, n) every ``dt`` [s].
+    ``seen``: states (N, 2n) and inputs (N, n) every ``dt`` [s].
     """
     bent = friction_polynomial(robot.joints, effects).shape[1] > 1
     orders = (order,) if order is not None else ORDERS[kind] if bent or kind != 1 else (1,)
     models = [abstract(robot, rotor, effects, kind, p, poses, standstill) for p in orders]
     if len(models) == 1:
         return Chosen(models[0], f"model {kind} of order {models[0].order}")
-    found = ranked(models, held_out, dt)
+    found = ranked(models, seen, dt)
     table = ", ".join(f"order {c.abstraction.order}: {1e3 * c.error:.2f} mrad" for c in found)
     return Chosen(found[0].abstraction, f"model {kind}: order {found[0].abstraction.order} by prediction error ({table})")
