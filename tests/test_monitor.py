@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
+from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc
 from stopset.monitor.config import ConfigError, load_config
@@ -163,6 +164,39 @@ def test_rounding_of_the_bus_never_flags_a_conformant_arm(seed: int, count: floa
     )
     half = Quantum(*(np.full(6, 0.5 * s) for s in scale.values()))
     assert not any(v.deviations for v in verdicts(Watch(known_model(), half), samples(rounded)))
+
+
+def test_the_place_in_the_session_is_covered_unless_it_is_told() -> None:
+    """A model with a warm-up, an arm that is warm: enclosed without being told, refuted by the claim that it is cold."""
+    m = known_model()
+    gone = -8.0  # N m s/rad of joint 1's friction, from the first trial to the last
+    effect = Fitted("warm_up", m.joints[0], {"k_v": gone, "k_c": 0.0}, {})
+    r = motion(4, 200)
+    tau = r.tau.copy()
+    tau[:, 0] += gone * r.dq[:, 0]  # what the warm arm needs for the same motion
+    warm = samples(replace(r, tau=tau))
+    model = replace(m, effects=(effect,))
+    for place, refuted in (((0.0, 1.0), False), ((1.0, 1.0), False), ((0.0, 0.0), True)):
+        found = verdicts(Watch(model, warm=place), warm)
+        assert any(v.deviations for v in found) is refuted, place
+        assert {d.joint for v in found for d in v.deviations} <= {m.joints[0]}
+
+
+def test_friction_that_turns_with_the_motion_is_covered_under_rounding() -> None:
+    """Coulomb friction jumps where the speed changes sign; a bus that rounds the speed must not make that a violation."""
+    m = known_model()
+    effects = tuple(Fitted("coulomb", j, {"F_c": 3.0}, {}) for j in m.joints)
+    model = replace(m, effects=effects)
+    r = motion(5, 200)
+    none = model.input(r.q, r.dq, np.zeros_like(r.tau))
+    exact = replace(r, tau=r.tau - none)  # so that u is what moved the arm
+    assert not any(v.deviations for v in verdicts(Watch(model), samples(exact)))
+    step = {"q": 1e-4, "dq": 2e-2, "tau": 0.05}
+    rounded = replace(exact, **{k: np.round(getattr(exact, k) / x) * x for k, x in step.items()})
+    half = Quantum(*(np.full(6, 0.5 * x) for x in step.values()))
+    assert not any(v.deviations for v in verdicts(Watch(model, half), samples(rounded)))
+    blind = Quantum(half.q, half.dq * 0.0, half.tau)
+    assert any(v.deviations for v in verdicts(Watch(model, blind), samples(rounded)))
 
 
 def test_unknown_rounding_would_be_flagged() -> None:

@@ -95,7 +95,7 @@ class Config:
     arm: str = "arm"
     data_id: int = 1
     payload_kg: float = 0.0
-    warm: float = 0.0
+    warm: tuple[float, ...] = (0.0, 1.0)  # place in the session, if known better: only for models with a warm-up
     realtime: bool = False  # lock memory; needs the limits of deploy/systemd
     zenoh: Zenoh = field(default_factory=Zenoh)
     publish: Publish = field(default_factory=Publish)
@@ -163,11 +163,12 @@ def load_config(path: str | Path) -> Config:
         ("stops.ramp_control_s", config.stops.ramp_control_s, 0.0, 10.0),
         ("stops.ramp_off_after_s", config.stops.ramp_off_after_s, 0.0, 10.0),
         ("data_id", config.data_id, 0, 2**32 - 1),
-        ("warm", config.warm, 0.0, 1.0),
     )
     for name, value, lo, hi in limits:
         if not lo <= value <= hi:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}")
+    if not (len(config.warm) == 2 and 0.0 <= config.warm[0] <= config.warm[1] <= 1.0):
+        raise ConfigError(f"{p}: warm is {list(config.warm)}; expected [lo, hi] between 0 (cold) and 1 (as warm as identified)")
     if config.stops.ramp_time_s and config.stops.ramp_deceleration:
         raise ConfigError(f"{p}: stops.ramp_time_s and stops.ramp_deceleration are both given; expected one of them")
     if bad := [c for c in config.stops.categories if c not in ("0", "1", "2")]:

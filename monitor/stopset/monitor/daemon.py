@@ -81,7 +81,7 @@ class Daemon:
         check_cycle(model, cycle_s)
         self.config, self.model, self.source, self.outlet = config, model, source, outlet
         self.cycle_s = cycle_s
-        self.watch = Watch(model, source.quantum, config.payload_kg, config.warm)
+        self.watch = Watch(model, source.quantum, config.payload_kg, (config.warm[0], config.warm[-1]))
         self.latch, self.tally = Latch(), Tally()
         self.desk = StopDesk(config.model, model.n, config.stops, config.payload_kg, source.quantum)
         self.stopping = False

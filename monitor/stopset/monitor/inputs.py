@@ -1,4 +1,4 @@
-"""The monitor's input ``u``: the same map as the identification's, and how far bus rounding can move it."""
+"""The monitor's input ``u``: the same map as the identification's, and how far what is not known exactly can move it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.artifact.inputs import InputMap, compensated
+from stopset.artifact.inputs import InputMap
 from stopset.effects.registry import get
 from stopset.errors import NotCovered
 
@@ -21,37 +21,43 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """``u`` (n,) [N m] of a sample, and ``du`` (n,): how much rounding of the readings can have changed it."""
+    """``u`` (n,) [N m] of a sample, and ``du`` (n,): how much rounding and an unknown place in the session can have changed it."""
 
     map: InputMap
     quantum: Quantum
-    warm: float
-    plain: bool  # u = tau - offset: rounding of q and dq does not enter
+    warm: tuple[float, float]
+    plain: bool  # u = tau - offset: q, dq and the place in the session do not enter
 
     @classmethod
-    def of(cls, model: Model, quantum: Quantum, warm: float) -> Inputs:
-        """Raises `NotCovered` for effects with a memory, which a single sample cannot evaluate."""
-        active = compensated(model.effects, model.abstraction)
-        lasting = [f.label for f in active if get(f.effect).states]
+    def of(cls, model: Model, quantum: Quantum, warm: tuple[float, float]) -> Inputs:
+        """Raises `NotCovered` for effects with a memory, which a single sample cannot evaluate.
+
+        ``warm``: between which places of the session (0 first trial of the identification, 1 last) the arm is now.
+        """
+        taken_off = model.input
+        lasting = [f.label for f in taken_off.effects if get(f.effect).states]
         if lasting:
             raise NotCovered(
                 f"the model holds {', '.join(lasting)}, whose memory the monitor cannot see from its first sample on; "
                 "use a revision without it"
             )
-        plain = model.effort == "compensated_torque" and not active
-        return cls(model.input, quantum, warm, plain)
+        plain = model.effort == "compensated_torque" and not taken_off.effects and bool(np.all(taken_off.gain == 1.0))
+        uses_warm = any("warm" in get(f.effect).needs for f in taken_off.effects)
+        return cls(taken_off, quantum, warm if uses_warm else (warm[0], warm[0]), plain)
 
     def __call__(self, q: Array, dq: Array, tau: Array, temp: Array | None) -> tuple[Array, Array]:
-        """See the class; all arguments (n,)."""
+        """See the class; all arguments (n,). Friction turns round at standstill, so rounding is tried both ways."""
         if self.plain:
-            u = self.map(q[None], dq[None], tau[None])[0]
-            return u, self.quantum.tau
-        # friction depends on the sign of dq: around zero half a count decides, so both ends are evaluated
-        d, h = self.quantum.dq, self.quantum.q
-        rows = [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] if (np.any(d) or np.any(h)) else [(0.0, 0.0)]
-        qs = np.array([q + b * h for _, b in rows])
-        dqs = np.array([dq + a * d for a, _ in rows])
-        temps = None if temp is None else np.tile(temp, (len(rows), 1))
-        us = self.map(qs, dqs, np.tile(tau, (len(rows), 1)), temps, self.warm)
-        moved = np.abs(us[1:3] - us[0]).max(axis=0, initial=0.0) + np.abs(us[3:5] - us[0]).max(axis=0, initial=0.0)
-        return us[0], self.quantum.tau + moved
+            return self.map(q[None], dq[None], tau[None])[0], self.quantum.tau
+        h, d = self.quantum.q, self.quantum.dq
+        around = [(0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)] if np.any(h) or np.any(d) else [(0.0, 0.0)]
+        qs, dqs = np.array([q + a * h for a, _ in around]), np.array([dq + b * d for _, b in around])
+        rows = len(around)
+        temps = None if temp is None else np.tile(temp, (rows, 1))
+        ends = sorted(set(self.warm))  # the laws are linear in the place, so its ends are the extremes
+        us = [self.map(qs, dqs, np.tile(tau, (rows, 1)), temps, w) for w in ends]
+        u = 0.5 * (us[0][0] + us[-1][0])
+        du = self.quantum.tau / self.map.gain + 0.5 * np.abs(us[-1][0] - us[0][0])
+        if rows > 1:
+            du = du + np.max([np.abs(x[1:3] - x[0]).max(axis=0) + np.abs(x[3:5] - x[0]).max(axis=0) for x in us], axis=0)
+        return u, du

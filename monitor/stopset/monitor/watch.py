@@ -150,14 +150,15 @@ def _advance(
 class Watch:
     """Holds an arm's samples against its model; give them one by one to `step`.
 
-    ``quantum``: rounding of the bus, by which the tube is widened (a measured set of its own); ``payload`` [kg] declared.
+    ``quantum``: rounding of the bus, by which the tube is widened (a measured set of its own); ``payload`` [kg] declared;
+    ``warm``: between which places of the session the arm is, for models with a warm-up.
     Raises `NotCovered` at once for a model whose tube cannot be computed here.
     """
 
     model: Model
     quantum: Quantum | None = None
     payload: float = 0.0
-    warm: float = 0.0
+    warm: tuple[float, float] = (0.0, 1.0)
     stride: int = field(init=False)
     ages: Array = field(init=False)
     _inputs: Inputs = field(init=False)
@@ -240,7 +241,7 @@ class Watch:
             return Verdict(Conformance.UNKNOWN, reason)
         assert s.tau is not None
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
-        outside = self._outside(s, u)
+        outside = self._outside(s, u, du)
         verdict = self._compare(x, before, outside)
         self._launch(bool(outside))
         self._u = (u, du)
@@ -260,11 +261,11 @@ class Watch:
             return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"
         return ""
 
-    def _outside(self, s: Sample, u: Array) -> tuple[str, ...]:
+    def _outside(self, s: Sample, u: Array, du: Array) -> tuple[str, ...]:
         """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
         d, q = self.model.domain, self.quantum
         assert q is not None
-        rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, q.tau + 1e-12)]
+        rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, du + 1e-12)]
         if s.temp is not None and d.temp is not None:
             rows.append(("temp", s.temp, d.temp, np.zeros(self.model.n)))
         out: list[str] = []
