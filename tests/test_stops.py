@@ -171,7 +171,7 @@ MUTANTS = {
 def test_mutants_escape(name: str) -> None:
     """The same sampling that finds no escape of the bound finds escapes of each weakened one.
 
-    On the arm with strong coupling, fast, so that every part matters; a noise-free start shows the small ones.
+    On the arm with strong coupling, fast, so that every part matters; sharp parameters and start show the small ones.
     """
     parts, swapped = MUTANTS[name]
     arm = ur5_like(rotor_scale=1.0)
@@ -179,6 +179,11 @@ def test_mutants_escape(name: str) -> None:
     arm = replace(arm, sets={"powered": replace(arm.powered, V=quiet, X0=quiet, U=Box.symmetric(np.full(6, 1e-3)))})
     narrow = Brakes(arm.brakes.torque, Box.of(np.full(6, 0.05), np.full(6, 0.06)), Box.of(np.full(6, 0.015), np.full(6, 0.02)))
     s = setting((5.0, 5.0), replace(arm, brakes=narrow))
+    F, D, B = (getattr(s.plant, f"{x}_lo").copy() for x in ("coulomb", "viscous", "brake"))
+    sharp = s.plant._replace(
+        coulomb_lo=F, coulomb_hi=F + 1e-3, viscous_lo=D, viscous_hi=D + 1e-3, brake_lo=B, brake_hi=1.001 * B
+    )  # fmt: skip
+    s = replace(s, plant=sharp)
     weak = replace(s, plant=s.plant._replace(**{k: getattr(s.plant, v) for k, v in swapped.items()}))
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     whole = broken = 0
