@@ -22,8 +22,8 @@ EFFECT = Effect(
     says="The position reading errs once per turn: the code disc is off its centre.",
     look_at="q",
     terms=(
-        Term("a", "rad", "sine part of the position error", -0.1, 0.1),
-        Term("b", "rad", "cosine part of the position error", -0.1, 0.1),
+        Term("a", "rad", "sine part of the position error", -0.02, 0.02, 0.005),
+        Term("b", "rad", "cosine part of the position error", -0.02, 0.02, 0.005),
     ),
     law=law,
     needs=("q", "dq", "ddq", "stiff", "inertia"),

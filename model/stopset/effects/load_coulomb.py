@@ -23,8 +23,8 @@ EFFECT = Effect(
     says="The friction grows with the gravity load that the gear carries.",
     look_at="abs(load) * direction of dq",
     terms=(
-        Term("k_lift", "N m/(N m)", "friction per load while the drive lifts", 0.0, 0.5),
-        Term("k_lower", "N m/(N m)", "friction per load while the load drives", 0.0, 0.5),
+        Term("k_lift", "N m/(N m)", "friction per load while the drive lifts", 0.0, 2.0),
+        Term("k_lower", "N m/(N m)", "friction per load while the load drives", 0.0, 2.0),
     ),
     law=law,
     needs=("dq", "load"),

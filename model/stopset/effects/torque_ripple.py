@@ -22,7 +22,7 @@ EFFECT = Effect(
         Term("a", "N m", "sine amplitude", -1e3, 1e3),
         Term("b", "N m", "cosine amplitude", -1e3, 1e3),
     ),
-    shapes=(Shape("n", "1", "cycles per turn of the joint", 6.0, 400.0, (12.0, 50.0, 100.0)),),
+    shapes=(Shape("n", "1", "cycles per turn of the joint", 10.0, 400.0, (12.0, 50.0, 100.0)),),
     law=law,
     needs=("q",),
     enters="compensation",

@@ -18,7 +18,10 @@ from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
-QUIET = 1.25  # leftover variance over the sensors' noise below which a joint's rows count as explained (healthy: 0.7 to 1.0)
+SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
+QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
+PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
+PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
 TELLING = 0.33  # share of a joint's leftover that one claim must explain; else, with rest left, the cause is outside the catalogue
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
@@ -127,13 +130,11 @@ def diagnose(
     found = search(engine, names)
     ranked = _ranked(engine, found, known, before)
     left = _left(found, engine)
-    unknown = bool(left) and not _telling(found.claims)
-    verdict = "unknown" if unknown else ("missing" if ranked else "none")
+    verdict = _verdict(found, left)
     depends: tuple[str, ...] = ()
-    if left:
-        hyper, p = engine.fit(found.hyper)
-        worst = max(left, key=lambda j: found.excess[j])
-        depends = _names(dependences(engine, p.theta, hyper, worst), engine, worst)
+    worst = left.worst
+    if worst is not None and (verdict == "unknown" or left.depends):
+        depends = _names(left.depends.get(worst, []), engine, worst)
     joints = engine.data.joints
     return Diagnosis(
         verdict=verdict,
@@ -141,7 +142,7 @@ def diagnose(
         rivals=_rivals(engine, found.claims) if verdict == "missing" else (),
         depends_on=depends,
         not_identifiable=not_identifiable(engine),
-        next_experiment=_next_experiment(verdict, found.claims, left, engine),
+        next_experiment=_next_experiment(verdict, found.claims, worst, engine),
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -238,24 +239,61 @@ def parameters(scored: Scored) -> dict[str, Parameter]:
     return out
 
 
-def _left(found: Found, engine: Engine) -> tuple[int, ...]:
-    """Joints whose rows the claims leave unexplained: too much variance, or friction that jumps from trial to trial."""
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance."""
+
+    depends: dict[int, list[Dependence]]
+    loud: tuple[int, ...]
+    contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
+    restless: tuple[int, ...]
+
+    @property
+    def worst(self) -> int | None:
+        if self.depends:
+            return max(self.depends, key=lambda j: self.depends[j][0].gain)
+        return next(iter((*self.loud, *self.restless)), None)
+
+
+def _left(found: Found, engine: Engine) -> _Left:
+    hyper, p = engine.fit(found.hyper)
+    depends, contradicted = {}, []
+    for j in range(engine.data.n):
+        if len(engine.rows[j].take) < 100:
+            continue
+        ranked = dependences(engine, p.theta, hyper, j)
+        claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
+        if ranked[0].gain > PATTERN:
+            depends[j] = ranked
+            if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
+                contradicted.append(j)
     loud = tuple(j for j, e in enumerate(found.excess) if e > QUIET)
     restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
-    return loud or (restless if not found.claims else ())
+    return _Left(depends, loud, tuple(contradicted), restless)
+
+
+def _verdict(found: Found, left: _Left) -> str:
+    """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
+    if left.contradicted:
+        return "unknown"
+    if (left.depends or left.loud) and not _telling(found.claims):
+        return "unknown"
+    if found.claims:
+        return "missing"
+    return "unknown" if left.restless else "none"
 
 
 def _telling(claims: Sequence[Claim]) -> bool:
     """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
     for c in claims:
         for before, after in zip(c.excess_before, c.excess_after, strict=True):
-            if before > QUIET and before - after > TELLING * (before - 1.0):
+            if before > SENSORS and before - after > TELLING * (before - 1.0):
                 return True
     return False
 
 
 def _names(ranked: Sequence[Dependence], engine: Engine, joint: int) -> tuple[str, ...]:
-    best = [d for d in ranked if d.share > 0.05 and d.share > 0.3 * ranked[0].share][:3]
+    best = [d for d in ranked if d.gain > PATTERN and d.share > 0.5 * ranked[0].share][:3]
     if not best:
         return (f"no recorded variable (joint {engine.data.joints[joint]})",)
     return tuple(d.variable for d in best)
@@ -294,9 +332,9 @@ def not_identifiable(engine: Engine) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _next_experiment(verdict: str, claims: Sequence[Claim], left: Sequence[int], engine: Engine) -> str | None:
-    if verdict == "unknown":
-        joint = engine.data.joints[left[0]]
+def _next_experiment(verdict: str, claims: Sequence[Claim], worst: int | None, engine: Engine) -> str | None:
+    if verdict == "unknown" and worst is not None:
+        joint = engine.data.joints[worst]
         return (
             f"Move {joint} alone, slowly and at constant speed, back and forth through its range, cold and warm: "
             "what repeats with position, with speed or with time then shows by itself."

@@ -41,6 +41,7 @@ class Dependence:
     joint: int
     variable: str
     share: float
+    gain: float = 0.0  # as 2 log likelihood over the joint's rows
 
 
 def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[Dependence]:
@@ -56,7 +57,8 @@ def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[
     found = []
     for name, x in _variables(engine, joint, take):
         for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
-            found.append(Dependence(joint, name + suffix, _predicted(r, x, weight, fold)))
+            share = _predicted(r, x, weight, fold)
+            found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)
 
 

@@ -19,7 +19,7 @@ SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wro
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
 MAX_CLAIMS = 12
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
-RIPPLES = np.arange(6.0, 161.0, 0.5)  # [cycles per turn]
+RIPPLES = np.arange(12.0, 161.0, 0.5)  # [cycles per turn]
 LAGS = (-0.04, -0.015, 0.006, 0.015, 0.04, 0.08)  # [s] start values of a delay
 
 
