@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.nominal.fit import Fit
-from stopset.offline.nominal.gram import NormalEquations
+from stopset.offline.nominal.gram import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 from stopset.robot import Robot
@@ -17,7 +17,8 @@ from stopset.robot.rigid import regressors
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OPEN = 0.9  # a parameter whose variance fell by less than a tenth was not told
-SURE = 0.5  # relative standard error above which friction or rotor is called undetermined
+NOTABLE = 0.05  # of the joint's torque, root mean square: friction terms uncertain by more are called undetermined
+UNSEEN = 1e-6  # root mean square of a friction column that never was excited
 RANK = 1e-8  # relative singular value: below it a combination of parameters has no effect on any torque
 
 
@@ -74,7 +75,6 @@ def kept(robot: Robot, precision: Array, covariance: Array) -> dict[str, list[st
 def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit) -> tuple[str, ...]:
     """Sentences on what stayed open and where it was kept."""
     out: list[str] = []
-    n, layout = robot.n, data.layout
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
@@ -93,9 +93,25 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
         if std[10 * n + j] ** 2 * prior.precision[10 * n + j, 10 * n + j] / result.prior_scale**2 > OPEN:
             source = "data sheet" if prior.rotor_known[j] else "zero, no data sheet"
             out.append(f"{robot.joints[j]}: rotor inertia kept at the {source}: too little acceleration")
+    return (*out, *_friction(data, result, std))
+
+
+def _friction(data: NormalEquations, result: Fit, std: Array) -> list[str]:
+    """Friction terms that never showed, or whose error is a notable torque: a small term known to be small is no gap."""
+    out: list[str] = []
+    layout, n = data.layout, data.layout.n
     names = layout.names()
-    for k in range(11 * n, layout.size):
-        owner = next(j for j in range(n) if k in layout.index(j)[10 * n + 1 :])
-        if data.rows_moving[:, owner].sum() and std[k] > SURE * max(abs(result.theta[k]), 1e-12):
-            out.append(f"{names[k]} = {result.theta[k]:.4g} +- {std[k]:.2g}: not told from zero")
-    return tuple(out)
+    middle = len(DELAYS) // 2 - len(DELAYS)
+    for j in range(n):
+        rows = float(data.rows_moving[:, j].sum())
+        if rows == 0:
+            continue
+        G = data.moving[:, j].sum(axis=0)
+        torque = np.sqrt(G[middle, middle] / rows)
+        for c, k in enumerate(layout.index(j)[10 * n + 1 :]):
+            size = np.sqrt(G[10 * n + 1 + c, 10 * n + 1 + c] / rows)
+            if size < UNSEEN:
+                out.append(f"{names[k]}: these motions never excite it, kept at zero")
+            elif std[k] * size > NOTABLE * torque:
+                out.append(f"{names[k]} = {result.theta[k]:.4g} +- {std[k]:.2g}: uncertain by {std[k] * size:.2g} N m of torque")
+    return out

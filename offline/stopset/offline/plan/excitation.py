@@ -50,6 +50,16 @@ def _faded(x: Array, period: float, e: Envelope, t: Array) -> tuple[Array, Array
     return middle + scale * q, scale * dq, scale * ddq
 
 
+def _above(robot: Robot, e: Envelope, p: Path) -> Path:
+    """The same motion, smaller about the middle of the ranges until it stays above the floor (if it can)."""
+    middle = e.q.mean(axis=1)
+    for _ in range(30):
+        if e.floor is None or float(heights(robot, p.q[:: max(1, len(p.q) // 500)]).min()) >= e.floor:
+            break
+        p = Path(p.t, middle + 0.92 * (p.q - middle), 0.92 * p.dq, 0.92 * p.ddq)
+    return p
+
+
 def rows(robot: Robot, q: Array, dq: Array, ddq: Array, weight: Array) -> Array:
     """(N n, 11 n) regressor of link parameters (natural sizes) and rotor inertias, rows times ``weight`` (n,)."""
     n = robot.n
@@ -132,5 +142,5 @@ def excitations(
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)
-        paths.append(fitted(robot, e, Path(fine, *_faded(best, period, e, fine))))
+        paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine)))))
     return paths, condition(total), condition(blind)
