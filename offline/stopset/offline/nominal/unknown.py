@@ -75,6 +75,7 @@ def kept(robot: Robot, precision: Array, covariance: Array) -> dict[str, list[st
 def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit) -> tuple[str, ...]:
     """Sentences on what stayed open and where it was kept."""
     out: list[str] = []
+    n = robot.n
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
