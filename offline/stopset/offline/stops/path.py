@@ -1,0 +1,232 @@
+"""STOP 1 on a given path: the shortest stop that keeps the arm on its programmed path within the drives' torque.
+
+The path is ``q = p(s)``; the shortest stopping length is the least L for which the controllable set of ``[s0, s0 + L]`` with
+rest at its end still holds the present speed (toppra), found by bisection; there the only profile left is full braking.
+toppra holds the torque limits at its grid points only, so the result is checked four times as densely.
+
+Source: Pham & Pham (2018), A new approach to time-optimal path parameterization based on reachability analysis.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.errors import NotCovered
+from stopset.reach.stops import Ramp, StopBound
+from stopset.reach.stops.bounds import ramp_assumptions
+from stopset.reach.stops.plant import Setting, setting_of
+from stopset.robot.rigid import link_frames, torque
+
+Array = NDArray[np.float64]
+GRID = 60
+DENSE = 4  # times as many points in the check
+BISECTIONS = 18  # of the length: a quarter of a millionth of the path
+RESERVE = 0.02  # share of the torque kept for what happens between grid points
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """``p(s, order)`` gives angles (n,) or their derivatives by ``s`` for ``s`` in ``[0, length]``."""
+
+    p: Callable[[Array, int], Array]  # rows for an array of s
+    length: float
+
+    @classmethod
+    def through(cls, waypoints: Array) -> Path:
+        """A cubic spline through ``waypoints`` (W, n) [rad], ``s`` being their number."""
+        from scipy.interpolate import CubicSpline
+
+        if waypoints.ndim != 2 or len(waypoints) < 2 or not np.all(np.isfinite(waypoints)):
+            raise NotCovered(f"a path of shape {waypoints.shape}; expected at least two rows of finite angles")
+        spline = CubicSpline(np.arange(len(waypoints)), waypoints, axis=0, bc_type="natural" if len(waypoints) > 2 else "clamped")
+        if len(waypoints) == 2:  # a straight line in joint space
+            a, b = waypoints
+            return cls(
+                lambda s, k: (a + np.asarray(s)[:, None] * (b - a)) if k == 0 else (np.tile((b - a) * (k == 1), (len(s), 1))), 1.0
+            )
+        return cls(lambda s, k: np.asarray(spline(s, k)), float(len(waypoints) - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class PathStop:
+    """A stop along a path: ``length`` in ``s``, ``time`` [s]; ``q`` (K, n) the poses passed; ``room`` [N m] least torque left."""
+
+    length: float
+    time: float
+    q: Array
+    room: float
+    bound: StopBound
+
+
+def path_stop(model: Model, path: Path, s0: float, ds: float, ramp: Ramp, payload: tuple[float, float] | None = None) -> PathStop:
+    """The shortest stop along ``path`` from ``s0`` at the rate ``ds`` [1/s], after the ramp's control delay.
+
+    Raises `NotCovered` if the path leaves the limits, starts too fast for its drives, or cannot stop before its end.
+    """
+    setting = setting_of(model, payload)
+    if setting is None:
+        raise NotCovered("the model holds no brakes, so no stop ends held; give them in robot.json or identify them")
+    if not (0.0 <= s0 < path.length and ds > 0.0):
+        raise NotCovered(f"start s = {s0:g} at {ds:g} 1/s; expected 0 <= s < {path.length:g} and a positive rate")
+    begin = s0 + ds * float(np.max(ramp.control.hi))  # the arm goes on until the drives begin to brake
+    if begin >= path.length:
+        raise NotCovered(f"the path ends before braking begins ({begin:.4g} of {path.length:.4g}); it starts too fast")
+    _check_limits(model, path, s0, ds)
+    shortest, profile = _shortest(setting, path, begin, ds)
+    q, room = _dense(setting, path, begin, profile)
+    before = path.p(np.linspace(s0, begin, GRID), 0)
+    poses = np.vstack([before, q])
+    time = float(np.max(ramp.control.hi)) + float(np.sum(2.0 * np.diff(profile[0]) / (profile[1][1:] + profile[1][:-1])))
+    return PathStop(begin - s0 + shortest, time, poses, room, _bound(model, setting, ramp, poses, time, ds, path, s0))
+
+
+def _check_limits(model: Model, path: Path, s0: float, ds: float) -> None:
+    s = np.linspace(s0, path.length, 400)
+    q, limit = path.p(s, 0), model.robot.q_limit
+    if np.any(q < limit[:, 0]) or np.any(q > limit[:, 1]):
+        j = int(np.argmax(np.any((q < limit[:, 0]) | (q > limit[:, 1]), axis=0)))
+        raise NotCovered(f"the path takes {model.joints[j]} beyond its limits [{limit[j, 0]:.4g}, {limit[j, 1]:.4g}] rad")
+    v = np.abs(path.p(np.array([s0]), 1)[0] * ds)
+    if np.any(v > model.robot.dq_limit * (1 + 1e-9)):
+        j = int(np.argmax(v / model.robot.dq_limit))
+        raise NotCovered(
+            f"the path starts too fast: {model.joints[j]} at {v[j]:.4g} rad/s, its limit is {model.robot.dq_limit[j]:.4g} rad/s"
+        )
+
+
+def _friction(setting: Setting, dq: Array) -> Array:
+    p = setting.plant
+    extra = p.coulomb_hi + p.viscous_hi * np.abs(dq) + np.maximum(np.abs(p.u_lo), np.abs(p.u_hi))
+    return np.asarray(extra)
+
+
+def _room(setting: Setting, dq_top: Array) -> Array:
+    """(n,) [N m]: torque the rigid body may use; friction helps or not, disturbance and reserve are taken off."""
+    room = setting.model.robot.torque_limit * (1.0 - RESERVE) - _friction(setting, dq_top)
+    if np.any(room <= 0):
+        j = int(np.argmin(room))
+        raise NotCovered(
+            f"the drive of {setting.model.joints[j]} has no torque left beside friction and disturbance; no ramp is provable"
+        )
+    return np.asarray(room)
+
+
+def _shortest(setting: Setting, path: Path, begin: float, ds: float) -> tuple[float, tuple[Array, Array]]:
+    """Least stopping length, and its profile (s, ds) at the grid points."""
+    longest = path.length - begin
+    whole = _profile(setting, path, begin, longest, ds)
+    if whole is None:
+        raise NotCovered(
+            f"the path starts too fast: at {ds:.4g} 1/s it cannot stop within its remaining {longest:.4g} with the drives' torque"
+        )
+    lo, hi, best = 0.0, longest, whole
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (lo + hi)
+        found = _profile(setting, path, begin, middle, ds)
+        if found is None:
+            lo = middle
+        else:
+            hi, best = middle, found
+    return hi, best
+
+
+def _profile(setting: Setting, path: Path, begin: float, length: float, ds: float) -> tuple[Array, Array] | None:
+    import toppra
+    from toppra import algorithm, constraint
+
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
+    toppra.setup_logging("CRITICAL")
+    robot, plant = setting.model.robot, setting.plant
+    top = np.abs(path.p(np.linspace(begin, begin + length, 40), 1)).max(axis=0) * ds
+    room = _room(setting, top)
+
+    class Piece(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
+        def __call__(self, s: Array, order: int = 0) -> Array:
+            rows = path.p(np.atleast_1d(np.asarray(s, float)) + begin, order)
+            return rows[0] if np.ndim(s) == 0 else rows
+
+        @property
+        def dof(self) -> int:
+            return robot.n
+
+        @property
+        def path_interval(self) -> Array:
+            return np.array([0.0, length])
+
+        @property
+        def waypoints(self) -> None:
+            return None
+
+    def dynamics(pi: Array) -> Callable[[Array, Array, Array], Array]:
+        return lambda q, v, a: np.asarray(torque(robot.chain, pi, q, v, a) + plant.rotor * a)
+
+    limits = np.stack([-room, room], axis=1)
+    constraints = [
+        constraint.JointTorqueConstraint(
+            dynamics(pi), limits, np.zeros(robot.n), discretization_scheme=constraint.DiscretizationType.Interpolation
+        )
+        for pi in (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
+    ]
+    grid = np.linspace(0.0, length, GRID + 1)
+    instance = algorithm.TOPPRA(
+        constraints, Piece(), gridpoints=grid, solver_wrapper="seidel", parametrizer="ParametrizeConstAccel"
+    )
+    _, sd, _ = instance.compute_parameterization(ds, 0.0)
+    if sd is None or not np.all(np.isfinite(sd)):
+        return None
+    return grid, np.asarray(sd, float)
+
+
+def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Array]) -> tuple[Array, float]:
+    """Poses along the stop, and the least torque left, `DENSE` times as finely as the grid. Raises `NotCovered` if negative."""
+    s, sd = profile
+    robot, plant = setting.model.robot, setting.plant
+    x = sd**2
+    poses, left = [], np.inf
+    for k in range(len(s) - 1):
+        acceleration = (x[k + 1] - x[k]) / (2.0 * (s[k + 1] - s[k]))
+        for here in np.linspace(s[k], s[k + 1], DENSE, endpoint=False):
+            rate = np.sqrt(max(x[k] + 2.0 * acceleration * (here - s[k]), 0.0))
+            at = np.array([begin + here])
+            q, d1, d2 = path.p(at, 0)[0], path.p(at, 1)[0], path.p(at, 2)[0]
+            v, a = d1 * rate, d1 * acceleration + d2 * rate**2
+            for pi in (plant.pi - plant.pi_half, plant.pi + plant.pi_half):
+                tau = torque(robot.chain, pi, q, v, a) + plant.rotor * a
+                left = min(left, float(np.min(robot.torque_limit - np.abs(tau) - _friction(setting, v))))
+            poses.append(q)
+    poses.append(path.p(np.array([begin + s[-1]]), 0)[0])
+    if left < 0.0:
+        raise NotCovered(f"between its grid points the stop asks {-left:.3g} N m more than a drive has: not credible; slow down")
+    return np.array(poses), left
+
+
+def _bound(model: Model, setting: Setting, ramp: Ramp, poses: Array, time: float, ds: float, path: Path, s0: float) -> StopBound:
+    """Joint and tool displacements over the poses passed; neighbours' distance covers what lies between them."""
+    travel = poses - poses[0]
+    between = np.abs(np.diff(poses, axis=0)).max(axis=0)
+    robot = model.robot
+    points = []
+    for q in poses:
+        R, o = link_frames(robot.chain, q)
+        points.append(o[-1] + R[-1] @ setting.payload_com)
+    tool = np.array(points)
+    reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + np.linalg.norm(setting.payload_com))
+    slack = reach * float(np.sum(0.5 * between + ramp.q_error + setting.noise.radius[: model.n]))
+    steps = np.abs(path.p(np.linspace(s0, path.length, 200), 1)).max(axis=0) * ds
+    return StopBound(
+        "1", True, "", time=np.full(model.n, time),
+        forward=np.maximum(travel.max(axis=0), 0.0) + 0.5 * between + ramp.q_error,
+        back=np.maximum(-travel.min(axis=0), 0.0) + 0.5 * between + ramp.q_error,
+        speed=steps + ramp.dq_error, tcp=float(np.linalg.norm(tool - tool[0], axis=1).max()) + slack,
+        tcp_speed=reach * float(steps.sum()), holding_margin=None,
+        assumptions=(
+            *setting.assumptions, *ramp_assumptions(ramp, "1"),
+            "the arm stays on its programmed path within the tracking error, braking as hard as the weakest drive allows",
+        ),
+    )  # fmt: skip
