@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision
+from stopset.artifact import Abstraction, Brakes, Domain, Model, Revision, UncertaintySets
 from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
-from stopset.errors import EffectError, RecordingError
+from stopset.errors import EffectError, NotCovered, RecordingError
 from stopset.offline.abstraction.identified import best_order
+from stopset.offline.conform.bands import Bands, band_sets, cut
+from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear import STOP_TIME
 from stopset.offline.conform.nonlinear import GRID, coarser
@@ -26,10 +28,11 @@ from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, 
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.errors import Figures, joint_figures
 from stopset.offline.known import described, plain
+from stopset.offline.motions import Suite
 from stopset.offline.output_error import fit_joint
 from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
-from stopset.offline.survey import Source, Survey, on_grid, survey
+from stopset.offline.survey import Source, Survey, Tally, on_grid, survey, tallied
 from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -52,10 +55,13 @@ class Settings:
     windows: str = "sliding"
     margin: float | None = None
     horizon: float = HORIZON
+    bands: int = 0  # temperature bands beside the whole; 0: none
 
     @property
     def sha256(self) -> str:
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        # what was not asked for leaves the hash of earlier models as it was
+        kept = {k: v for k, v in asdict(self).items() if k != "bands" or v}
+        return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +72,33 @@ class Identification:
     conformance: Conformance
     survey: Survey
     settings: Settings
+    kept: Kept | None = None  # what later recordings can be added to, where that was asked for
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """All that an update needs of recordings that are read no more, for one nominal model."""
+
+    tally: Tally
+    sums: Sums
+    nominal: NominalPart
+    meta: Meta
+    learnt: frozenset[Suite]  # suites the nominal model was fitted to
+    session: tuple[int, int]  # most repeats and trials: what it counts warming in
+    dt: float  # [s] the sets' grid
+    bands: Bands | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """What the heavy pass leaves: running envelopes, and errors trial by trial."""
+
+    gathered: Gathered
+    figures: Figures
+
+    def merge(self, later: Sums) -> Sums:
+        """Both together; ``later`` holds trials that come after this one's."""
+        return Sums(self.gathered.merge(later.gathered), self.figures.merge(later.figures))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +114,12 @@ class NominalPart:
 
 def identify(
     robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None, known: tuple[Fitted, ...] = (),
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: bool = False,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
-    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on.
+    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
+    later recordings can be added to (`stopset.offline.adaptive`).
 
     Raises `RecordingError`, `NotConformant`.
     """
@@ -96,7 +130,8 @@ def identify(
         return stream_recordings(paths, robot)
 
     tell("reading the recordings")
-    found = survey(source)
+    tally = tallied(source)
+    found = tally.survey()
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
@@ -104,7 +139,12 @@ def identify(
     nominal = fit_nominal(robot, meta, lambda: (r for r in source() if r.motion not in held), learnt, chosen)
     if chosen.model != 1 or chosen.order not in (None, 1):
         nominal = _abstracted(nominal, learnt, chosen, meta.effort)
-    return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler)
+    if keep and not nominal.abstraction.linear:
+        raise NotCovered(
+            f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; leave --keep "
+            "out, or take the linear model (--model 1 --order 1)"
+        )
+    return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep else None)
 
 
 def fit_nominal(
@@ -244,49 +284,109 @@ def _pairs(source: Source, found: Survey, nominal: NominalPart, effort: str) -> 
 
 def _with_sets(
     robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
-    scheduler: str | None,
+    scheduler: str | None, tally: Tally | None,
 ) -> Identification:  # fmt: skip
     motions = len(set(found.motion.values()))
     horizon = min(settings.horizon, found.longest)
+    bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
-    options = Options(settings.conform, settings.windows, settings.margin)
+    if nominal.abstraction.linear:
+        sums = sums_of(source, found, nominal, meta.effort, settings, bands, tally is not None, scheduler)
+        tell("identifying the sets")
+        return concluded(robot, meta, found, nominal, settings, bands, sums, tally)
+    # its windows do not fold into an envelope: trials in memory, one process
+    figures = Figures(nominal.abstraction, found.dt)
+    pairs = _pairs(source, found, nominal, meta.effort)
+    for _, r, u in pairs():
+        figures.add(r, u)
+    tell("identifying the sets along the nominal solutions")
 
+    def sets_of(some: Pairs, margin: float | None) -> Conformance:
+        options = Options(settings.conform, settings.windows, margin)
+        return conform_nonlinear(
+            some, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
+        )  # fmt: skip
+
+    result = sets_of(pairs, settings.margin)
+    by_band = {}
+    if bands is not None and found.temp is not None:
+        for k in range(bands.number):
+            sets = sets_of(_in_band(pairs, bands, k), float(result.margins.max())).sets
+            by_band[band_name(k)] = replace(sets, temp=bands.band(k, found.temp))
+    return _packed(robot, meta, found, nominal, settings, figures, result, by_band)
+
+
+def _in_band(pairs: Pairs, bands: Bands, k: int) -> Pairs:
+    return lambda: (p for p in pairs() if k in bands.of(p[1]))
+
+
+def sums_of(
+    source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None, keep: bool,
+    scheduler: str | None = None,
+) -> Sums:  # fmt: skip
+    """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     light = replace(found, sample=())  # what a part needs, without the trials kept in memory
+    horizon = settings.horizon if keep else min(settings.horizon, found.longest)
+    halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
 
     def part(trials: Range) -> tuple[Gathered, Figures]:
-        figures = Figures(nominal.abstraction, found.dt, roller(nominal, meta.effort, light))
+        figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, light))
 
         def pairs() -> Iterator[tuple[int, Recording, Array]]:
-            for motion, r, u in _pairs(within(source, trials), light, nominal, meta.effort)():
+            for motion, r, u in _pairs(within(source, trials), light, nominal, effort)():
                 figures.add(r, u)
                 yield motion, r, u
 
-        few = few_motions(len(split(list(range(motions))).used))
-        return gather(pairs, nominal.abstraction, found.dt, horizon, options.windows, few), figures
+        in_bands = None if bands is None else bands.of
+        return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands), figures
 
-    if nominal.abstraction.linear:
-        gathered, figures = in_parts(part, found.places, scheduler)
-        tell("identifying the sets")
-        result = conform(gathered, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials)
-    else:  # its windows do not fold into an envelope: trials in memory, one process
-        figures = Figures(nominal.abstraction, found.dt)
-        pairs = _pairs(source, found, nominal, meta.effort)
-        for _, r, u in pairs():
-            figures.add(r, u)
-        tell("identifying the sets along the nominal solutions")
-        result = conform_nonlinear(
-            pairs, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
-        )
+    return Sums(*in_parts(part, found.places, scheduler))
+
+
+def concluded(
+    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, bands: Bands | None, sums: Sums,
+    tally: Tally | None = None,
+) -> Identification:  # fmt: skip
+    """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
+    options = Options(settings.conform, settings.windows, settings.margin)
+    horizon = min(settings.horizon, found.longest)
+    steps = round(horizon / found.dt)
+    gathered = sums.gathered.mapped(lambda env: env.upto(steps))
+    shared = (nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options)
+    learnt = found.learnt_motions
+    result = conform(gathered, *shared, found.trials, learnt)
+    by_band = {}
+    if bands is not None and found.temp is not None:
+        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt)
+    out = _packed(robot, meta, found, nominal, settings, sums.figures, result, by_band)
+    if tally is None:
+        return out
+    # what may judge the model later must stay what it was when the nominal model was fitted
+    fitted = found.learnt or frozenset(found.motion) - found.held_out
+    session = found.session or (found.repeats, found.places)
+    nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
+    return replace(out, kept=Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands))
+
+
+def _packed(
+    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, figures: Figures, result: Conformance,
+    by_band: dict[str, UncertaintySets],
+) -> Identification:  # fmt: skip
     errors, u_hull = figures.result(robot.joints), figures.u
     assert u_hull is not None
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
+    notes = list(result.notes)
+    if by_band:
+        notes.append(
+            "temperature bands have the margin of the whole; of motions not yet seen only the whole's sets promise anything"
+        )
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
         abstraction=nominal.abstraction,
-        sets={"powered": result.sets, f"powered, {result.other.conform}": result.other}, brakes=assumed_brakes(robot),
+        sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
-        notes=(*meta.warnings, *robot.notes, *nominal.notes, *result.notes),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *notes),
     )  # fmt: skip
     return Identification(model, result, found, settings)
 
@@ -303,6 +403,15 @@ def _sums(errors: dict[str, dict[str, Any]]) -> dict[str, float]:
     return {f"sum_{k}": float(sum(row[k] for row in errors.values() if row[k] is not None)) for k in keys}
 
 
+def _sources(meta: Meta) -> dict[str, str]:
+    """File name -> SHA-256; files of one name in several folders are numbered."""
+    out: dict[str, str] = {}
+    for name, sha256 in meta.sources:
+        again = sum(other == name or other.startswith(f"{name} (") for other in out)
+        out[f"{name} ({again + 1})" if again else name] = sha256
+    return out
+
+
 def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]:
     return {
         "tool": f"stopset {version('stopset')}",
@@ -310,7 +419,7 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
         "settings_sha256": settings.sha256,
         # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
         "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
-        "data": dict(meta.sources),
+        "data": _sources(meta),
         "phase": found.phase,
         "trials": found.trials,
         "samples": found.samples,

@@ -57,6 +57,15 @@ class Envelope:
         out.lo[lower], out.lo_at[lower] = other.lo[lower], other.lo_at[lower] + shift
         return out
 
+    def upto(self, steps: int) -> Envelope:
+        """The same at ages up to ``steps``; ages that nothing reached are added where it is shorter."""
+        out = Envelope.empty(self.dt, steps, self.hi.shape[1])
+        m = min(steps, len(self.hi) - 1) + 1
+        for name in ("hi", "lo", "hi_at", "lo_at", "count"):
+            getattr(out, name)[:m] = getattr(self, name)[:m]
+        out.labels = self.labels
+        return out
+
     def where(self, bound: str, age: int, state: int, side: str, joints: tuple[str, ...]) -> ActiveBound:
         """Which recording and time put the envelope where it is at this age and state."""
         at = (self.hi_at if side == "hi" else self.lo_at)[age, state]

@@ -122,6 +122,11 @@ def split(motions: Sequence[int]) -> Split:
 def words(g: Guarantee, trials: int, motions: int, margin: float, scope: str) -> str:
     """The guarantee in words that are true for two motions and for three hundred; ``scope``: what is predicted from where."""
     seen = f"All {trials} recorded trials of {motions} independent motion{'s' if motions != 1 else ''} are enclosed {scope}"
+    if g.motions == 0 and motions >= FEWEST_MOTIONS:
+        return (
+            f"{seen} (margin up to {margin:.2f}). The nominal model was fitted to every motion that could have been held out: "
+            "nothing statistical is promised for other motions; identify again from all recordings."
+        )
     if g.motions == 0:
         return (
             f"{seen} (margin up to {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none "

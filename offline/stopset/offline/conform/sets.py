@@ -6,7 +6,7 @@ everything recorded is enclosed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,23 +54,57 @@ class Conformance:
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """What one pass over the trials leaves: envelopes by motion, from the trials' starts, and of even and odd repetitions."""
+    """What one pass over the trials leaves: envelopes by motion, from the trials' starts, and of even and odd repetitions.
+
+    ``bands``: temperature band -> motion -> envelope, where bands were asked for.
+    """
 
     parts: dict[int, Envelope]
     start: Envelope
     halves: tuple[Envelope, Envelope]
+    bands: dict[int, dict[int, Envelope]] = field(default_factory=dict)
 
     def merge(self, later: Gathered) -> Gathered:
         """Both together; ``later`` holds trials that come after this one's, so that ties keep the first."""
-        parts = dict(self.parts)
-        for m, env in later.parts.items():
-            parts[m] = parts[m].merge(env) if m in parts else env
         halves = (self.halves[0].merge(later.halves[0]), self.halves[1].merge(later.halves[1]))
-        return Gathered(dict(sorted(parts.items())), self.start.merge(later.start), halves)
+        bands = {
+            k: _merged(self.bands.get(k, {}), later.bands.get(k, {})) for k in sorted(self.bands.keys() | later.bands.keys())
+        }
+        return Gathered(_merged(self.parts, later.parts), self.start.merge(later.start), halves, bands)
+
+    def mapped(self, envelope: Callable[[Envelope], Envelope], motion: Mapping[int, int] | None = None) -> Gathered:
+        """Every envelope changed, and those of motions with the same new number merged."""
+
+        def by_motion(parts: dict[int, Envelope]) -> dict[int, Envelope]:
+            out: dict[int, Envelope] = {}
+            for m, env in parts.items():
+                out = _merged(out, {m if motion is None else motion[m]: envelope(env)})
+            return out
+
+        halves = (envelope(self.halves[0]), envelope(self.halves[1]))
+        bands = {k: by_motion(parts) for k, parts in self.bands.items()}
+        return Gathered(by_motion(self.parts), envelope(self.start), halves, bands)
 
 
-def gather(pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, windows: str, few_motions: bool) -> Gathered:
-    """One pass over ``pairs``: running envelopes in constant memory."""
+def _merged(a: dict[int, Envelope], b: dict[int, Envelope]) -> dict[int, Envelope]:
+    out = dict(a)
+    for m, env in b.items():
+        out[m] = out[m].merge(env) if m in out else env
+    return dict(sorted(out.items()))
+
+
+def divided(motions: Iterable[int], learnt: Collection[int]) -> g.Split:
+    """Every fourth motion held out, but none of those that the nominal model was fitted to (``learnt``)."""
+    ordered = sorted(motions)
+    held = tuple(m for m in g.split(ordered).held if m not in learnt)
+    return g.Split(tuple(m for m in ordered if m not in held), held)
+
+
+def gather(
+    pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, windows: str, few_motions: bool,
+    bands: Callable[[Recording], Iterable[int]] | None = None,
+) -> Gathered:  # fmt: skip
+    """One pass over ``pairs``: running envelopes in constant memory; ``bands``: temperature bands a trial belongs to."""
     steps = round(horizon / dt)
     main = Deviations(abstraction, dt, steps, windows)
     from_start = Deviations(abstraction, dt, steps, "start")
@@ -82,17 +116,25 @@ def gather(pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, wi
         from_start.add(out.start, r, u)
         if few_motions:
             main.add(out.halves[r.trial % 2], r, u)
-    return replace(out, parts=dict(sorted(out.parts.items())))
+        for k in () if bands is None else bands(r):
+            parts = out.bands.setdefault(k, {})
+            if motion not in parts:
+                parts[motion] = main.empty()
+            main.add(parts[motion], r, u)
+    return out.mapped(lambda env: env)
 
 
 def conform(
     found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
-    options: Options, trials: int,
+    options: Options, trials: int, learnt: Collection[int] = (),
 ) -> Conformance:  # fmt: skip
-    """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s]."""
+    """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s].
+
+    ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted to them.
+    """
     R = responses(abstraction, dt, round(horizon / dt))
     parts = found.parts
-    division = g.split(list(parts))
+    division = divided(parts, learnt)
     used = {m: parts[m] for m in division.used}
     everything = g.union(list(parts.values()))
     V = fit_sets(g.union(list(used.values())), R, noise, abstraction, joints, "all").V
@@ -107,7 +149,7 @@ def conform(
     chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
     grown = g.inflated(fit, chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
-    final = _enclosing(grown, R, everything, alone)
+    final = enclosing(grown, R, everything, alone)
     extra = float((final.U.width / np.maximum(grown.U.width, 1e-12)).max())
     if extra > 1.0 + 1e-6:
         notes.append(f"grown by up to another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
@@ -132,7 +174,7 @@ def conform(
     table = {options.conform: fit, other: second}
     table |= _variants(found.start, abstraction, joints, noise, R)
     grown = g.inflated(second, chosen)
-    companion = packed(_enclosing(grown, R, everything, alone))
+    companion = packed(enclosing(grown, R, everything, alone))
     return Conformance(packed(final), companion, promise, factors, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
 
 
@@ -141,7 +183,7 @@ def few_motions(used: int) -> bool:
     return used < g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY
 
 
-def _enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
+def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
     """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding).
 
     Raises `NotConformant` if growing does not help: nothing may be called enclosed that is not.

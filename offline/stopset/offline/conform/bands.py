@@ -1,0 +1,118 @@
+"""Sets per temperature band: warm and cold friction no longer share one set, so each is narrower than the whole.
+
+Bands are cut by warmth (`stopset.artifact.TemperatureBand`) at quantiles of the trials' means.  A trial counts in every
+band that one of its samples lies in, so that whatever was recorded at a temperature is enclosed by that temperature's sets.
+The linear program and the margin are those of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySets
+from stopset.errors import RecordingError
+from stopset.offline.conform import guarantee as g
+from stopset.offline.conform.linear import Fit, fit_sets
+from stopset.offline.conform.sets import Gathered, Options, divided, enclosing
+from stopset.reach.flowpipe import responses
+from stopset.recording import Recording
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+MOST = 20  # bands
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Where warmth is cut: ``inner`` edges between the bands, in the warmth of ``reference`` (n,) [degC]."""
+
+    reference: Box
+    inner: tuple[float, ...]
+
+    @property
+    def number(self) -> int:
+        return len(self.inner) + 1
+
+    def of(self, r: Recording) -> range:
+        """Numbers of the bands that samples of a trial lie in; all where its temperature is not known."""
+        if r.temp is None:
+            return range(self.number)
+        warmth = TemperatureBand(self.reference, 0.0, 1.0).warmth(r.temp)
+        # a sample on an edge belongs to both sides
+        first = int(np.searchsorted(self.inner, warmth.min(), "left"))
+        return range(first, int(np.searchsorted(self.inner, warmth.max(), "right")) + 1)
+
+    def band(self, k: int, seen: Box) -> TemperatureBand:
+        """Band ``k``; the outermost ones end with the temperatures ``seen`` (n,) [degC]."""
+        ends = TemperatureBand(self.reference, 0.0, 1.0).warmth(np.vstack([seen.lo, seen.hi]))
+        edges = [float(ends[0]), *self.inner, float(ends[1])]
+        return TemperatureBand(self.reference, edges[k], edges[k + 1])
+
+
+def cut(means: Array | None, temp: Box | None, number: int) -> Bands:
+    """``number`` bands of about as many trials each; ``means``: (trials, n) mean temperatures, ``temp``: hull of all [degC].
+
+    Raises `RecordingError` if no temperature was measured or the trials' differ too little.
+    """
+    if means is None or temp is None:
+        raise RecordingError(
+            "temperature bands need measured temperatures, these recordings have no temp_ column; leave --bands out"
+        )
+    if not np.any(temp.width > 0):
+        raise RecordingError(
+            f"the temperatures never move from {temp.lo.max():.1f} degC: there is nothing to divide; leave --bands out"
+        )
+    warmth = TemperatureBand(temp, 0.0, 1.0).warmth(means)
+    edges = np.quantile(warmth, np.arange(number + 1) / number)
+    if np.any(np.diff(edges) <= 0):
+        raise RecordingError(
+            f"{len(np.unique(warmth))} different temperatures of {len(warmth)} trials do not make {number} bands; ask for fewer (--bands)"
+        )
+    return Bands(temp, tuple(edges[1:-1].tolist()))
+
+
+def band_sets(
+    found: Gathered, bands: Bands, seen: Box, factors: Array, abstraction: Abstraction, joints: tuple[str, ...], noise: Box,
+    dt: float, horizon: float, options: Options, learnt: Collection[int] = (),
+) -> dict[str, UncertaintySets]:  # fmt: skip
+    """Sets of every band by name, in the way of the whole's; ``factors`` (n,): its margin; ``seen``: hull of temperatures.
+
+    Motions held out from the whole are held out here too, then enclosed.
+    """
+    R = responses(abstraction, dt, round(horizon / dt))
+    used = divided(found.parts, learnt).used
+    out = {}
+    for k, parts in sorted(found.bands.items()):
+        everything = g.union(list(parts.values()))
+        fitted = g.union([parts[m] for m in parts if m in used] or list(parts.values()))
+        fit: Fit = fit_sets(fitted, R, noise, abstraction, joints, "all")
+        if options.conform == "position":
+            fit = fit_sets(fitted, R, fit.V, abstraction, joints, "position")
+        final = enclosing(g.inflated(fit, factors), R, everything, abstraction.decoupled)
+        out[name(k)] = UncertaintySets(
+            X0=final.X0, U=final.U, V=final.V, dt=dt, horizon=everything.steps * dt, conform=final.conform,
+            windows=options.windows, margin=float(factors.max()), active=final.active, temp=bands.band(k, seen),
+        )  # fmt: skip
+    return out
+
+
+def name(k: int) -> str:
+    """The regime's name of band ``k``, counted from 1."""
+    return f"powered, band {k + 1}"
+
+
+def narrower(model: Model) -> list[tuple[str, str, float, float]]:
+    """Per band: name, mean temperature of its coldest and hottest edge in words, sum of U widths [N m], share of the whole's."""
+    whole = float(model.powered.U.width.sum())
+    rows = []
+    for title, s in model.sets.items():
+        if s.temp is not None:
+            reference = s.temp.reference
+            at = [float((reference.lo + w * reference.width).mean()) for w in (s.temp.lo, s.temp.hi)]
+            width = float(s.U.width.sum())
+            rows.append((title, f"{at[0]:.1f} to {at[1]:.1f} degC", width, width / max(whole, 1e-300)))
+    return rows
