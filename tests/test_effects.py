@@ -22,11 +22,30 @@ from stopset.ring.ctext import PRELUDE
 from stopset.robot import load_robot
 from stopset.robot.rigid import gravity_torques, torques
 
-NAMES = (
-    "thermal_viscous thermal_coulomb warm_up stribeck load_coulomb asymmetric_coulomb cubic_viscous payload rotor_inertia "
-    "elasticity torque_ripple hysteresis torque_gain delay base_tilt spring coupling encoder_offset encoder_eccentricity "
-    "coriolis coulomb viscous"
-).split()
+NAMES = [
+    "thermal_viscous",
+    "thermal_coulomb",
+    "warm_up",
+    "stribeck",
+    "load_coulomb",
+    "asymmetric_coulomb",
+    "cubic_viscous",
+    "payload",
+    "rotor_inertia",
+    "elasticity",
+    "torque_ripple",
+    "hysteresis",
+    "torque_gain",
+    "delay",
+    "base_tilt",
+    "spring",
+    "coupling",
+    "encoder_offset",
+    "encoder_eccentricity",
+    "coriolis",
+    "coulomb",
+    "viscous",
+]
 SCALARS = (
     "q", "dq", "ddq", "load", "tau", "dtau", "link", "temp", "warm", "stiff", "inertia", "coriolis", "dq_other",
 )  # fmt: skip

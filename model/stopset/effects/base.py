@@ -130,9 +130,7 @@ class Effect:
         """
         out = tuple(self.law(s, self.shape_values(shapes)))
         if len(out) != len(self.terms):
-            raise EffectError(
-                f"effect {self.name}: its law gives {len(out)} columns for {len(self.terms)} terms; mend it"
-            )
+            raise EffectError(f"effect {self.name}: its law gives {len(out)} columns for {len(self.terms)} terms; mend it")
         return out
 
     def torque(self, s: Signals, values: Mapping[str, Number]) -> Number:
@@ -140,9 +138,7 @@ class Effect:
         symbols = [t.symbol for t in self.terms] + [p.symbol for p in self.shapes]
         missing = [symbol for symbol in symbols if symbol not in values]
         if missing:
-            raise EffectError(
-                f"effect {self.name}: no value for {', '.join(missing)}; expected one for every parameter"
-            )
+            raise EffectError(f"effect {self.name}: no value for {', '.join(missing)}; expected one for every parameter")
         columns = self.columns(s, values)
         total = columns[0] * values[self.terms[0].symbol]
         for term, column in zip(self.terms[1:], columns[1:], strict=True):

@@ -23,7 +23,6 @@ EFFECT = Effect(
     source="liu2018",
     looks_like=("stribeck", "viscous", "thermal_viscous"),
     tell_apart=(
-        "Move at constant speeds over two decades up to full speed: a cubic bends at the fast end, Stribeck "
-        "at the slow end."
+        "Move at constant speeds over two decades up to full speed: a cubic bends at the fast end, Stribeck at the slow end."
     ),
 )

@@ -30,8 +30,8 @@ EFFECT = Effect(
     look_at="acceleration of the link torque",
     terms=(Term("share", "1", "1 if the link swings as the stiffness says", 0.4, 2.5, 1.0),),
     shapes=(
-        Shape("K", "N m/rad", "stiffness", 20.0, 1e6, (100.0, 300.0, 1e3, 3e3, 1e4)),
-        Shape("D", "N m s/rad", "damping", 1e-3, 1e3, (1.0, 3.0)),
+        Shape("K", "N m/rad", "stiffness", 20.0, 1e6, (1e2, 2e2, 4e2, 8e2, 1.6e3, 3.2e3, 6.4e3, 1.3e4, 2.6e4)),
+        Shape("D", "N m s/rad", "damping", 1e-3, 1e3, (2.0,)),
     ),
     states=(
         Term("x", "rad", "link position minus motor position", -0.5, 0.5),

@@ -35,7 +35,6 @@ EFFECT = Effect(
     source="dahl1968",
     looks_like=("stribeck", "delay"),
     tell_apart=(
-        "Reverse many times with different accelerations: hysteresis depends on the way since the reversal, "
-        "Stribeck on speed."
+        "Reverse many times with different accelerations: hysteresis depends on the way since the reversal, Stribeck on speed."
     ),
 )

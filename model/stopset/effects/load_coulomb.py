@@ -31,7 +31,5 @@ EFFECT = Effect(
     enters="compensation",
     source="liu2018",
     looks_like=("coulomb", "torque_gain"),
-    tell_apart=(
-        "Move slowly up and down through the whole load range: a gain error does not change sign with the direction."
-    ),
+    tell_apart=("Move slowly up and down through the whole load range: a gain error does not change sign with the direction."),
 )

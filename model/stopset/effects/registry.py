@@ -33,8 +33,7 @@ def catalogue() -> MappingProxyType[str, Effect]:
             effect = entry.load()
         except Exception as e:
             raise EffectError(
-                f"effect {entry.name} of {entry.value} cannot be loaded ({type(e).__name__}: {e}); "
-                f"mend or remove that package"
+                f"effect {entry.name} of {entry.value} cannot be loaded ({type(e).__name__}: {e}); mend or remove that package"
             ) from e
         check(effect, entry.value)
         if effect.name in found:
@@ -70,8 +69,6 @@ def check(effect: Any, where: str) -> None:
         if not s.grid or not all(s.lo <= g <= s.hi and math.isfinite(g) for g in s.grid):
             raise EffectError(f"{where}: start values {s.grid} of {effect.name}.{s.symbol} leave [{s.lo}, {s.hi}]")
     if not effect.terms:
-        raise EffectError(
-            f"{where}: {effect.name} has no term; expected at least one parameter the torque is linear in"
-        )
+        raise EffectError(f"{where}: {effect.name} has no term; expected at least one parameter the torque is linear in")
     if not (effect.says and effect.look_at and effect.needs):
         raise EffectError(f"{where}: {effect.name} lacks its sentence, what to look at, or the signals it needs")

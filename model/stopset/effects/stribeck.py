@@ -33,7 +33,5 @@ EFFECT = Effect(
     enters="compensation",
     source="armstrong1994",
     looks_like=("hysteresis", "coulomb", "cubic_viscous"),
-    tell_apart=(
-        "Pass slowly at several constant speeds: Stribeck depends on speed, hysteresis on the way since the reversal."
-    ),
+    tell_apart=("Pass slowly at several constant speeds: Stribeck depends on speed, hysteresis on the way since the reversal."),
 )

@@ -18,18 +18,12 @@ EFFECT = Effect(
     name="thermal_viscous",
     says="The viscous friction changes with the temperature of the drive.",
     look_at="temp * dq",
-    terms=(
-        Term(
-            "k_T", "N m s/rad/K", "change of the viscous coefficient per kelvin at the reference temperature", -1e3, 0.0
-        ),
-    ),
+    terms=(Term("k_T", "N m s/rad/K", "change of the viscous coefficient per kelvin at the reference temperature", -1e3, 0.0),),
     shapes=(Shape("b", "1/K", "rate at which the viscosity levels off", 1e-4, 0.15, (1e-3, 0.025, 0.05)),),
     law=law,
     needs=("dq", "temp"),
     enters="viscous",
     source="bittencourt2012",
     looks_like=("thermal_coulomb", "cubic_viscous", "warm_up"),
-    tell_apart=(
-        "Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."
-    ),
+    tell_apart=("Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."),
 )

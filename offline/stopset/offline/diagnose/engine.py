@@ -74,9 +74,7 @@ class Scored:
     def admissible(self) -> bool:
         """Every term within its range, two standard deviations allowed beyond it."""
         sd = np.sqrt(np.maximum(np.diag(self.cov), 0.0))
-        return all(
-            t.lo - 2 * s <= v <= t.hi + 2 * s for t, v, s in zip(self.candidate.effect.terms, self.theta, sd, strict=True)
-        )
+        return all(t.lo - 2 * s <= v <= t.hi + 2 * s for t, v, s in zip(self.candidate.effect.terms, self.theta, sd, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +107,7 @@ class Engine:
     # -- building ---------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def build(
-        robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None, known: Known | None = None
-    ) -> Engine:
+    def build(robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None, known: Known | None = None) -> Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
@@ -139,7 +135,20 @@ class Engine:
             index = np.concatenate([[0], base, own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
-        return Engine(robot, data, source, rows, folds, friction, grams, sd, base.astype(np.intp), own[:, 0].astype(np.intp), 1 + 15 * n, scales)
+        return Engine(
+            robot,
+            data,
+            source,
+            rows,
+            folds,
+            friction,
+            grams,
+            sd,
+            base.astype(np.intp),
+            own[:, 0].astype(np.intp),
+            1 + 15 * n,
+            scales,
+        )
 
     def add(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> Candidate | None:
         """Append an effect's columns to the Grams; None if it leaves no trace in these motions."""

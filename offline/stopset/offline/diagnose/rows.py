@@ -69,5 +69,3 @@ def pose_scatter(Y: Array, tau: Array) -> float:
     r = tau - basis @ (basis.T @ tau)
     spread = np.sqrt(len(tau) / (len(tau) - basis.shape[1]))
     return float(max(1.4826 * np.median(np.abs(r)) * spread, 1e-6))
-
-

@@ -1,0 +1,67 @@
+"""The diagnosis as a page: verdict, ranking, parameters, what the data cannot tell, what to do next."""
+
+from __future__ import annotations
+
+import plotly.graph_objects as go
+
+from stopset.artifact import Model
+from stopset.offline.diagnose.diagnosis import Diagnosis
+from stopset.offline.report import Page, number
+
+WORDS = {
+    "missing": "These effects are missing from the model, best first.",
+    "none": "Nothing is missing: what is left is the sensors' noise and the usual scatter of friction.",
+    "unknown": "Something is missing that no effect of the catalogue explains.",
+}
+
+
+def page(model: Model, found: Diagnosis, against: str) -> Page:
+    """A self-contained page of one diagnosis."""
+    out = Page(f"Diagnosis of {model.robot.name}")
+    out.verdict(f"{found.verdict}: {WORDS[found.verdict]}", "good" if found.verdict == "none" else "bad")
+    out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
+    if found.ranked:
+        out.heading("Missing effects")
+        out.table(
+            ("effect", "joint", "score", "torque error before [N m]", "after [N m]", "look at"),
+            [(r.effect, " + ".join(r.joints) or "whole arm", r.score, r.error_before, r.error_after, r.look_at)
+             for r in found.ranked],
+            "Score: twice the log Bayes factor. Errors: RMS on motions the fit has not seen.",
+        )  # fmt: skip
+        out.figure(_bars(found), "How much each effect explains beyond everything ranked before it.")
+        rows = []
+        for r in found.ranked:
+            out.text(f"{r.label}: {r.says}")
+            rows += [
+                (r.label, k, p.value, "searched" if p.std is None else number(p.std), p.unit) for k, p in r.parameters.items()
+            ]
+        out.table(("effect", "parameter", "value", "standard deviation", "unit"), rows)
+    if found.rivals:
+        out.heading("What these recordings hardly separate")
+        out.table(("rivals",), [(" / ".join(group),) for group in found.rivals])
+    if found.depends_on:
+        out.heading("What is left depends on")
+        out.text(", ".join(found.depends_on))
+    if found.next_experiment:
+        out.heading("Next experiment")
+        out.text(found.next_experiment)
+    out.heading("Per joint")
+    out.table(
+        ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
+        [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
+        "A healthy joint stays below 2.5 and 0.06.",
+    )
+    if found.not_identifiable:
+        out.heading("Not identifiable from these recordings")
+        for line in found.not_identifiable:
+            out.text(line)
+    return out
+
+
+def _bars(found: Diagnosis) -> go.Figure:
+    names = [r.label for r in found.ranked][::-1]
+    figure = go.Figure(go.Bar(x=[r.score for r in found.ranked][::-1], y=names, orientation="h", marker_color="#2a6f97"))
+    figure.update_xaxes(title="score (2 log Bayes factor)", type="log")
+    figure.update_yaxes(automargin=True)
+    figure.update_layout(height=140 + 40 * len(names))
+    return figure
