@@ -325,15 +325,15 @@ def sums_of(
     scheduler: str | None = None,
 ) -> Sums:  # fmt: skip
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
-    light = replace(found, sample=())  # what a part needs, without the trials kept in memory
+    found = replace(found, sample=())  # what a part needs, without the trials kept in memory
     horizon = settings.horizon if keep else min(settings.horizon, found.longest)
     halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
 
     def part(trials: Range) -> tuple[Gathered, Figures]:
-        figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, light))
+        figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, found))
 
         def pairs() -> Iterator[tuple[int, Recording, Array]]:
-            for motion, r, u in _pairs(within(source, trials), light, nominal, effort)():
+            for motion, r, u in _pairs(within(source, trials), found, nominal, effort)():
                 figures.add(r, u)
                 yield motion, r, u
 
