@@ -109,10 +109,36 @@ def start_momentum(at: Local, v_lo: Array, v_hi: Array, b: Bands) -> Momentum:
     )  # fmt: skip
 
 
+@njit(cache=True, inline="always")
+def _fastest(i: int, before: Bands, after: Bands) -> float:
+    fast = max(abs(before.first_lo[i]), abs(before.first_hi[i]))
+    return max(fast, max(abs(after.first_lo[i]), abs(after.first_hi[i])))
+
+
+@njit(cache=True)
+def _driven(i: int, at: Local, u_lo: Array, u_hi: Array, D_hi: Array, F_hi: Array, before: Bands, after: Bands) -> float:
+    """Least torque along a first excursion, brake apart."""
+    push = at.e_lo[i] + u_lo[i] if after.sign[i] > 0.0 else -at.e_hi[i] - u_hi[i]
+    return float(push - F_hi[i] - D_hi[i] * _fastest(i, before, after))
+
+
+@njit(cache=True)
+def kept_impulse(
+    m: Momentum, at: Local, start: Local, u_lo: Array, u_hi: Array, D_hi: Array, F_hi: Array, before: Bands, after: Bands,
+    v0_lo: Array, v0_hi: Array, x_lo: Array, x_hi: Array, h: float, kept: Array,
+) -> None:  # fmt: skip
+    """Into ``kept`` (n,): least brake impulse that can end a first excursion during this step; inf where none can end."""
+    for i in range(x_lo.shape[0]):
+        kept[i] = np.inf
+        if before.alive[i] > 0.0 and after.rested[i] > 0.0:
+            less = min(0.0, h * _driven(i, at, u_lo, u_hi, D_hi, F_hi, before, after))
+            kept[i] = m.drive[i] + less + _left(i, after.sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi)
+
+
 @njit(cache=True)
 def carry_on(
-    m: Momentum, at: Local, start: Local, u_lo: Array, u_hi: Array, D_lo: Array, D_hi: Array, F_hi: Array,
-    B_lo: Array, B_hi: Array, B_later: Array, before: Bands, after: Bands, v0_lo: Array, v0_hi: Array,
+    m: Momentum, at: Local, u_lo: Array, u_hi: Array, D_lo: Array, D_hi: Array, F_hi: Array,
+    B_lo: Array, B_hi: Array, B_later: Array, before: Bands, after: Bands, kept: Array,
     x_lo: Array, x_hi: Array, h: float,
 ) -> None:  # fmt: skip
     """Integrate over a step of ``h`` seconds on which speeds lie in ``[x_lo, x_hi]``, bands going from before to after."""
@@ -130,12 +156,8 @@ def carry_on(
             fast = max(abs(before.first_lo[i]), abs(before.first_hi[i]))
             fast = max(fast, max(abs(after.first_lo[i]), abs(after.first_hi[i])))
             least, most = B_lo[i] + D_lo[i] * slow, B_hi[i] + D_hi[i] * fast
-            drive = m.drive[i]
-            push = at.e_lo[i] + u_lo[i] if b_forward(after, i) else -at.e_hi[i] - u_hi[i]
-            m.drive[i] += h * (push - F_hi[i] - D_hi[i] * fast)
-            if after.rested[i] > 0.0:
-                kept = min(drive, m.drive[i]) + _left(i, after.sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi)
-                m.needed[i] = min(m.needed[i], kept)
+            m.drive[i] += h * _driven(i, at, u_lo, u_hi, D_hi, F_hi, before, after)
+            m.needed[i] = min(m.needed[i], kept[i])
             if b_forward(after, i):
                 m.P_lo[i] += h * (at.e_lo[i] + u_lo[i] - most)
                 m.P_hi[i] += h * (at.e_hi[i] + u_hi[i] - least)

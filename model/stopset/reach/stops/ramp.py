@@ -124,10 +124,8 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
 def _curve(ramp: Ramp, v: Array, t: Array, slow: bool) -> tuple[Array, Array]:
     """Displacement and speed (T, n) of one corner: latest start and gentlest ramp, or the opposite."""
     begin = ramp.control.hi if slow else ramp.control.lo
-    if ramp.kind == "time":
-        lasts = ramp.value.hi if slow else ramp.value.lo
-    else:
-        lasts = np.abs(v) / (ramp.value.lo if slow else ramp.value.hi)
+    gentle = ramp.value.hi if slow == (ramp.kind == "time") else ramp.value.lo
+    lasts = gentle if ramp.kind == "time" else np.abs(v) / gentle
     s = np.clip((t[:, None] - begin) / np.maximum(lasts, 1e-12), 0.0, 1.0)
     held = np.minimum(t[:, None], begin)
     return v * (held + lasts * (s - 0.5 * s * s)), v * (1.0 - s)

@@ -30,11 +30,12 @@ from numba import njit
 
 from stopset.reach.stops.expansion import Curvature, Expansion, Scratch, empty_expansion, expand_into
 from stopset.reach.stops.local import Local, Parts, box_terms, empty_local
-from stopset.reach.stops.momentum import Bands, Momentum, carry_on, start_bands, start_momentum, tighten, total
+from stopset.reach.stops.momentum import Bands, carry_on, kept_impulse, start_bands, start_momentum, tighten, total
 from stopset.reach.stops.moving import accelerations
 from stopset.robot.rigid import Array, Chain
 
 OK, ENDLESS, UNBOUNDED = 0, 1, 2  # how a tube ends: at rest; still moving at the last step; claims not verifiable
+REDOS = 4  # of a step, when a first excursion can end with less brake impulse than was taken
 PASSES = 40  # of claims per step; each grows them, an arm with bounded coupling needs one or two
 RECENTRE = 0.01  # [rad] sum of angles from the pose of expansion after which a new one is worth its cost
 
@@ -210,11 +211,12 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
     margin = np.full(n, -np.inf)
     v_lo[0], v_hi[0] = v0_lo, v0_hi
     claim, last = np.zeros((4, n)), np.zeros((4, n))  # forward lo, hi, backward lo, hi
-    out, work, wide = np.zeros((10, n)), np.zeros((8, n)), np.zeros((16, n))
+    out, work, wide = np.zeros((10, n)), np.zeros((8, n)), np.zeros((20, n))
     w_lo, w_hi, x_lo, x_hi = wide[0], wide[1], wide[2], wide[3]
     s_lo, s_hi, own_up, own_down = wide[4], wide[5], wide[6], wide[7]
     plus, minus, zero, a_far = wide[8], wide[9], wide[10], wide[11]
     B_lo, B_hi, B_later, way = wide[12], wide[13], wide[14], wide[15]
+    need, drop, kept, before = wide[16], wide[17], wide[18], wide[19]
     at, start = empty_local(n), empty_local(n)
     middle = 0.5 * (q_lo + q_hi)
     E, scratch = empty_expansion(n)
@@ -241,30 +243,48 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
         for i in range(n):
             B_lo[i] = plant.coulomb_lo[i] + plant.brake_lo[i] * _ramp(early, plant.delay_hi[i], plant.rise_hi[i])
             B_hi[i] = plant.coulomb_hi[i] + plant.brake_hi[i] * _ramp(late, plant.delay_lo[i], plant.rise_lo[i])
-        _later_friction(plant, now, b, momentum, B_lo, B_hi, B_later, way)
         _guess(claim, out, last, k)
-        verified = False
-        for _attempt in range(PASSES):
-            _claims(h, v_lo[k], v_hi[k], claim, w_lo, w_hi, plus, minus, zero, a_far)
+        # the impulse that ends first excursions during this step is known after it: taken a little less, then checked
+        for i in range(n):
+            need[i] = momentum.needed[i] - 2.0 * drop[i] if b.alive[i] > 0.0 else momentum.needed[i]
+        for redo in range(REDOS + 1):
+            _later_friction(plant, now + h, b, need, B_lo, B_hi, B_later, way)
+            verified = False
+            for _attempt in range(PASSES):
+                _claims(h, v_lo[k], v_hi[k], claim, w_lo, w_hi, plus, minus, zero, a_far)
+                for i in range(n):
+                    x_lo[i] = q_lo[i] + d_lo[k, i] + h * min(0.0, w_lo[i]) - E.q[i]
+                    x_hi[i] = q_hi[i] + d_hi[k, i] + h * max(0.0, w_hi[i]) - E.q[i]
+                box_terms(E, K, x_lo, x_hi, w_lo, w_hi, parts, at, work)
+                _torques(plant, at, b, claim, h, v_lo[k], v_hi[k], w_lo, w_hi, s_lo, s_hi, own_up, own_down)
+                accelerations(
+                    at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, B_later, way, plus, minus, zero, a_far, out, work
+                )
+                if _verified(out, claim, plus, minus, zero):
+                    verified = True
+                    break
+            if not verified:
+                break
+            _advance(b, out, zero, h, end)
+            total(end, e_lo[k], e_hi[k])
             for i in range(n):
-                x_lo[i] = q_lo[i] + d_lo[k, i] + h * min(0.0, w_lo[i]) - E.q[i]
-                x_hi[i] = q_hi[i] + d_hi[k, i] + h * max(0.0, w_hi[i]) - E.q[i]
-            box_terms(E, K, x_lo, x_hi, w_lo, w_hi, parts, at, work)
-            _torques(plant, at, b, claim, h, v_lo[k], v_hi[k], w_lo, w_hi, s_lo, s_hi, own_up, own_down)
-            accelerations(
-                at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, B_later, way, plus, minus, zero, a_far, out, work
-            )
-            if _verified(out, claim, plus, minus, zero):
-                verified = True
+                x_lo[i], x_hi[i] = min(v_lo[k, i], e_lo[k, i]), max(v_hi[k, i], e_hi[k, i])
+            kept_impulse(
+                momentum, at, start, plant.u_lo, plant.u_hi, plant.viscous_hi, plant.coulomb_hi, b, end, v0_lo, v0_hi,
+                x_lo, x_hi, h, kept,
+            )  # fmt: skip
+            enough = True
+            for i in range(n):
+                if b.alive[i] > 0.0 and b.rested[i] > 0.0 and 0.0 < need[i] < np.inf and kept[i] < need[i]:
+                    enough = False
+                    need[i] = kept[i] - 0.01 * abs(kept[i]) if redo < REDOS - 1 else 0.0
+            if enough:
                 break
         if not verified:
             result, made = UNBOUNDED, k
             break
-        _advance(b, out, zero, h, end)
-        total(end, e_lo[k], e_hi[k])
         for i in range(n):
             hi, lo, new_hi, new_lo = v_hi[k, i], v_lo[k, i], e_hi[k, i], e_lo[k, i]
-            x_lo[i], x_hi[i] = min(lo, new_lo), max(hi, new_hi)
             # trapezoids: chords lie outside a bound that is convex; where it crosses zero, its larger end does
             d_hi[k + 1, i] = d_hi[k, i] + h * (max(new_hi, 0.0) if hi < 0.0 and new_hi >= 0.0 else 0.5 * (hi + new_hi))
             d_lo[k + 1, i] = d_lo[k, i] + h * (min(new_lo, 0.0) if lo > 0.0 and new_lo <= 0.0 else 0.5 * (lo + new_lo))
@@ -272,10 +292,13 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
                 d_hi[k + 1, i], d_lo[k + 1, i] = d_hi[k, i] + h * new_hi, d_lo[k, i] + h * new_lo
             for row in range(4):
                 rates[k, row, i] = out[row, i]
+        before[:] = momentum.needed
         carry_on(
-            momentum, at, start, plant.u_lo, plant.u_hi, plant.viscous_lo, plant.viscous_hi, plant.coulomb_hi,
-            B_lo, B_hi, B_later, b, end, v0_lo, v0_hi, x_lo, x_hi, h,
+            momentum, at, plant.u_lo, plant.u_hi, plant.viscous_lo, plant.viscous_hi, plant.coulomb_hi,
+            B_lo, B_hi, B_later, b, end, kept, x_lo, x_hi, h,
         )  # fmt: skip
+        for i in range(n):
+            drop[i] = max(before[i] - momentum.needed[i], 0.0) if before[i] < np.inf else 0.0
         v_lo[k + 1], v_hi[k + 1] = e_lo[k], e_hi[k]
         tighten(end, momentum, at, start, v0_lo, v0_hi, v_lo[k + 1], v_hi[k + 1], work)
         total(end, v_lo[k + 1], v_hi[k + 1])
@@ -296,11 +319,12 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
 
 
 @njit(cache=True)
-def _later_friction(plant: Plant, now: float, b: Bands, m: Momentum, B_lo: Array, B_hi: Array, later: Array, way: Array) -> None:
+def _later_friction(plant: Plant, now: float, b: Bands, need: Array, B_lo: Array, B_hi: Array, later: Array, way: Array) -> None:
     """Least dry friction of a joint that has come to rest by now, and the direction it can move in with less.
 
     Its brake has given at least the impulse that ended the first excursion.  The brake's torque only grows, so it is now
-    at least that impulse over the time it can have worked; a ramp has given half of its torque times the time.
+    at least that impulse over the time it can have worked; a ramp has given half of its torque times the time.  ``now``: the
+    end of the step, ``need``: the impulse, for rests during the step too.
     """
     for i in range(B_lo.shape[0]):
         later[i] = B_lo[i]
@@ -310,9 +334,9 @@ def _later_friction(plant: Plant, now: float, b: Bands, m: Momentum, B_lo: Array
         if b.alive[i] > 0.0:
             way[i] = b.sign[i]
         since = now - plant.delay_lo[i]
-        if b.rested[i] > 0.0 and m.needed[i] > 0.0 and m.needed[i] < np.inf and since > 0.0:
+        if b.rested[i] > 0.0 and need[i] > 0.0 and need[i] < np.inf and since > 0.0:
             worked = max(0.5 * since, since - 0.5 * plant.rise_lo[i])
-            later[i] = min(max(B_lo[i], plant.coulomb_lo[i] + m.needed[i] / worked), B_hi[i])
+            later[i] = min(max(B_lo[i], plant.coulomb_lo[i] + need[i] / worked), B_hi[i])
         if b.alive[i] == 0.0:
             B_lo[i] = later[i]
 

@@ -69,9 +69,9 @@ def build_page(
         mine = [r for r in rows if r.category == category]
         page.heading(NAMES[category])
         for joint in dict.fromkeys(r.joint for r in mine):
-            for what, title in (("time_s", "time [s]"), ("angle_rad", "angle [rad]")):
-                curves = _lines(rows, category, joint, what)
-                x, y = _seen(measured, model, category, joint, what)
+            for quantity, title in (("time_s", "time [s]"), ("angle_rad", "angle [rad]")):
+                curves = _lines(rows, category, joint, quantity)
+                x, y = _seen(measured, model, category, joint, quantity)
                 if not curves and not x:
                     continue
                 figure = go.Figure()

@@ -8,7 +8,7 @@ hurt it most.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -68,7 +68,7 @@ def _pick(lo: Array, hi: Array, share: Array) -> Array:
 
 
 @njit(cache=True)
-def _shares(kind: int, n: int) -> Array:
+def _shares(kind: int, n: int) -> Any:
     if kind == 0:
         return np.random.randint(0, 2, n) * 1.0
     return np.random.random(n)
