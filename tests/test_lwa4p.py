@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from stopset.robot import load_robot
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix
 
@@ -43,7 +44,7 @@ def test_bodies_are_physically_possible() -> None:
 
 
 def test_masses_hang_below_where_they_should() -> None:
-    """Upright, no joint carries gravity but by the small lateral offsets; stretched forward, joint 2 carries the arm."""
+    """Upright, only lateral offsets load a joint; stretched forward, joint 2 carries the arm."""
     upright = gravity_torque(ARM.chain, ARM.pi, np.zeros(6))
     forward = gravity_torque(ARM.chain, ARM.pi, np.array([0, np.pi / 2, 0, 0, 0, 0]))
     mass = ARM.pi[1:, 0].sum()
