@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
     from stopset.offline.identify import Identification
@@ -36,10 +38,17 @@ def order(text: str) -> int:
     return int(text)
 
 
+def bands(text: str) -> int:
+    """A number of temperature bands."""
+    if not text.isdecimal() or not 2 <= int(text) <= 20:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of bands; expected 2 to 20")
+    return int(text)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument(
-        "--robot", required=True, metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p"
+        "--robot", metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p; not with --update"
     )
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
@@ -54,6 +63,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
     )  # fmt: skip
     parser.add_argument("--margin", type=margin, default=None, metavar="auto|FACTOR", help="growth of the sets (default auto)")
+    parser.add_argument(
+        "--bands", type=bands, default=0, metavar="N", help="also sets for N temperature bands, where temperature is recorded"
+    )
+    parser.add_argument("--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (--update)")
+    parser.add_argument(
+        "--update",
+        type=Path,
+        metavar="M.model.json",
+        help="add the recordings of --data to this model without reading its old ones again; needs --state. Its nominal model "
+        "and settings stay: the sets, margin, guarantee and figures are those of identifying from old and new recordings "
+        "together with this nominal model",
+    )
+    parser.add_argument("--state", type=Path, metavar="FILE.state", help="what --keep wrote beside the model of --update")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the heavy pass on this Dask cluster (extra fleet)")
     add_output_options(parser)
 
@@ -61,24 +83,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Identify, write the model file, print what was found."""
     from stopset.artifact import save_model
-    from stopset.offline.identify import Settings, identify
-    from stopset.robot import load_robot
 
-    check_outputs(args.out, args.json, args.report)
-    robot = load_robot(args.robot)
-    settings = Settings(
-        model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
-        conform=args.conform, windows=args.windows, margin=args.margin,
-    )  # fmt: skip
+    check_outputs(args.out, args.json, args.report, args.keep)
     start = time.monotonic()
 
     def tell(text: str) -> None:
         sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n")
 
-    found = identify(robot, args.data, settings, tell, args.scheduler)
+    found = _updated(args, tell) if args.update else _identified(args, tell)
     model = save_model(found.model, args.out)
+    if args.keep:
+        from stopset.offline.adaptive import save_state
+
+        assert found.kept is not None
+        save_state(args.keep, found.kept, model)
     say(summary(found))
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
+    if args.keep:
+        say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
     if args.json:
         from stopset.offline.compare import answer, compare
 
@@ -92,8 +114,47 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
+    from stopset.offline.identify import Settings, identify
+    from stopset.robot import load_robot
+
+    if args.robot is None:
+        raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
+    if args.state is not None:
+        raise StopsetError(f"--state {args.state} is only read by --update; name the model it belongs to, or leave it out")
+    robot = load_robot(args.robot)
+    settings = Settings(
+        model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
+        conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
+    )  # fmt: skip
+    return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep is not None)
+
+
+def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
+    from stopset.artifact import load_model
+    from stopset.offline.adaptive import load_state, update
+
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    given = [
+        f"--{name}"
+        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands")
+        if getattr(args, name) != parser.get_default(name)
+    ]
+    if given:
+        raise StopsetError(f"{', '.join(given)} cannot be given with --update: they stay those of {args.update}; leave them out")
+    if args.state is None:
+        raise StopsetError(
+            f"--update needs the sums behind {args.update}; expected --state FILE.state: identify once with --keep FILE.state"
+        )
+    model = load_model(args.update)
+    return update(model, load_state(args.state, model), args.data, tell, args.scheduler)
+
+
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    from stopset.offline.conform.bands import narrower
+
     m, c = found.model, found.conformance
     s = m.powered
     n = m.n
@@ -112,6 +173,9 @@ def summary(found: Identification) -> str:
     lines += ["", f"sum of U widths {s.U.width.sum():.2f} N m (margin {s.margin:.2f}; without margin:"]
     lines += [f"  {name:<32}{fit.U.width.sum():8.2f} N m" for name, fit in c.table.items()]
     lines.append("  ) the first is the chosen case; 'start' restarts predictions only at each trial's start, as the paper does")
+    for b in narrower(m):
+        tube = "" if b.tube_share is None else f"position tube {b.tube:.4f} rad, {b.tube_share:.0%} of the whole's; "
+        lines.append(f"  {b.band:<17} {b.at:<20} {tube}U {b.torque:.2f} N m, {b.torque_share:.0%}")
     lines += ["", "what fixes the bounds of U:"]
     lines += [
         f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import pkgutil
 import sys
 from collections.abc import Sequence
@@ -12,6 +13,10 @@ from typing import NoReturn
 
 from stopset import cli
 from stopset.errors import StopsetError
+
+# matrices here are small: threads of the linear algebra library would only wait for each other
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
 
 NOT_COMMANDS = {"main", "common"}
 FOOTER = "Monitoring aid, not a certified safety function: see the README before you rely on a number."

@@ -33,7 +33,7 @@ from stopset.offline.output_error import fit_joint
 from stopset.offline.parts import Range, in_parts, within
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.survey import Source, Survey, Tally, on_grid, survey, tallied
-from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings
+from stopset.recording import Meta, Recording, Recordings, read_meta, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -87,6 +87,10 @@ class Kept:
     session: tuple[int, int]  # most repeats and trials: what it counts warming in
     dt: float  # [s] the sets' grid
     bands: Bands | None
+    motion: dict[Suite, int]
+    fitted_files: int  # how many of the files the nominal model was fitted to
+    notes: tuple[str, ...] = ()  # of the model as it was made from these sums alone
+    more_notes: tuple[str, ...] = ()  # that its model got later
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,12 +123,13 @@ def identify(
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
     ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
-    later recordings can be added to (`stopset.offline.adaptive`).
+    later recordings can be added to (`stopset.offline.adaptive`); ``known``: numbers of those of ``settings.effects``
+    that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
     chosen = settings or Settings()
-    meta = _meta(paths)
+    meta = common_meta(paths)
 
     def source() -> Iterator[Recording]:
         return stream_recordings(paths, robot)
@@ -136,7 +141,13 @@ def identify(
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
-    nominal = fit_nominal(robot, meta, lambda: (r for r in source() if r.motion not in held), learnt, chosen)
+
+
+    def learning() -> Iterator[Recording]:
+        return (r for r in source() if r.motion not in held)
+
+    numbers = known_effects(robot, meta, learning, chosen, known)
+    nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
     if chosen.model != 1 or chosen.order not in (None, 1):
         nominal = _abstracted(nominal, learnt, chosen, meta.effort)
     if keep and not nominal.abstraction.linear:
@@ -157,12 +168,11 @@ def fit_nominal(
 
 
 def known_effects(
-    robot: Robot, meta: Meta, paths: Sequence[str | Path], settings: Settings, known: tuple[Fitted, ...] = ()
+    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = ()
 ) -> tuple[Fitted, ...]:
-    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from motor torque; ``known``
-    ones kept.
+    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from the motor torque of ``source``.
 
-    Raises `EffectError` for an effect that these recordings show no trace of.
+    ``known`` ones are kept.  Raises `EffectError` for an effect that these recordings show no trace of.
     """
     if meta.effort == "compensated_torque":
         return ()  # fitted with everything else, by output error
@@ -171,7 +181,8 @@ def known_effects(
         effect, _ = parse_effect(name, robot)
         if effect.base or any(matches(f, name) for f in out):
             continue
-        found = find(robot, read_recordings(paths, robot), tuple(out), effect.name, name.partition(":")[2] or None)
+        trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
+        found = find(robot, trials, tuple(out), effect.name, name.partition(":")[2] or None)
         if found is None:
             raise EffectError(f"{name}: these recordings show no trace of it, so its numbers cannot be estimated; leave it out")
         out.append(found)
@@ -183,7 +194,7 @@ def nominal_figures(
     held: Callable[[Recording], bool], known: tuple[Fitted, ...] = (),
 ) -> dict[str, dict[str, Any]]:  # fmt: skip
     """Errors per joint on the ``held`` trials of a nominal model fitted to the ``train`` trials alone."""
-    meta = _meta(paths)
+    meta = common_meta(paths)
     everything = survey(lambda: stream_recordings(paths, robot))
 
     def part(keep: Callable[[Recording], bool]) -> Source:
@@ -197,7 +208,7 @@ def nominal_figures(
     return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))
 
 
-def _meta(paths: Sequence[str | Path]) -> Meta:
+def common_meta(paths: Sequence[str | Path]) -> Meta:
     metas = [read_meta(p) for p in paths]
     kinds = {m.effort for m in metas}
     if len(kinds) != 1:
@@ -301,17 +312,17 @@ def _with_sets(
         figures.add(r, u)
     tell("identifying the sets along the nominal solutions")
 
-    def sets_of(some: Pairs, margin: float | None) -> Conformance:
-        options = Options(settings.conform, settings.windows, margin)
+    def sets_of(some: Pairs) -> Conformance:
+        options = Options(settings.conform, settings.windows, settings.margin)
         return conform_nonlinear(
             some, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
         )  # fmt: skip
 
-    result = sets_of(pairs, settings.margin)
+    result = sets_of(pairs)
     by_band = {}
     if bands is not None and found.temp is not None:
         for k in range(bands.number):
-            sets = sets_of(_in_band(pairs, bands, k), float(result.margins.max())).sets
+            sets = sets_of(_in_band(pairs, bands, k)).sets
             by_band[band_name(k)] = replace(sets, temp=bands.band(k, found.temp))
     return _packed(robot, meta, found, nominal, settings, figures, result, by_band)
 
@@ -357,7 +368,7 @@ def concluded(
     result = conform(gathered, *shared, found.trials, learnt)
     by_band = {}
     if bands is not None and found.temp is not None:
-        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt)
+        by_band = band_sets(gathered, bands, found.temp, *shared, learnt)
     out = _packed(robot, meta, found, nominal, settings, sums.figures, result, by_band)
     if tally is None:
         return out
@@ -365,7 +376,9 @@ def concluded(
     fitted = found.learnt or frozenset(found.motion) - found.held_out
     session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
-    return replace(out, kept=Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands))
+    files = len(meta.sources)
+    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, found.motion, files, out.model.notes)
+    return replace(out, kept=kept)
 
 
 def _packed(
@@ -378,7 +391,8 @@ def _packed(
     notes = list(result.notes)
     if by_band:
         notes.append(
-            "temperature bands have the margin of the whole; of motions not yet seen only the whole's sets promise anything"
+            "the sets of temperature bands enclose all that was recorded at these temperatures; of motions not yet seen only the "
+            "whole's sets promise anything"
         )
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,

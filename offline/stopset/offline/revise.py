@@ -60,7 +60,9 @@ def add(
     known = with_it = _known(model)
     if model.effort != "compensated_torque":
         tell(f"estimating {name}")
-        fitted = find(robot, read_recordings(paths, robot), known, effect, joint)
+        everything = read_recordings(paths, robot)
+        half = replace(everything, trials=tuple(r for r in everything if r.phase == "static" or not held(r)))
+        fitted = find(robot, half, known, effect, joint)
         if fitted is None:
             # no trace in the data, so there are no numbers to add, even if forced
             now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
@@ -74,7 +76,7 @@ def add(
     if not helps and not force:
         return Revised(None, before, after, False, judged_on)
     tell("identifying the new revision")
-    fresh = identify(robot, paths, more, tell, known=with_it).model
+    fresh = identify(robot, paths, more, tell, known=known).model
     tell("bounding stops before and after")
     before |= dict(model.revisions[-1].after) if model.revisions else {}
     before |= stop_figures(model, model)
