@@ -15,6 +15,7 @@ from stopset.offline.diagnose.noise import whiten
 from stopset.offline.diagnose.prepare import Array
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/effects/README.md for its calibration on healthy campaigns
+LOUD = 2.0  # residual variance over the sensors' noise from which on that noise can't pass for an effect
 SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
 MAX_CLAIMS = 12
@@ -79,6 +80,26 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     return out
 
 
+def _exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wanted]:
+    """Uncalmed columns of elasticity and delay, for the joints whose rows hold far more than the position's noise.
+
+    There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
+    """
+    loudest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > LOUD), key=lambda j: -hyper.kappa[j])[:3]
+    out: list[Wanted] = []
+    for effect in catalogue().values():
+        if names is not None and effect.name not in names:
+            continue
+        for j in loudest:
+            if effect.enters == "input_delay":
+                out.extend((effect, (j,), {"d0": lag, "exact": 1.0}) for lag in LAGS)
+            elif effect.name == "elasticity":
+                M = float(np.median(engine.source.mass[:, j, j]))
+                grid = [K for K in effect.shapes[0].grid if _swings(engine, j, K)]
+                out.extend((effect, (j,), {"K": K, "D": 0.1 * float(np.sqrt(K * M)), "exact": 1.0}) for K in grid)
+    return out
+
+
 def _swings(engine: Engine, joint: int, K: float) -> bool:
     """Whether a stiffness gives a period that rows can show: 0.1 to 1.5 s."""
     M = float(np.median(engine.source.mass[:, joint, joint]))
@@ -90,6 +111,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
     candidates = engine.add_all(wanted(engine, names))
     ripple = catalogue().get("torque_ripple") if names is None or "torque_ripple" in names else None
     hyper, p = engine.fit()
+    candidates += engine.add_all(_exact(engine, hyper, names))
     excess = _excess(engine, p.theta, hyper)
     claims: list[Claim] = []
     left: list[Scored] = []
@@ -176,7 +198,7 @@ def _refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
 def _sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     """A delay or an elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
     effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
-    if effect.enters != "input_delay" and effect.name != "elasticity":
+    if "exact" in start or (effect.enters != "input_delay" and effect.name != "elasticity"):
         return scored
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
@@ -210,7 +232,7 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     if "d0" in shapes:
         best = scored
         for _ in range(6):
-            s = value({"d0": 0.5 * (float(best.theta[0]) + best.candidate.shapes["d0"])})
+            s = value({**shapes, "d0": 0.5 * (float(best.theta[0]) + best.candidate.shapes["d0"])})
             if s is None or abs(s.candidate.shapes["d0"]) < SHORTEST_LAG:
                 break
             best = s
@@ -220,7 +242,8 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     elif effect.shapes:
         best_value = value(shapes)
         steps = {p.symbol: (0.35 if effect.name == "torque_ripple" else 0.6) for p in effect.shapes}
-        while best_value is not None and max(steps.values()) > 0.02:
+        finest = 0.06 if "exact" in shapes else 0.02  # an exact swing costs a rigid-body pass per trial value
+        while best_value is not None and max(steps.values()) > finest:
             for p in effect.shapes:
                 for side in (1.0, -1.0):
                     x, h = shapes[p.symbol], side * steps[p.symbol]
