@@ -13,6 +13,7 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare import Comparison, inputs
+from stopset.offline.conform.bands import narrower
 from stopset.offline.explained import explained
 from stopset.offline.report import COLOURS, Page
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
@@ -157,7 +158,7 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
 
 def _cases(model: Model) -> list[tuple[UncertaintySets, str]]:
     """All states in light grey, then position only in dark grey."""
-    by_case = {s.conform: s for s in model.sets.values()}
+    by_case = {s.conform: s for name, s in model.sets.items() if name.startswith("powered") and s.temp is None}
     shades = (("all", "rgba(150,150,150,0.35)"), ("position", "rgba(80,80,80,0.35)"))
     return [(by_case[case], colour) for case, colour in shades if case in by_case]
 
@@ -212,6 +213,23 @@ def _table2(out: Page, model: Model) -> None:
             head,
             rows,
             f"{name}: {s.conform} states, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m",
+        )
+    bands = narrower(model)
+    if bands:
+        out.table(
+            [
+                "temperature band",
+                "mean of the joints",
+                "position tube [rad]",
+                "of the whole's",
+                "U widths [N m]",
+                "of the whole's",
+            ],
+            [
+                [b.band, b.at, b.tube, None if b.tube_share is None else f"{b.tube_share:.0%}", b.torque, f"{b.torque_share:.0%}"]
+                for b in bands
+            ],
+            "How much narrower the sets are where the temperature is known (mean width of the position tube, and of U, summed over joints)",
         )
     active = [a for a in model.powered.active if a.bound.startswith("U")]
     out.table(

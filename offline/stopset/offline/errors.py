@@ -80,6 +80,21 @@ class Figures:
         out.u = self.u | other.u if self.u is not None and other.u is not None else self.u or other.u
         return out
 
+    def rows(self) -> tuple[list[tuple[int, Array]], dict[tuple[str, int], list[tuple[int, Array]]], Box | None]:
+        """All that was taken in: sums by place and kind, window errors by suite and place, hull of the inputs."""
+        self._flush()
+        return self._rows, self._repeats, self.u
+
+    @classmethod
+    def of(
+        cls, abstraction: Abstraction, dt: float, rows: list[tuple[int, Array]],
+        repeats: dict[tuple[str, int], list[tuple[int, Array]]], u: Box | None,
+    ) -> Figures:  # fmt: skip
+        """What `rows` gave, to merge with figures of later trials."""
+        out = cls(abstraction, dt)
+        out._rows, out._repeats, out.u = rows, repeats, u
+        return out
+
     def result(self, joints: tuple[str, ...]) -> dict[str, dict[str, Any]]:
         """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse`` (SI).
 

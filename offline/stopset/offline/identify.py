@@ -142,7 +142,6 @@ def identify(
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
 
-
     def learning() -> Iterator[Recording]:
         return (r for r in source() if r.motion not in held)
 
@@ -312,17 +311,17 @@ def _with_sets(
         figures.add(r, u)
     tell("identifying the sets along the nominal solutions")
 
-    def sets_of(some: Pairs) -> Conformance:
-        options = Options(settings.conform, settings.windows, settings.margin)
+    def sets_of(some: Pairs, margin: float | None) -> Conformance:
+        options = Options(settings.conform, settings.windows, margin)
         return conform_nonlinear(
             some, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
         )  # fmt: skip
 
-    result = sets_of(pairs)
+    result = sets_of(pairs, settings.margin)
     by_band = {}
     if bands is not None and found.temp is not None:
         for k in range(bands.number):
-            sets = sets_of(_in_band(pairs, bands, k)).sets
+            sets = sets_of(_in_band(pairs, bands, k), float(result.margins.max())).sets
             by_band[band_name(k)] = replace(sets, temp=bands.band(k, found.temp))
     return _packed(robot, meta, found, nominal, settings, figures, result, by_band)
 
@@ -368,7 +367,7 @@ def concluded(
     result = conform(gathered, *shared, found.trials, learnt)
     by_band = {}
     if bands is not None and found.temp is not None:
-        by_band = band_sets(gathered, bands, found.temp, *shared, learnt)
+        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt)
     out = _packed(robot, meta, found, nominal, settings, sums.figures, result, by_band)
     if tally is None:
         return out
@@ -391,8 +390,8 @@ def _packed(
     notes = list(result.notes)
     if by_band:
         notes.append(
-            "the sets of temperature bands enclose all that was recorded at these temperatures; of motions not yet seen only the "
-            "whole's sets promise anything"
+            "the sets of temperature bands have the margin of the whole and enclose all that was recorded at these temperatures; "
+            "of motions not yet seen only the whole's sets promise anything"
         )
     model = Model(
         robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,

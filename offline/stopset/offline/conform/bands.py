@@ -2,7 +2,8 @@
 
 Bands are cut by warmth (`stopset.artifact.TemperatureBand`) at quantiles of the trials' means.  A trial counts in every
 band that one of its samples lies in, so that whatever was recorded at a temperature is enclosed by that temperature's sets.
-The linear program and the margin are those of the whole.
+The linear program and the margin are those of the whole, and a band's trials are some of the whole's: what the program
+minimises, the width of the tube, is then never larger than the whole's.  A single set may be, where another one shrank.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySets
 from stopset.errors import RecordingError
 from stopset.offline.conform import guarantee as g
-from stopset.offline.conform.linear import Fit, fit_sets
+from stopset.offline.conform.linear import age_weights, fit_sets
 from stopset.offline.conform.sets import Gathered, Options, divided, enclosing
-from stopset.reach.flowpipe import responses
+from stopset.reach.flowpipe import deviation_tube, responses
 from stopset.recording import Recording
 from stopset.sets import Box
 
@@ -79,7 +80,7 @@ def band_sets(
     found: Gathered, bands: Bands, seen: Box, factors: Array, abstraction: Abstraction, joints: tuple[str, ...], noise: Box,
     dt: float, horizon: float, options: Options, learnt: Collection[int] = (),
 ) -> dict[str, UncertaintySets]:  # fmt: skip
-    """Sets of every band by name, in the way of the whole's; ``factors`` (n,): its margin; ``seen``: hull of temperatures.
+    """Sets of every band by name; ``factors`` (n,): margin of the whole; ``seen``: hull of temperatures (n,) [degC].
 
     Motions held out from the whole are held out here too, then enclosed.
     """
@@ -89,7 +90,7 @@ def band_sets(
     for k, parts in sorted(found.bands.items()):
         everything = g.union(list(parts.values()))
         fitted = g.union([parts[m] for m in parts if m in used] or list(parts.values()))
-        fit: Fit = fit_sets(fitted, R, noise, abstraction, joints, "all")
+        fit = fit_sets(fitted, R, noise, abstraction, joints, "all")
         if options.conform == "position":
             fit = fit_sets(fitted, R, fit.V, abstraction, joints, "position")
         final = enclosing(g.inflated(fit, factors), R, everything, abstraction.decoupled)
@@ -105,14 +106,37 @@ def name(k: int) -> str:
     return f"powered, band {k + 1}"
 
 
-def narrower(model: Model) -> list[tuple[str, str, float, float]]:
-    """Per band: name, mean temperature of its coldest and hottest edge in words, sum of U widths [N m], share of the whole's."""
-    whole = float(model.powered.U.width.sum())
+@dataclass(frozen=True, slots=True)
+class Narrower:
+    """How the sets of a band compare with the whole's: sum of U widths [N m] and mean width of the position tube [rad]."""
+
+    band: str
+    at: str  # mean temperature of the joints at its edges
+    torque: float
+    torque_share: float
+    tube: float | None  # None where the tube depends on the motion
+    tube_share: float | None
+
+
+def narrower(model: Model) -> list[Narrower]:
+    """Every band beside the whole; tubes up to the horizon they share, ages weighted as in the sets' cost, joints added."""
     rows = []
     for title, s in model.sets.items():
-        if s.temp is not None:
-            reference = s.temp.reference
-            at = [float((reference.lo + w * reference.width).mean()) for w in (s.temp.lo, s.temp.hi)]
-            width = float(s.U.width.sum())
-            rows.append((title, f"{at[0]:.1f} to {at[1]:.1f} degC", width, width / max(whole, 1e-300)))
+        if s.temp is None:
+            continue
+        reference = s.temp.reference
+        at = [float((reference.lo + w * reference.width).mean()) for w in (s.temp.lo, s.temp.hi)]
+        tube = whole = None
+        if model.abstraction.linear:
+            steps = round(min(s.horizon, model.powered.horizon) / s.dt)
+            tube, whole = (_tube_width(model.abstraction, x, steps) for x in (s, model.powered))
+        torque, all_torque = float(s.U.width.sum()), float(model.powered.U.width.sum())
+        share = None if tube is None or whole is None else tube / whole
+        rows.append(Narrower(title, f"{at[0]:.1f} to {at[1]:.1f} degC", torque, torque / max(all_torque, 1e-300), tube, share))
     return rows
+
+
+def _tube_width(abstraction: Abstraction, sets: UncertaintySets, steps: int) -> float:
+    tube = deviation_tube(abstraction, sets)
+    width = (tube.hi - tube.lo)[1 : steps + 1, : abstraction.n].sum(axis=1)
+    return float(age_weights(steps, sets.dt) @ width)

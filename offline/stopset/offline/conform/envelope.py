@@ -63,7 +63,7 @@ class Envelope:
         m = min(steps, len(self.hi) - 1) + 1
         for name in ("hi", "lo", "hi_at", "lo_at", "count"):
             getattr(out, name)[:m] = getattr(self, name)[:m]
-        out.labels = self.labels
+        out.labels = list(self.labels)
         return out
 
     def where(self, bound: str, age: int, state: int, side: str, joints: tuple[str, ...]) -> ActiveBound:

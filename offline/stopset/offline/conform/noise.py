@@ -76,6 +76,17 @@ class NoiseEstimate:
             self._spread.setdefault(r.motion, []).append(spread(x))
             self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
 
+    def kept(self) -> tuple[dict[Suite, list[Array]], dict[Suite, Array]]:
+        """Spreads (2n,) of all trials and quantum (2n,) by suite."""
+        return self._spread, self._quantum
+
+    @classmethod
+    def of(cls, spread: dict[Suite, list[Array]], quantum: dict[Suite, Array]) -> NoiseEstimate:
+        """The estimate that `kept` was taken from."""
+        out = cls()
+        out._spread, out._quantum = spread, quantum
+        return out
+
     def box(self, without: Collection[Suite] = ()) -> Box:
         """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations), ``without`` some suites.
 
