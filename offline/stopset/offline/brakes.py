@@ -38,6 +38,9 @@ WIDENINGS = 6
 WIDEN = 1.15  # of the intervals, per round, until the training stops are enclosed
 PIECES = 4
 OUTLIER = 9.0  # squared misfit per sample (three times the noise) beyond which a stop counts no more
+SIGNIFICANT = 9.0  # squared misfit, three standard deviations of one parameter
+FAR = 3.7  # times the median deviation: 2.5 standard deviations of a normal population
+SHARP = 0.012  # [s] a delay known no better than this is not counted
 REST = 15  # samples at the end of a stop that tell the noise
 
 
@@ -221,9 +224,12 @@ def _fit_joint(curves: list[Impulse], guess: float, friction: float) -> tuple[fl
     _, level, rise = best
     told, own = [], []
     for c in curves:
-        d = float(delays[int(np.argmin(_misfits(c, drift, delays, rise, np.array([level]))[0]))])
-        if np.count_nonzero(c.t > d + 0.5 * rise) < 2:
-            continue  # it came to rest before its brake told anything
+        cost = _misfits(c, drift, delays, rise, np.array([level]))[0]
+        d = float(delays[int(np.argmin(cost))])
+        alike = delays[cost < cost.min() + SIGNIFICANT]
+        # a stop tells its delay if it shows the brake at all, and when: not if the joint came to rest before
+        if np.ptp(alike) > SHARP or float(alike[-1]) > float(c.t[-1]) - 0.5 * rise:
+            continue
         told.append(d)
         if np.count_nonzero(c.t > d + rise) >= 5:
             near = delays[np.abs(delays - d) < 0.015]
@@ -265,7 +271,7 @@ def _fit_brakes(model: Model, stops: list[Recording], notes: list[str]) -> tuple
         torque = _spread(levels) if len(levels) >= 3 else (0.85 * level, 1.15 * level)
         rows.append((torque, _spread(delay), (0.6 * rise, 1.4 * rise)))
         delays.append(delay)
-    _share_delays(rows, delays)
+    _share_delays(rows, delays, notes)
     if not any(rows):
         notes.append("no joint was still moving when its brake engaged; brakes cannot be identified from these stops")
         return None, None
@@ -274,14 +280,19 @@ def _fit_brakes(model: Model, stops: list[Recording], notes: list[str]) -> tuple
     return brakes, _guarantee(model, brakes, held, len(train))
 
 
-def _share_delays(rows: list[tuple[tuple[float, float], ...] | None], delays: list[Array]) -> None:
+def _share_delays(rows: list[tuple[tuple[float, float], ...] | None], delays: list[Array], notes: list[str]) -> None:
     """One delay interval for all joints whose delays do not differ by more than they scatter: one power stage cuts them."""
     told = [i for i, r in enumerate(rows) if r is not None]
     if len(told) < 2:
         return
     everything = np.concatenate(delays)
-    apart = [abs(float(np.mean(d)) - float(np.mean(everything))) for d in delays]
-    if max(apart) > float(np.std(everything, ddof=1)):
+    middle = float(np.median(everything))
+    near = np.abs(everything - middle) <= FAR * max(float(np.median(np.abs(everything - middle))), 1e-3)
+    if not np.all(near):
+        notes.append(f"{int(np.sum(~near))} of {len(near)} brake delays lie far from the others and were left out of the hull")
+        everything = everything[near]
+    apart = [abs(float(np.median(d)) - middle) for d in delays]
+    if max(apart) > 2.0 * float(np.std(everything, ddof=1)):
         return
     for i in told:
         torque, _, rise = rows[i]  # type: ignore[misc]

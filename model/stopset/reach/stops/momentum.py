@@ -112,7 +112,7 @@ def start_momentum(at: Local, v_lo: Array, v_hi: Array, b: Bands) -> Momentum:
 @njit(cache=True, inline="always")
 def _fastest(i: int, before: Bands, after: Bands) -> float:
     fast = max(abs(before.first_lo[i]), abs(before.first_hi[i]))
-    return max(fast, max(abs(after.first_lo[i]), abs(after.first_hi[i])))
+    return float(max(fast, max(abs(after.first_lo[i]), abs(after.first_hi[i]))))
 
 
 @njit(cache=True)

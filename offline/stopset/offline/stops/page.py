@@ -88,8 +88,8 @@ def build_page(
     if measured:
         _measured_part(page, measured, model)
     page.heading("What the numbers rest on")
-    for a in assumptions:
-        page.text(a)
+    for sentence in assumptions:
+        page.text(sentence)
     return page
 
 

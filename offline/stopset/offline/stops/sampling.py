@@ -82,7 +82,7 @@ def sample_stops(
     np.random.seed(seed)
     n = q.shape[0]
     steps = int(np.ceil(tube.t[-1] / DT)) + 2
-    times = np.arange(steps + 1) * DT
+    times = np.linspace(0.0, steps * DT, steps + 1)
     dl, dh, vl, vh = tube_at(tube, times)
     forward, back, time = np.zeros(n), np.zeros(n), np.zeros(n)
     tcp, excess, escaped = 0.0, 0.0, 0
