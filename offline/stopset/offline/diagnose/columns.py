@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from stopset.effects import REFERENCE_TEMPERATURE, Effect, Signals
-from stopset.offline.diagnose.prepare import CREEP, Array, Mask, Prepared
+from stopset.offline.diagnose.prepare import CREEP, Array, Index, Mask, Prepared
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, mass_matrix, regressors, torques
 
@@ -248,7 +248,7 @@ def memory(effect: Effect, s: Signals, shapes: Mapping[str, float], start: Mask,
         live = np.flatnonzero(length > k + 1)
         at = first[live] + k
 
-        def rate(x: Array, at: Array) -> Array:
+        def rate(x: Array, at: Index) -> Array:
             here = replace(s, memory=tuple(x), **{name: v[at] for name, v in arrays.items()})
             return np.stack([np.broadcast_to(r, (len(at),)) for r in effect.rates(here, shapes)])
 

@@ -10,7 +10,7 @@ import numpy as np
 from stopset.effects import Effect
 from stopset.offline.diagnose.columns import Source, columns
 from stopset.offline.diagnose.evidence import SIGMAS, JointGram, Projection, gain, project
-from stopset.offline.diagnose.prepare import Array, Index, Prepared, prepare
+from stopset.offline.diagnose.prepare import Array, Index, Mask, Prepared, prepare
 from stopset.offline.diagnose.rows import JointRows, joint_rows, pose_scatter
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -220,7 +220,7 @@ class Engine:
         sd[self.rotors] *= max(1.0, scale)  # smoothing itself moves a rotor inertia by a per cent or two
         return 1.0 / np.concatenate([sd[1:], *(c.sd for c in self.active)]) ** 2
 
-    def total(self, hyper: Hyper, folds: Array | None = None) -> tuple[Array, float]:
+    def total(self, hyper: Hyper, folds: Mask | None = None) -> tuple[Array, float]:
         """(C, C) Gram of all joints and the friction scales' log determinant."""
         G, logdet = np.zeros((self.size, self.size)), 0.0
         for gram, s, k in zip(self.grams, hyper.sigma, hyper.kappa, strict=True):

@@ -119,7 +119,8 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         ripples = engine.add_all(_ripples(engine, p.theta, hyper, ripple)) if ripple else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in ripples)]
-        left = engine.scores(pool, hyper)
+        fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > LOUD]
+        left = engine.scores(fit, hyper)
         taken = {c.key for c in engine.active}
         best = _refined(engine, [s for s in left if s.candidate.key not in taken], hyper)
         best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
