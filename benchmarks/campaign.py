@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
+
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import load_robot
 
@@ -56,7 +57,18 @@ def measure(count: int, folder: Path) -> tuple[float, float]:
     meta = Meta(joints=robot.joints, robot="LWA-4P, synthetic", effort="compensated_torque", rate_hz=RATE)
     write_recordings(data, meta, trials(count, robot.n))
     start = time.monotonic()
-    command = [sys.executable, "-m", "stopset.cli.main", "identify", "--robot", "lwa4p", "--data", str(data), "--out", str(folder / "m.json")]
+    command = [
+        sys.executable,
+        "-m",
+        "stopset.cli.main",
+        "identify",
+        "--robot",
+        "lwa4p",
+        "--data",
+        str(data),
+        "--out",
+        str(folder / "m.json"),
+    ]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
 

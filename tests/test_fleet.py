@@ -12,13 +12,15 @@ import time
 from pathlib import Path
 
 import pytest
+
 from stopset.cli.main import main
 
 pytest.importorskip("distributed")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from campaign import RATE, trials  # noqa: E402
-from stopset.recording import Meta, write_recordings  # noqa: E402
-from stopset.robot import load_robot  # noqa: E402
+from campaign import RATE, trials
+
+from stopset.recording import Meta, write_recordings
+from stopset.robot import load_robot
 
 TRIALS = 400
 LOOPBACK = "tcp://127.0.0.1"

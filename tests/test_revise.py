@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+
 from stopset.cli.main import main
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"

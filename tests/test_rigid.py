@@ -6,12 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stopset.robot import Robot, load_robot
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, regressor, torque
 
 pin = pytest.importorskip("pinocchio")
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-ARMS = ["lwa4p", *sorted(str(p) for p in SHARED.glob("*/robot.urdf")), *(str(SHARED / f"hidden_effect/{d}/robot.urdf") for d in ("d01", "d03", "d04"))]
+ARMS = [
+    "lwa4p",
+    *sorted(str(p) for p in SHARED.glob("*/robot.urdf")),
+    *(str(SHARED / f"hidden_effect/{d}/robot.urdf") for d in ("d01", "d03", "d04")),
+]
 # both sides sum some 10^3 products of order 10^2 in double precision
 TOLERANCE = 1e-10
 
