@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -249,7 +250,8 @@ def memory(effect: Effect, s: Signals, shapes: Mapping[str, float], start: Mask,
         at = first[live] + k
 
         def rate(x: Array, at: Index) -> Array:
-            here = replace(s, memory=tuple(x), **{name: v[at] for name, v in arrays.items()})
+            now: dict[str, Any] = {name: v[at] for name, v in arrays.items()}
+            here = replace(s, memory=tuple(x), **now)
             return np.stack([np.broadcast_to(r, (len(at),)) for r in effect.rates(here, shapes)])
 
         r1 = rate(x[:, live], at)
