@@ -73,6 +73,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.write(f"stopset: {words[0]} needs the package {e.name}; install stopset[all]\n")
         return 2
+    except BrokenPipeError:
+        # whoever read our output has left (`stopset ... | head`): nothing more can be said, and nothing is wrong
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         sys.stderr.write("stopset: interrupted\n")
         return 130

@@ -18,6 +18,7 @@ from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError, NotCovered, RecordingError
 from stopset.offline.abstraction.identified import best_order
+from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.conform.bands import Bands, band_sets, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.guarantee import split
@@ -154,7 +155,17 @@ def identify(
             f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; leave --keep "
             "out, or take the linear model (--model 1 --order 1)"
         )
-    return _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep else None)
+    out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep else None)
+    return replace(out, model=_with_stops(out.model, source, tell))
+
+
+def _with_stops(model: Model, source: Source, tell: Tell) -> Model:
+    """Brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
+    stops = [r for r in source() if r.phase in ("stop0", "stop1")]
+    if not stops or model.effort == "compensated_torque":
+        return model
+    tell(f"brakes and ramps from {len(stops)} recorded stops")
+    return with_stops(model, identify_stops(model, stops))
 
 
 def fit_nominal(
@@ -446,8 +457,8 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
 def assumed_brakes(robot: Robot) -> Brakes | None:
     """Brakes from the data sheet, as an assumption until stops were recorded; None where the sheet gives no torque.
 
-    Delay [5, 60] ms and rise [5, 30] ms cover small servo brakes with fast and slow suppression; torque +-30 % covers
-    wear, oil and temperature.
+    Delay [5, 100] ms and rise [5, 30] ms cover servo brakes with fast and slow suppression: vendors give up to 100 ms until
+    a brake holds; torque +-30 % covers wear, oil and temperature.
     """
     drives = robot.drives
     nominal = np.array([d.brake_torque for d in drives])
@@ -461,7 +472,7 @@ def assumed_brakes(robot: Robot) -> Brakes | None:
     tolerance = np.array([d.brake_tolerance if np.isfinite(d.brake_tolerance) else 0.3 for d in drives])
     return Brakes(
         torque=Box(nominal * (1 - tolerance), nominal * (1 + tolerance)),
-        delay=interval([d.brake_delay for d in drives], (0.005, 0.06)),
+        delay=interval([d.brake_delay for d in drives], (0.005, 0.1)),
         rise=interval([d.brake_rise for d in drives], (0.005, 0.03)),
         source="data sheet and assumed tolerances",
     )
