@@ -18,6 +18,7 @@ from stopset.offline.adaptive import from_scratch, load_state, save_state, updat
 from stopset.offline.adaptive_file import ENVELOPE
 from stopset.offline.identify import Identification, Kept, Settings, identify
 from stopset.recording import Recording
+from stopset.sets import Box
 from synthetic import arm, names, recordings, save_trials
 
 JOINTS = names(2)
@@ -165,6 +166,21 @@ def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> N
     assert cold is not None and hot is not None
     assert cold.hi == hot.lo == model.sets["powered, band 1"].temp.hi, "the edges stay"  # type: ignore[union-attr]
     assert hot.hi > 1.2, "the last band ends with the hottest reading"
+
+
+def test_the_stop_regime_keeps_what_its_brakes_were_judged_with(nine: Campaign) -> None:
+    """Its torques grow by what is new, though the powered ones may move away; its noise and the brakes stay."""
+    powered = nine.model.powered
+    noise = Box.symmetric(np.full(4, 1e-3))
+    shifted = replace(powered, U=Box(powered.U.lo - 1.0, powered.U.hi - 1.0), X0=noise, V=noise)
+    model = replace(nine.model, sets={**nine.model.sets, "stop0": shifted}, provenance={**nine.model.provenance, "ramp": 3})
+    new = nine.write("stops.parquet", [*recordings(J, v, 1, seed=61), replace(recordings(J, v, 1, 1)[0], phase="stop0")])
+    added = update(model, nine.kept(), [new]).model
+    stop = added.sets["stop0"]
+    assert stop.U.encloses(added.powered.U) and stop.U.encloses(shifted.U)
+    assert np.array_equal(stop.V.hi, noise.hi) and np.array_equal(stop.X0.lo, noise.lo)
+    assert added.provenance["ramp"] == 3
+    assert any("1 stops of stops.parquet were not added" in x for x in added.notes)
 
 
 def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytest.CaptureFixture[str]) -> None:

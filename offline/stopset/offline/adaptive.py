@@ -142,8 +142,8 @@ def _revised(old: Model, fresh: Model, kept: Kept, added: str, notes: tuple[str,
     """``fresh`` as the next revision of ``old``, with what no recording of powered motion tells anything about."""
     sets = dict(fresh.sets)
     for regime, s in old.sets.items():
-        if regime == "stop0":  # torques of the powered regime, noise of its own
-            sets[regime] = replace(fresh.powered, X0=s.X0, V=s.V, active=())
+        if regime == "stop0":  # powered torques, noise of its own; the brakes were judged with the old ones, so these stay inside
+            sets[regime] = replace(fresh.powered, U=s.U | fresh.powered.U, X0=s.X0, V=s.V, active=())
         elif regime not in sets:
             sets[regime] = s
     number = old.revisions[-1].number + 1 if old.revisions else 1
