@@ -42,22 +42,22 @@ class JointFit:
 
 def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = ()) -> JointFit:
     """Fit one joint over all trials of the batch."""
-    base = _fit_lag(batch)
+    base = fit_lag(batch)
     columns = sum(len(t.effect.terms) for t in terms)
     p = np.concatenate([base, np.zeros(columns)])
     if columns:
-        p = _gauss_newton(batch, terms, p)
-    e, jacobian = _residuals(batch, terms, p, with_jacobian=True)
+        p = gauss_newton(batch, terms, p)
+    e, jacobian = residuals(batch, terms, p, with_jacobian=True)
     return _packed(batch, joint, terms, p, e, jacobian)
 
 
-def _fit_lag(batch: JointBatch) -> Array:
+def fit_lag(batch: JointBatch) -> Array:
     """``log J, log v, offset`` without effects: linear filters over the whole batch."""
     dt, weight = batch.dt, batch.inside
     impulse = np.cumsum(batch.u * dt, axis=0)
     elapsed = dt * np.arange(len(batch.u))[:, None]
 
-    def residuals(p: Array) -> Array:
+    def misfit(p: Array) -> Array:
         J, v, offset = np.exp(p[0]), np.exp(p[1]), p[2]
         decay, gain = np.exp(-v * dt / J), -np.expm1(-v * dt / J) / v
         drive = np.vstack([batch.dq[:1], gain * (batch.u[:-1] - offset)])
@@ -68,11 +68,11 @@ def _fit_lag(batch: JointBatch) -> Array:
         return np.concatenate([((batch.q - q) * weight).ravel(), (VELOCITY_TIME * (batch.dq - dq) * weight).ravel()])
 
     starts = ((1.0, 5.0), (5.0, 20.0), (12.0, 30.0))
-    fits = [least_squares(residuals, [np.log(J), np.log(v), 0.0], method="lm") for J, v in starts]
+    fits = [least_squares(misfit, [np.log(J), np.log(v), 0.0], method="lm") for J, v in starts]
     return np.asarray(min(fits, key=lambda r: float(r.cost)).x)
 
 
-def _residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jacobian: bool) -> tuple[Array, Array]:
+def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jacobian: bool) -> tuple[Array, Array]:
     """Weighted residuals (rows,) and their Jacobian (rows, parameters) by forward differences, one batched simulation."""
     step = 1e-4 * np.maximum(1.0, np.abs(p))
     P = np.vstack([p, p + np.diag(step)]) if with_jacobian else p[None, :]
@@ -87,17 +87,17 @@ def _residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_ja
     return e[0], ((e[1:] - e[0]) / step[: len(e) - 1, None]).T
 
 
-def _gauss_newton(batch: JointBatch, terms: Sequence[EffectTerm], p: Array) -> Array:
-    """Levenberg's damped steps until the cost falls no more."""
+def gauss_newton(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps: int = ITERATIONS) -> Array:
+    """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more."""
     damping = 1e-3
     lo = np.array([-np.inf] * 3 + [t.lo for x in terms for t in x.effect.terms])
     hi = np.array([np.inf] * 3 + [t.hi for x in terms for t in x.effect.terms])
-    for _ in range(ITERATIONS):
-        e, D = _residuals(batch, terms, p, with_jacobian=True)
+    for _ in range(steps):
+        e, D = residuals(batch, terms, p, with_jacobian=True)
         cost, A, g = float(e @ e), D.T @ D, D.T @ e
         for _ in range(6):
             trial = np.clip(p - np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g), lo, hi)
-            new = _residuals(batch, terms, trial, with_jacobian=False)[0]
+            new = residuals(batch, terms, trial, with_jacobian=False)[0]
             if float(new @ new) < cost:
                 damping = max(damping / 5.0, 1e-9)
                 break

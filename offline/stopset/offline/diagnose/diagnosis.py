@@ -50,6 +50,7 @@ class Ranked:
     parameters: dict[str, Parameter]
     look_at: str
     says: str
+    unit: str = "N m"  # of the errors: rad where a simulation is judged
 
     @property
     def label(self) -> str:
@@ -89,7 +90,7 @@ class Diagnosis:
                     "score": round(r.score, 2),
                     "error_before": r.error_before,
                     "error_after": r.error_after,
-                    "unit": "N m",
+                    "unit": r.unit,
                     "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
                     "look_at": r.look_at,
                     "says": r.says,
@@ -154,6 +155,10 @@ def diagnose(
 
 def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file; also says what the recordings were measured against."""
+    if model.effort == "compensated_torque":
+        from stopset.offline.diagnose.open_loop import diagnose_open_loop
+
+        return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
     robot, known, against = baseline(model, recordings)
     return diagnose(robot, recordings, model.effects, names=names, known=known), against
 
