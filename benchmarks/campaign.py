@@ -25,8 +25,8 @@ RATE, SECONDS = 250.0, 5.0
 REPEATS, STARTS = 15, 4
 
 
-def trials(count: int, joints: int, seed: int = 0) -> Iterator[Recording]:
-    """Open-loop trials of independent first-order joints with torque disturbances, offsets and encoder noise."""
+def trials(count: int, joints: int, seed: int = 0, scatter: float = 1.0) -> Iterator[Recording]:
+    """Open-loop trials of independent first-order joints with encoder noise and torque disturbances, ``scatter`` times the usual."""
     rng = np.random.default_rng(seed)
     N, dt = int(RATE * SECONDS), 1.0 / RATE
     J = np.array([1.9, 12.0, 1.9, 1.8, 0.55, 0.43])[:joints]
@@ -40,7 +40,9 @@ def trials(count: int, joints: int, seed: int = 0) -> Iterator[Recording]:
             amplitude, phase = shape.uniform(0.2, 0.6, joints) * v, shape.uniform(0, 2 * np.pi, joints)
             whole = amplitude * np.sin(2 * np.pi * np.outer(np.arange(2 * N) * dt, shape.uniform(0.1, 0.4, joints)) + phase)
         u = whole[N - (suite % STARTS) * (N // 8) :][:N]
-        push = lfilter([0.02], [1, -0.98], rng.normal(size=(N, joints)), axis=0) * 0.3 * v + rng.normal(size=joints) * 0.02 * v
+        push = scatter * (
+            lfilter([0.02], [1, -0.98], rng.normal(size=(N, joints)), axis=0) * 0.3 * v + rng.normal(size=joints) * 0.02 * v
+        )
         decay = np.exp(-v * dt / J)
         drive = (1 - decay) / v * (u + push)
         dq = np.stack([lfilter([1.0], [1.0, -a], np.r_[0.0, d[:-1]]) for a, d in zip(decay, drive.T, strict=True)], axis=1)

@@ -18,13 +18,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from campaign import RATE, trials
 
 TRIALS = 60  # four suites of fifteen repetitions
-WARMING = 0.2  # fall of the damping from the first to the last repetition, as on the real arm
+SCATTER = 0.3  # of the campaign's usual torque disturbances: an arm that repeats as well as the real one
+WARMING = 0.3  # fall of the damping from the first to the last repetition
 JOINT = 1
 
 
 def campaign(warming: float) -> Iterator[Recording]:
     """Trials of the synthetic arm whose joint `JOINT` rubs less the more often the motion was repeated."""
-    for r in trials(TRIALS, 6):
+    for r in trials(TRIALS, 6, scatter=SCATTER):
         cut = r.cut(0, 500)
         # less damping at the same motion is the same motion at less torque: u' = u - dv dq, exactly
         dv = warming * 27.0 * r.trial / 14.0

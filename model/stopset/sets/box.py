@@ -89,6 +89,7 @@ class Box:
         """Box hull of ``{E x}`` for a matrix ``E`` (m, d), rounded outward (trap P1: signs of ``E`` decide the corner)."""
         pos, neg = np.maximum(E, 0.0), np.minimum(E, 0.0)
         lo, hi = pos @ self.lo + neg @ self.hi, pos @ self.hi + neg @ self.lo
-        # d products and sums of rounding 2^-53 each
+        # d products and sums of rounding 2^-53 each, and products that vanish below the smallest normal number
         slack = 2.0**-52 * (self.dim + 1) * (np.abs(E) @ np.maximum(np.abs(self.lo), np.abs(self.hi)))
+        slack += (self.dim + 1) * np.finfo(np.float64).tiny
         return Box(lo - slack, hi + slack)
