@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stopset.artifact import Model, load_model
 from stopset.files import write_text
 from stopset.reach.flowpipe import deviation_tube, predict

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stopset.offline.diagnose.diagnosis import diagnose_model
 from stopset.offline.identify import identify
 from stopset.recording import Meta, Recording, read_recordings, write_recordings

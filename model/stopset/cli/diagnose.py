@@ -31,7 +31,9 @@ def run(args: argparse.Namespace) -> int:
     found, against = diagnose_model(model, recordings, names)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for rank, r in enumerate(found.ranked, start=1):
-        say(f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}")
+        say(
+            f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"
+        )
         for symbol, p in r.parameters.items():
             std = "" if p.std is None else f" +- {p.std:.2g}"
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")

@@ -37,7 +37,8 @@ def page(model: Model) -> Page:
 
 
 def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
-    names, values = [], []
+    names: list[str] = []
+    values: list[float] = []
     for r in model.revisions:
         if not values and key in r.before:
             names.append("before")
