@@ -22,9 +22,7 @@ SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 wher
 QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
 PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
 PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
-TELLING = (
-    0.33  # share of a joint's leftover that one claim must explain; else, with rest left, the cause is outside the catalogue
-)
+TELLING = 0.33  # share of a joint's leftover one claim must explain; else, with rest left, the cause is outside the catalogue
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 

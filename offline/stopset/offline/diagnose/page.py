@@ -5,12 +5,12 @@ from __future__ import annotations
 import plotly.graph_objects as go
 
 from stopset.artifact import Model
-from stopset.offline.diagnose.diagnosis import Diagnosis
+from stopset.offline.diagnose.diagnosis import QUIET, RESTLESS, Diagnosis
 from stopset.offline.report import Page, number
 
 WORDS = {
     "missing": "These effects are missing from the model, best first.",
-    "none": "Nothing is missing: what is left is the sensors' noise and the usual scatter of friction.",
+    "none": "No effect of the catalogue is missing: what is left is noise and the usual scatter of friction.",
     "unknown": "Something is missing that no effect of the catalogue explains.",
 }
 
@@ -23,10 +23,10 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
     if found.ranked:
         out.heading("Missing effects")
         out.table(
-            ("effect", "joint", "score", "torque error before [N m]", "after [N m]", "look at"),
-            [(r.effect, " + ".join(r.joints) or "whole arm", r.score, r.error_before, r.error_after, r.look_at)
+            ("effect", "joint", "score", "error before", "error after", "unit", "look at"),
+            [(r.effect, " + ".join(r.joints) or "whole arm", r.score, r.error_before, r.error_after, r.unit, r.look_at)
              for r in found.ranked],
-            "Score: twice the log Bayes factor. Errors: RMS on motions the fit has not seen.",
+            _caption(found),
         )  # fmt: skip
         out.figure(_bars(found), "How much each effect explains beyond everything ranked before it.")
         rows = []
@@ -45,12 +45,13 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
     if found.next_experiment:
         out.heading("Next experiment")
         out.text(found.next_experiment)
-    out.heading("Per joint")
-    out.table(
-        ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
-        [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
-        "A healthy joint stays below 2.5 and 0.06.",
-    )
+    if found.excess:
+        out.heading("Per joint")
+        out.table(
+            ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
+            [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
+            f"A healthy joint stays below {QUIET} and {RESTLESS}.",
+        )
     if found.not_identifiable:
         out.heading("Not identifiable from these recordings")
         for line in found.not_identifiable:
@@ -58,10 +59,20 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
     return out
 
 
+def _caption(found: Diagnosis) -> str:
+    """What the table's score and errors are; simulated trials are judged by position, everything else by torque."""
+    if found.ranked[0].unit == "rad":
+        return (
+            "Score: twice the log likelihood ratio, each held-out trial counted once. Errors: RMS position error of the open-loop "
+            "simulation on repetitions the fit has not seen."
+        )
+    return "Score: twice the log Bayes factor. Errors: RMS on motions the fit has not seen; each row follows those above it."
+
+
 def _bars(found: Diagnosis) -> go.Figure:
     names = [r.label for r in found.ranked][::-1]
     figure = go.Figure(go.Bar(x=[r.score for r in found.ranked][::-1], y=names, orientation="h", marker_color="#2a6f97"))
-    figure.update_xaxes(title="score (2 log Bayes factor)", type="log")
+    figure.update_xaxes(title="score", type="log")
     figure.update_yaxes(automargin=True)
     figure.update_layout(height=140 + 40 * len(names))
     return figure

@@ -14,7 +14,7 @@ from stopset.offline.diagnose.evidence import Projection
 from stopset.offline.diagnose.noise import whiten
 from stopset.offline.diagnose.prepare import Array
 
-THRESHOLD = 25.0  # twice the log Bayes factor; see docs/effects/README.md for its calibration on healthy campaigns
+THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
 LOUD = 2.0  # residual variance over the sensors' noise from which on that noise can't pass for an effect
 SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
