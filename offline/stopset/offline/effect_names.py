@@ -27,6 +27,7 @@ def find(robot: Robot, recordings: Recordings, known: tuple[Fitted, ...], effect
     """Numbers of one effect in recordings of motor torque, beside the ``known`` ones; None if the data show no trace of it."""
     from stopset.offline.diagnose import diagnose
 
-    ranked = diagnose(robot, recordings, fitted=known, names=[effect]).ranked
+    # the verdict may be "unknown" where a second effect is still to be added: the evidence for this one counts all the same
+    claims = diagnose(robot, recordings, fitted=known, names=[effect]).claims
     wanted = set(joint.split("+")) if joint else None
-    return next((r.fitted for r in ranked if r.effect == effect and (wanted is None or set(r.joints) == wanted)), None)
+    return next((r.fitted for r in claims if r.effect == effect and (wanted is None or set(r.joints) == wanted)), None)

@@ -29,6 +29,7 @@ Tell = Callable[[str], None]
 
 # an effect helps if one error falls by this share on held-out data while the other does not rise by as much
 HELPS = 0.02
+SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def add(
     old = nominal_figures(robot, paths, settings, lambda r: not held(r), held, known)
     new = nominal_figures(robot, paths, more, lambda r: not held(r), held, with_it)
     before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
-    helps = _helps(before, after)
+    helps = _helps(before, after, shift=get(effect).enters in SHIFTS)
     if not helps and not force:
         return Revised(None, before, after, False, judged_on)
     tell("identifying the new revision")
@@ -137,6 +138,11 @@ def _sums(figures: dict[str, dict[str, float]], prefix: str) -> dict[str, float]
     return {prefix + k: float(np.sqrt(np.mean([row[k] ** 2 for row in figures.values()]))) for k in keys}
 
 
-def _helps(before: dict[str, float], after: dict[str, float]) -> bool:
+def _helps(before: dict[str, float], after: dict[str, float], shift: bool) -> bool:
+    """Whether held-out errors fall; a ``shift`` need only not raise them.
+
+    A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:
+    the evidence for it is the description it contradicts, which the diagnosis has weighed before it gave any numbers.
+    """
     change = [after[k] / before[k] - 1.0 for k in ("held_out_torque_rmse", "held_out_position_rmse")]
-    return min(change) <= -HELPS and max(change) < HELPS
+    return max(change) < HELPS and (shift or min(change) <= -HELPS)

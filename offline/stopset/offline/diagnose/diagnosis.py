@@ -76,6 +76,7 @@ class Diagnosis:
     friction_scatter: dict[str, float] = field(default_factory=dict)  # from trial to trial, relative
     trials: int = 0
     rows: int = 0
+    claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""
@@ -140,6 +141,7 @@ def diagnose(
     return Diagnosis(
         verdict=verdict,
         ranked=ranked if verdict == "missing" else (),
+        claims=ranked,
         rivals=_rivals(engine, found.claims) if verdict == "missing" else (),
         depends_on=depends,
         not_identifiable=not_identifiable(engine),
