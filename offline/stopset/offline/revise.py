@@ -58,12 +58,14 @@ def add(
         raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
     more = replace(settings, effects=(*settings.effects, name))
     held, judged_on = _halves(robot, paths)
+    shift = get(effect).enters in SHIFTS
     known = with_it = _known(model)
     if model.effort != "compensated_torque":
         tell(f"estimating {name}")
         everything = read_recordings(paths, robot)
         half = replace(everything, trials=tuple(r for r in everything if r.phase == "static" or not held(r)))
-        fitted = find(robot, half, known, effect, joint)
+        # a shifted parameter is weighed against the description, for which all data count; others must prove themselves
+        fitted = find(robot, everything if shift else half, known, effect, joint)
         if fitted is None:
             # no trace in the data, so there are no numbers to add, even if forced
             now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
@@ -73,7 +75,7 @@ def add(
     old = nominal_figures(robot, paths, settings, lambda r: not held(r), held, known)
     new = nominal_figures(robot, paths, more, lambda r: not held(r), held, with_it)
     before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
-    helps = _helps(before, after, shift=get(effect).enters in SHIFTS)
+    helps = _helps(before, after, shift)
     if not helps and not force:
         return Revised(None, before, after, False, judged_on)
     tell("identifying the new revision")
