@@ -28,7 +28,10 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
              for r in found.ranked],
             _caption(found),
         )  # fmt: skip
-        out.figure(_bars(found), "How much each effect explains beyond everything ranked before it.")
+        out.figure(
+            _bars(found),
+            "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
+        )
         rows = []
         for r in found.ranked:
             out.text(f"{r.label}: {r.says}")
@@ -70,9 +73,16 @@ def _caption(found: Diagnosis) -> str:
 
 
 def _bars(found: Diagnosis) -> go.Figure:
-    names = [r.label for r in found.ranked][::-1]
-    figure = go.Figure(go.Bar(x=[r.score for r in found.ranked][::-1], y=names, orientation="h", marker_color="#2a6f97"))
-    figure.update_xaxes(title="score", type="log")
+    """Held-out error of each effect's joint before and after it, on an axis from zero."""
+    ranked = found.ranked[::-1]
+    names = [r.label for r in ranked]
+    figure = go.Figure(
+        [
+            go.Bar(name="after", x=[r.error_after for r in ranked], y=names, orientation="h", marker_color="#2a6f97"),
+            go.Bar(name="before", x=[r.error_before for r in ranked], y=names, orientation="h", marker_color="#b8c4ce"),
+        ]
+    )
+    figure.update_xaxes(title=f"held-out error [{ranked[0].unit}]", rangemode="tozero")
     figure.update_yaxes(automargin=True)
-    figure.update_layout(height=140 + 40 * len(names))
+    figure.update_layout(height=160 + 50 * len(names), legend={"traceorder": "reversed"})
     return figure
