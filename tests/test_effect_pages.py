@@ -1,0 +1,38 @@
+"""The pages in docs/effects are what the effects say now."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from stopset.effects.registry import catalogue
+
+ROOT = Path(__file__).parents[1]
+PAGES = ROOT / "docs" / "effects"
+LARGEST = 15_000  # bytes of a figure
+
+
+@pytest.fixture(scope="module")
+def built() -> dict[str, str]:
+    spec = importlib.util.spec_from_file_location("effect_pages", ROOT / "benchmarks" / "effect_pages.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    files: dict[str, str] = module.build()
+    return files
+
+
+def test_the_pages_are_up_to_date(built: dict[str, str]) -> None:
+    assert {p.name for p in PAGES.iterdir()} == set(built)
+    stale = [f for f, text in built.items() if f.endswith(".md") and (PAGES / f).read_text(encoding="utf-8") != text]
+    assert not stale, f"{stale} differ from the effects; run python benchmarks/effect_pages.py"
+
+
+@pytest.mark.parametrize("name", [n for n, e in catalogue().items() if e.law.__module__.startswith("stopset.")])
+def test_every_effect_has_a_page_with_two_small_figures(name: str) -> None:
+    text = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    for figure in (f"{name}-curve.svg", f"{name}-residuals.svg"):
+        drawn = (PAGES / figure).read_bytes()
+        assert figure in text and len(drawn) < LARGEST and b"nan" not in drawn
