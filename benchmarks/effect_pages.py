@@ -24,7 +24,8 @@ from stopset.robot.arm import robot_from_text
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "effects"
-DT, SAMPLES, DOTS = 0.004, 4000, 450
+DT, SAMPLES, DOTS = 0.004, 6000, 450
+SETTLED = 2500  # samples left out of the figures: states start at zero and ring
 NOISE, SIZE = 0.3, 2.0  # [N m] torque noise; rms of an effect whose usual size is not known
 WIDTH, HEIGHT, PAD = 420.0, 220.0, 48.0
 ENTERS = {
@@ -101,13 +102,16 @@ def values(effect: Effect, s: Signals) -> dict[str, float]:
     out = effect.shape_values({})
     for term, column in zip(effect.terms, effect.columns(s), strict=True):
         rms = float(np.sqrt(np.mean(np.square(column + np.zeros(SAMPLES)))))
-        usual = term.typical if np.isfinite(term.typical) else SIZE / max(rms, 1e-9)
+        usual = term.typical if np.isfinite(term.typical) else SIZE / max(rms, 1e-9) * (-1.0 if term.hi <= 0 else 1.0)
         out[term.symbol] = float(f"{min(max(usual, term.lo), term.hi):.2g}")
     return out
 
 
 def telling(effect: Effect, s: Signals) -> tuple[str, Array]:
     """Label and samples of the variable to look at."""
+    if effect.look_at == "q folded by one n-th of a turn":
+        n = effect.shape_values({})["n"]
+        return f"q folded by 1/{n:g} turn [rad]", np.mod(s.q, 2 * np.pi / n)
     if effect.look_at in LOOK:
         label, read = LOOK[effect.look_at]
         return label, read(s)
@@ -123,7 +127,8 @@ def curve(effect: Effect, s: Signals, v: dict[str, float]) -> tuple[str, Array, 
         x = np.linspace(float(getattr(s, f).min()), float(getattr(s, f).max()), 401)
         swept = Signals(**{f: x}, temp=10.0, warm=1.0)
         return f"{f} [{UNITS.get(f, 'N m')}]", x, effect.torque(swept, v) + np.zeros(401)
-    return "t [s]", s.t[:1000:4], (effect.torque(s, v) + np.zeros(SAMPLES))[:1000:4]
+    shown = slice(SETTLED, SETTLED + 1000, 3)
+    return "t [s]", s.t[shown], (effect.torque(s, v) + np.zeros(SAMPLES))[shown]
 
 
 def svg(label: str, x: Array, y: Array, dots: bool) -> str:
@@ -193,7 +198,7 @@ def build() -> dict[str, str]:
         label, x, y = curve(effect, s, v)
         over, z = telling(effect, s)
         noise = np.random.default_rng(4).normal(0.0, NOISE, SAMPLES)
-        pick = slice(None, None, SAMPLES // DOTS)
+        pick = slice(SETTLED, None, (SAMPLES - SETTLED) // DOTS)
         files[f"{name}.md"] = page(effect, v, (label, over))
         files[f"{name}-curve.svg"] = svg(label, x, y, dots=False)
         files[f"{name}-residuals.svg"] = svg(over, z[pick], (effect.torque(s, v) + noise)[pick], dots=True)

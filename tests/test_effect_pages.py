@@ -36,3 +36,6 @@ def test_every_effect_has_a_page_with_two_small_figures(name: str) -> None:
     for figure in (f"{name}-curve.svg", f"{name}-residuals.svg"):
         drawn = (PAGES / figure).read_bytes()
         assert figure in text and len(drawn) < LARGEST and b"nan" not in drawn
+        line = drawn.split(b'<path d="')[2].split(b'"')[0]
+        heights = {part.split()[1].rstrip(b"h0") for part in line.strip(b"M").replace(b"M", b"L").split(b"L")}
+        assert len(heights) > 2, f"{figure} is flat: the effect was drawn with value zero"
