@@ -125,7 +125,7 @@ def curve(effect: Effect, s: Signals, v: dict[str, float]) -> tuple[str, Array, 
     if len(moving) == 1 and moving[0] not in ("tip", "tilt", "memory"):
         f = moving[0]
         x = np.linspace(float(getattr(s, f).min()), float(getattr(s, f).max()), 401)
-        swept = Signals(**{f: x}, temp=10.0, warm=1.0)
+        swept = replace(Signals(temp=10.0, warm=1.0), **{f: x})  # type: ignore[arg-type]
         return f"{f} [{UNITS.get(f, 'N m')}]", x, effect.torque(swept, v) + np.zeros(401)
     shown = slice(SETTLED, SETTLED + 1000, 3)
     return "t [s]", s.t[shown], (effect.torque(s, v) + np.zeros(SAMPLES))[shown]
@@ -172,7 +172,8 @@ def row(p: Term | Shape, value: float | None) -> str:
 def page(effect: Effect, v: dict[str, float], labels: tuple[str, str]) -> str:
     law = inspect.cleandoc(effect.law.__doc__ or "").split("Source:")[0].strip()
     memory = f"\n\nStates: {inspect.cleandoc(effect.flow.__doc__ or '')}" if effect.flow else ""
-    rows = [row(p, v[p.symbol]) for p in (*effect.terms, *effect.shapes)] + [row(p, None) for p in effect.states]
+    parameters: list[Term | Shape] = [*effect.terms, *effect.shapes]
+    rows = [row(p, v[p.symbol]) for p in parameters] + [row(p, None) for p in effect.states]
     rivals = ", ".join(f"[{r}]({r}.md)" for r in effect.looks_like) or "none known"
     return "\n".join([
         f"# {effect.name}", "", effect.says, "", "## Law", "", law + memory, "",
