@@ -13,13 +13,14 @@ from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose.baseline import baseline
 from stopset.offline.diagnose.engine import Engine, Known, Scored, Tolerance
-from stopset.offline.diagnose.residual import Dependence, dependences, held_out
+from stopset.offline.diagnose.residual import Dependence, dependences, held_out, slow_excess
 from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
 SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
 QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
+WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
 PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
 PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
 TELLING = 0.33  # share of a joint's leftover one claim must explain; else, with rest left, the cause is outside the catalogue
@@ -246,7 +247,7 @@ def parameters(scored: Scored) -> dict[str, Parameter]:
 
 @dataclass(frozen=True, slots=True)
 class _Left:
-    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance."""
+    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly."""
 
     depends: dict[int, list[Dependence]]
     loud: tuple[int, ...]
@@ -262,17 +263,19 @@ class _Left:
 
 def _left(found: Found, engine: Engine) -> _Left:
     hyper, p = engine.fit(found.hyper)
-    depends, contradicted = {}, []
+    depends, contradicted, wandering = {}, [], []
     for j in range(engine.data.n):
         if len(engine.rows[j].take) < 100:
             continue
         ranked = dependences(engine, p.theta, hyper, j)
+        if slow_excess(engine, p.theta, hyper, j) > WANDER:
+            wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
         if ranked[0].gain > PATTERN:
             depends[j] = ranked
             if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(j for j, e in enumerate(found.excess) if e > QUIET)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
     restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
     return _Left(depends, loud, tuple(contradicted), restless)
 

@@ -12,6 +12,7 @@ from stopset.offline.diagnose.noise import coloured
 from stopset.offline.diagnose.prepare import Array, Index
 
 BINS = 24
+BLOCK = 25  # rows of half a second of motion: short against a wander of friction, long against what sensors and lags leave
 
 
 def held_out(engine: Engine, hyper: Hyper) -> Array:
@@ -60,6 +61,20 @@ def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[
             share = _predicted(r, x, weight, fold)
             found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)
+
+
+def slow_excess(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> float:
+    """Variance of the whitened residual's half-second sums, 1 for noise: what wanders slowly shows here long before in single rows."""
+    rows = engine.rows[joint]
+    gram = engine._view().grams[joint]
+    full = np.concatenate([[1.0], -theta])
+    r = gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[: len(rows.take)]
+    sums = [0.0]
+    trial = engine.data.trial[rows.take]
+    for part in np.split(r, np.flatnonzero(np.diff(trial)) + 1):
+        whole = len(part) // BLOCK * BLOCK
+        sums.extend(part[:whole].reshape(-1, BLOCK).sum(axis=1))
+    return float(np.sum(np.square(sums))) / (BLOCK * max(1, len(sums) - 1))
 
 
 def _variables(engine: Engine, joint: int, take: Index) -> list[tuple[str, Array]]:
