@@ -21,6 +21,7 @@ from stopset.cli.main import main
 from stopset.errors import EffectError, NotCovered, OutputError
 from stopset.fmu import PLATFORMS, archive, build, export
 from stopset.fmu.description import base_unit
+from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
 from stopset.reach.flowpipe import predict
 from test_fmu import AGREE, DT, HERE, friction
@@ -28,7 +29,7 @@ from test_fmu import AGREE, DT, HERE, friction
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
 pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
-INCLUDE = Path(build.__file__).parent / "core" / "include"
+INCLUDE = fmi_headers()
 STEPS = 1000
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import math
 import uuid
 from collections.abc import Iterable, Mapping
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.errors import OutputError
 from stopset.fmu.laws import effect_laws
 from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
@@ -115,11 +118,22 @@ def _used(line: str, laws: str) -> bool:
     return line.startswith("#") or any(f"{w}(" in laws for w in ("stopset_sign", "stopset_square") if w in line)
 
 
+def fmi_headers() -> Path:
+    """Folder of the FMI standard's C headers, as fmpy brings them (BSD-2; they go into the FMU with their notice).
+
+    Raises `OutputError` where that package is not installed.
+    """
+    found = importlib.util.find_spec("fmpy")  # located, not imported: it is heavy
+    if found is None or not found.submodule_search_locations:
+        raise OutputError("the FMI headers come with the package fmpy, which is not here; install stopset[fmu]")
+    return Path(found.submodule_search_locations[0]) / "c-code"
+
+
 def sources(model: Model, variables: Variables) -> tuple[dict[str, str], str]:
     """File name -> text of all C sources of a model's FMU, and the instantiation token (from the sources' hash)."""
     core = resources.files("stopset.fmu") / "core"
     text = {name: (core / name).read_text() for name in (*UNITS, *HEADERS)}
-    text |= {name: (core / "include" / name).read_text() for name in FMI_HEADERS}
+    text |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
     laws = effect_laws(model)
     flags = {"HAS_EFFECTS": int(laws.effects), "HAS_DIRECTION": int(laws.direction), "HAS_LOAD": int(laws.load)}
     flags["HAS_INDICATORS"] = int(variables.count("INDICATOR") > 0)
