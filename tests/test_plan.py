@@ -177,3 +177,14 @@ def test_write_needs_a_folder(plan: Plan, tmp_path: Path) -> None:
     files = write_plan(plan, tmp_path)
     assert all(f.stat().st_size > 0 for f in files)
     assert "| open_loop | 24 | 5 |" in (tmp_path / "plan.md").read_text()
+
+
+def test_a_refused_plan_leaves_nothing_behind(tmp_path: Path) -> None:
+    from stopset.cli.main import main
+
+    bad = tmp_path / "bad.parquet"
+    bad.write_bytes(b"not parquet")
+    for words in (["--robot", "nobody"], ["--robot", "lwa4p", "--data", str(bad)]):
+        out = tmp_path / "plan"
+        assert main(["plan", *words, "--out", str(out)]) == 2
+        assert not out.exists()

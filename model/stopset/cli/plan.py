@@ -30,20 +30,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the campaign into the folder and its table to the terminal."""
+    from stopset.errors import StopsetError
     from stopset.offline.plan import Wishes, design, write_plan
     from stopset.offline.plan.design import as_dict, summary
     from stopset.recording import stream_recordings
     from stopset.robot import load_robot
 
+    robot = load_robot(args.robot)
+    fresh = not args.out.exists()
     _make(args.out)
     check_outputs(args.json, args.out / "plan.json")
-    robot = load_robot(args.robot)
     wishes = Wishes(
         motions=args.motions, repeats=args.repeats, poses=args.poses, excitations=args.excitations, period=args.period,
         speed=args.speed, torque=args.torque, floor=args.floor, rate=args.rate, seed=args.seed,
     )  # fmt: skip
     recordings = stream_recordings(args.data, robot) if args.data else None
-    plan = design(robot, wishes, recordings, _watch)
+    try:
+        plan = design(robot, wishes, recordings, _watch)
+    except StopsetError:
+        if fresh:
+            args.out.rmdir()  # a refused plan leaves nothing behind
+        raise
     files = write_plan(plan, args.out)
     say(summary(plan))
     say(f"{len(files)} files in {args.out}")
