@@ -1,0 +1,49 @@
+"""``stopset workbench``: the loop compare, diagnose, add as a web page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "compare, diagnose and add on one web page"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("model", metavar="M", help="model file")
+    parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for new revisions (default: beside the model)")
+    parser.add_argument("--host", default="127.0.0.1", help="address of the page; it has no log-in (default: this machine only)")
+    parser.add_argument("--port", type=int, default=8610, help="port of the page, 0 for a free one (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="at the end, write every answer given so far here")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="at the end, write the history of the last model here")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until Ctrl-C or ``--seconds``."""
+    import time
+
+    from stopset.cli.common import check_outputs, say, write_json
+    from stopset.offline.workbench import Loop, Server
+
+    check_outputs(args.json, args.report)
+    loop = Loop(args.model, args.data, args.out or Path(args.model).parent)
+    server = Server(loop, args.host, args.port)
+    server.start()
+    say(f"workbench: {server.url}  (Ctrl-C ends it)")
+    end = time.monotonic() + (args.seconds or float("inf"))
+    try:
+        while time.monotonic() < end:
+            time.sleep(min(0.2, max(0.0, end - time.monotonic())))
+    except KeyboardInterrupt:
+        say("")
+    finally:
+        server.shutdown()
+        server.server_close()
+    if args.json:
+        write_json(args.json, loop.snapshot())
+    if args.report:
+        loop.history().save(args.report)
+        say(f"report {args.report}")
+    return 0

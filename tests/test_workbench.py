@@ -1,0 +1,126 @@
+"""The workbench as its user meets it: a served page in a real browser, and what others in that browser may not do."""
+
+from __future__ import annotations
+
+import json
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stopset.artifact import load_model
+from stopset.errors import OutputError, RecordingError
+from stopset.offline.workbench import Loop, Server
+
+
+@pytest.fixture
+def server(planar: Any, tmp_path: Path) -> Iterator[Server]:
+    folder = planar[0]
+    s = Server(Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path), "127.0.0.1", 0)
+    s.start()
+    yield s
+    s.shutdown()
+    s.server_close()
+
+
+def call(s: Server, path: str, body: bytes | None = None, **headers: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(s.url + path, data=body, headers=headers)) as reply:
+            return int(reply.status), reply.read().decode()
+    except urllib.error.HTTPError as e:
+        return e.code, e.read().decode()
+
+
+def do(s: Server, action: str, **options: Any) -> tuple[int, str]:
+    return call(s, f"do/{action}", json.dumps(options).encode(), **{"X-Workbench": s.token})
+
+
+def wait(s: Server) -> dict[str, Any]:
+    end = time.monotonic() + 120
+    while s.loop.busy:
+        assert time.monotonic() < end, "the job never ended"
+        time.sleep(0.05)
+    return dict(json.loads(call(s, "state")[1]))
+
+
+def test_the_loop_answers_as_the_commands_do(server: Server, planar: Any, tmp_path: Path) -> None:
+    from stopset.cli.main import main
+
+    folder = planar[0]
+    assert do(server, "compare")[0] == 200
+    mine = wait(server)["models"][-1]["answers"]["compare"]
+    main(["compare", str(folder / "m.model.json"), "--data", str(folder / "rec.parquet"), "--json", str(tmp_path / "c.json")])
+    assert mine == json.loads((tmp_path / "c.json").read_text())
+    assert "Identified sets" in call(server, "report/compare-0")[1]
+
+
+def test_a_revision_is_a_new_file_and_becomes_the_model_at_hand(server: Server, planar: Any, tmp_path: Path) -> None:
+    was = (planar[0] / "m.model.json").read_bytes()
+    assert do(server, "add", effect="spring", joint=load_model(planar[0] / "m.model.json").joints[0], force=True)[0] == 200
+    state = wait(server)
+    assert state["job"]["error"] == ""
+    if len(state["models"]) == 1:  # no trace of a spring in these data: refused, with the numbers, and nothing written
+        assert state["models"][0]["answers"]["add"]["before"]["held_out_torque_rmse"] > 0
+        assert list(tmp_path.iterdir()) == []
+    else:
+        saved = load_model(state["models"][-1]["file"])
+        assert saved.sha256 == state["models"][-1]["sha256"]
+        assert saved.revisions[-1].added.startswith("spring")
+    assert (planar[0] / "m.model.json").read_bytes() == was
+
+
+def test_an_error_is_shown_and_the_next_action_still_runs(server: Server) -> None:
+    do(server, "add", effect="no_such_effect")
+    assert "no_such_effect" in wait(server)["job"]["error"]
+    do(server, "compare")
+    assert wait(server)["job"]["error"] == ""
+
+
+def test_one_action_at_a_time(server: Server) -> None:
+    assert do(server, "diagnose")[0] == 200
+    assert do(server, "compare") == (409, "another action is running; wait for its end")
+    wait(server)
+
+
+def test_other_pages_of_the_same_browser_can_do_nothing(server: Server) -> None:
+    assert call(server, "do/compare", b"{}")[0] == 403, "started without the page's token"
+    assert call(server, "state", Host="evil.example")[0] == 403, "answered to a foreign name (DNS rebinding)"
+    assert not server.loop.busy
+
+
+@pytest.mark.parametrize(
+    ("action", "body", "says"),
+    [
+        ("remove", b"{}", "no action 'remove'"), ("compare", b'{"force": true}', "compare takes none"), ("add", b'{"effect": 3}', "add takes"),
+        ("add", b"[]", "add takes"), ("add", b"{", "Expecting"), ("add", b" " * 5000, "at most 4096"),
+    ],
+)  # fmt: skip
+def test_a_wrong_request_gets_a_sentence(server: Server, action: str, body: bytes, says: str) -> None:
+    code, text = call(server, f"do/{action}", body, **{"X-Workbench": server.token})
+    assert code == 400 and says in text
+
+
+def test_it_refuses_before_it_serves(planar: Any, tmp_path: Path) -> None:
+    folder = planar[0]
+    (tmp_path / "m.r1.model.json").write_text("kept")  # the place of the first revision after identification
+    with pytest.raises(OutputError, match="exists already"):
+        Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path)
+    with pytest.raises(RecordingError):
+        Loop(folder / "m.model.json", [folder / "robot.urdf"], tmp_path / "..")
+
+
+def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
+    browser.get(server.url)
+    browser.find_element("css selector", "[data-do=compare]").click()
+    end = time.monotonic() + 60
+    while "recordings leave the sets" not in browser.find_element("id", "compare").text:
+        assert time.monotonic() < end, browser.find_element("id", "jobtext").text
+        time.sleep(0.1)
+    text = browser.execute_script("return document.body.innerText")
+    assert "Monitoring aid. Not a safety function" in text
+    assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
+    browser.get("about:blank")  # or the page would go on asking a server that has ended
