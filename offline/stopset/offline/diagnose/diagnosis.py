@@ -11,9 +11,15 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
+from stopset.offline.diagnose import advice
 from stopset.offline.diagnose.baseline import baseline
-from stopset.offline.diagnose.engine import Engine, Known, Scored, Tolerance
-from stopset.offline.diagnose.residual import Dependence, dependences, held_out, slow_excess
+from stopset.offline.diagnose.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.held_out import held_out
+from stopset.offline.diagnose.identifiable import Blind, blind_spots
+from stopset.offline.diagnose.leftover import Pattern, pattern
+from stopset.offline.diagnose.partial import Partial, partial
+from stopset.offline.diagnose.prepare import Array
+from stopset.offline.diagnose.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
@@ -24,6 +30,7 @@ WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy 
 PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
 PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
 TELLING = 0.33  # share of a joint's leftover one claim must explain; else, with rest left, the cause is outside the catalogue
+MOVE = "Move every joint through its range at several speeds."
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
@@ -50,6 +57,7 @@ class Ranked:
     look_at: str
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
+    points: Partial | None = None  # to draw what it explains; None where a simulation is judged
 
     @property
     def label(self) -> str:
@@ -71,7 +79,7 @@ class Diagnosis:
     ranked: tuple[Ranked, ...]
     rivals: tuple[tuple[str, ...], ...]
     depends_on: tuple[str, ...]
-    not_identifiable: tuple[str, ...]
+    not_identifiable: tuple[Blind, ...]
     next_experiment: str | None
     excess: dict[str, float] = field(default_factory=dict)  # leftover variance over sensor noise, per joint
     friction_scatter: dict[str, float] = field(default_factory=dict)  # from trial to trial, relative
@@ -99,7 +107,10 @@ class Diagnosis:
             ],
             "rivals": [list(group) for group in self.rivals],
             "depends_on": list(self.depends_on),
-            "not_identifiable": list(self.not_identifiable),
+            "not_identifiable": [
+                {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
+                for b in self.not_identifiable
+            ],
             "next_experiment": self.next_experiment,
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
@@ -131,22 +142,28 @@ def diagnose(
     before = held_out(engine, hyper)
     already = list(engine.active)
     found = search(engine, names)
-    ranked = _ranked(engine, found, already, before)
     left = _left(found, engine)
     verdict = _verdict(found, left)
-    depends: tuple[str, ...] = ()
-    worst = left.worst
-    if worst is not None and (verdict == "unknown" or left.depends):
-        depends = _names(left.depends.get(worst, []), engine, worst)
+    blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
+    ranked = _ranked(engine, found, already, before, left)
+    rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
     joints = engine.data.joints
+    worst, shown = left.worst, None
+    if worst is not None and (verdict == "unknown" or left.depends):
+        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], PATTERN)
+    next_experiment = {
+        "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
+        "missing": lambda: advice.to_decide(rivals),
+        "none": lambda: advice.to_see(blind),
+    }[verdict]()
     return Diagnosis(
         verdict=verdict,
         ranked=ranked if verdict == "missing" else (),
         claims=ranked,
-        rivals=_rivals(engine, found.claims) if verdict == "missing" else (),
-        depends_on=depends,
-        not_identifiable=not_identifiable(engine),
-        next_experiment=_next_experiment(verdict, found.claims, worst, engine),
+        rivals=rivals,
+        depends_on=_depends(verdict, worst, shown, joints),
+        not_identifiable=blind,
+        next_experiment=next_experiment,
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -181,10 +198,10 @@ def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()
     names = tuple(f"time at standstill (torque of {name})" for _, name in sorted(pushed, reverse=True))
     return Diagnosis(
         verdict="unknown" if pushed else "none", ranked=(), rivals=(), depends_on=names,
-        not_identifiable=("every effect of motion: no joint moves in these recordings",),
+        not_identifiable=(Blind("every effect of motion", (), "no joint moves in these recordings", MOVE),),
         next_experiment=(
             "The torque changes while every joint stands still: something touches the arm. Repeat with nothing in contact."
-            if pushed else "Move every joint through its range at several speeds."
+            if pushed else MOVE
         ),
         trials=len(recordings),
     )  # fmt: skip
@@ -211,7 +228,7 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             engine.active.append(candidate)
 
 
-def _ranked(engine: Engine, found: Found, known: list[Any], before: Any) -> tuple[Ranked, ...]:
+def _ranked(engine: Engine, found: Found, known: list[Any], before: Any, left: _Left) -> tuple[Ranked, ...]:
     out = []
     active = list(engine.active)
     joints = engine.data.joints
@@ -221,14 +238,15 @@ def _ranked(engine: Engine, found: Found, known: list[Any], before: Any) -> tupl
         after = held_out(engine, found.hyper)
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
+        engine.active = active
+        points = partial(engine, left.hyper, left.theta, c, worst)
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                parameters(claim.scored), c.effect.look_at, c.effect.says,
+                parameters(claim.scored), c.effect.look_at, c.effect.says, points=points,
             )
         )  # fmt: skip
         before = after
-    engine.active = active
     return tuple(out)
 
 
@@ -247,8 +265,14 @@ def parameters(scored: Scored) -> dict[str, Parameter]:
 
 @dataclass(frozen=True, slots=True)
 class _Left:
-    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly."""
+    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly.
 
+    ``hyper``, ``theta``: the whole model refitted with the claims; ``ranking``: all variables by joint.
+    """
+
+    hyper: Hyper
+    theta: Array
+    ranking: dict[int, list[Dependence]]
     depends: dict[int, list[Dependence]]
     loud: tuple[int, ...]
     contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
@@ -264,10 +288,11 @@ class _Left:
 def _left(found: Found, engine: Engine) -> _Left:
     hyper, p = engine.fit(found.hyper)
     depends, contradicted, wandering = {}, [], []
+    ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
     for j in range(engine.data.n):
         if len(engine.rows[j].take) < 100:
             continue
-        ranked = dependences(engine, p.theta, hyper, j)
+        ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
         if slow_excess(engine, p.theta, hyper, j) > WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
@@ -277,7 +302,7 @@ def _left(found: Found, engine: Engine) -> _Left:
                 contradicted.append(j)
     loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
     restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
-    return _Left(depends, loud, tuple(contradicted), restless)
+    return _Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
 
 
 def _verdict(found: Found, left: _Left) -> str:
@@ -300,11 +325,11 @@ def _telling(claims: Sequence[Claim]) -> bool:
     return False
 
 
-def _names(ranked: Sequence[Dependence], engine: Engine, joint: int) -> tuple[str, ...]:
-    best = [d for d in ranked if d.gain > PATTERN and d.share > 0.5 * ranked[0].share][:3]
-    if not best:
-        return (f"no recorded variable (joint {engine.data.joints[joint]})",)
-    return tuple(d.variable for d in best)
+def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Sequence[str]) -> tuple[str, ...]:
+    """The variables by name; for an unknown cause that follows none of them, that."""
+    if shown is not None:
+        return shown.variables
+    return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
 
 
 def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:
@@ -320,34 +345,3 @@ def label(engine: Engine, scored: Scored) -> str:
     c = scored.candidate
     where = "+".join(engine.data.joints[j] for j in c.joints)
     return f"{c.effect.name}:{where}" if where else c.effect.name
-
-
-def not_identifiable(engine: Engine) -> tuple[str, ...]:
-    """What these recordings cannot say anything about."""
-    d = engine.data
-    out = []
-    if d.temp is None:
-        out.append("thermal_viscous, thermal_coulomb: no temperature is recorded")
-    elif all(float(np.ptp(d.temp[:, j])) < 3.0 for j in range(d.n)):
-        out.append("thermal_viscous, thermal_coulomb: the temperature varies by less than 3 K")
-    still = [d.joints[j] for j, r in enumerate(engine.rows) if len(r.take) <= 50]
-    if still:
-        out.append(f"every effect at {', '.join(still)}: the joint hardly moves")
-    flat = [d.joints[j] for j in range(d.n) if np.ptp(engine.source.gravity[:, j]) < 0.05 * engine.level(j)]
-    if flat:
-        out.append(f"load_coulomb at {', '.join(flat)}: gravity hardly loads the joint in these motions")
-    out.append("encoder_offset against a shifted centre of mass: the same torque in every pose")
-    return tuple(out)
-
-
-def _next_experiment(verdict: str, claims: Sequence[Claim], worst: int | None, engine: Engine) -> str | None:
-    if verdict == "unknown" and worst is not None:
-        joint = engine.data.joints[worst]
-        return (
-            f"Move {joint} alone, slowly and at constant speed, back and forth through its range, cold and warm: "
-            "what repeats with position, with speed or with time then shows by itself."
-        )
-    contested = [c for c in claims if c.rivals]
-    if contested:
-        return contested[0].scored.candidate.effect.tell_apart
-    return None

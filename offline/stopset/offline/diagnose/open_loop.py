@@ -19,7 +19,9 @@ from stopset.artifact.inputs import compensated
 from stopset.effects import Effect, catalogue, get
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
+from stopset.offline.diagnose import advice
 from stopset.offline.diagnose.diagnosis import Diagnosis, Parameter, Ranked
+from stopset.offline.diagnose.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
 from stopset.offline.rollout import EffectTerm, JointBatch, joint_batches
 from stopset.offline.survey import on_grid, survey
@@ -34,6 +36,7 @@ CLAIMS = 3  # per joint
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders
 CONTENDERS = 3  # that are fitted to the end
+LEFT_OUT = frozenset({"torque_ripple", "asymmetric_coulomb"})  # too fast for this step; the offset is in every model
 CARRIED = frozenset({"q", "dq", "load", "temp", "warm", "t"})  # signals there are without acceleration and rigid body
 
 
@@ -66,18 +69,19 @@ def diagnose_open_loop(model: Model, recordings: Recordings, names: Sequence[str
         return joint_batches(model.robot, coarse, [found.warm(r) for r in part], dt)
 
     ranked: list[tuple[Ranked, tuple[str, ...]]] = []
-    for joint, train, held in zip(model.joints, batches(even), batches(odd), strict=True):
+    trained = batches(even)
+    for joint, train, held in zip(model.joints, trained, batches(odd), strict=True):
         mine = [f for f in compensated(model.effects, model.abstraction) if f.joint in (joint, None)]
         ranked += _joint(joint, train, held, [_term(f) for f in mine], candidates(train, names))
     ranked.sort(key=lambda r: -r[0].score)
-    first = ranked[0][0] if ranked else None
+    rivals = tuple((r.label, *others) for r, others in ranked if others)
     return Diagnosis(
         verdict="missing" if ranked else "none",
         ranked=tuple(r for r, _ in ranked),
-        rivals=tuple((r.label, *rivals) for r, rivals in ranked if rivals),
+        rivals=rivals,
         depends_on=(),
-        not_identifiable=("inertial effects and payloads: compensated torque has no rigid body to hold them against",),
-        next_experiment=get(first.effect).tell_apart if first is not None else None,
+        not_identifiable=_blind(model, trained),
+        next_experiment=advice.to_decide(rivals),
         trials=len(trials),
         rows=sum(len(r.t) for r in trials),
     )
@@ -91,7 +95,7 @@ def candidates(batch: JointBatch, names: Sequence[str] | None) -> list[EffectTer
             continue
         if names is not None and effect.name not in names:
             continue
-        if effect.name in ("torque_ripple", "asymmetric_coulomb"):  # too fast for this step; the offset is in every model
+        if effect.name in LEFT_OUT:
             continue
         if _silent(effect, batch):
             continue
@@ -99,6 +103,23 @@ def candidates(batch: JointBatch, names: Sequence[str] | None) -> list[EffectTer
         shapes = [{}] if not grids else [{k: g[i] for k, g in grids.items()} for i in range(min(map(len, grids.values())))]
         out += [EffectTerm(effect, s) for s in shapes]
     return out
+
+
+def _blind(model: Model, batches: Sequence[JointBatch]) -> tuple[Blind, ...]:
+    """Effects of the catalogue that compensated torque cannot show, or these motions do not."""
+    out = []
+    for effect in catalogue().values():
+        if effect.base:
+            continue
+        if effect.scope != "joint" or effect.states or not set(effect.needs) <= CARRIED or effect.name in LEFT_OUT:
+            out.append(Blind(effect.name, (), "compensated torque does not carry it", "Record the torque of the motors itself."))
+            continue
+        silent = tuple(j for j, batch in zip(model.joints, batches, strict=True) if _silent(effect, batch))
+        if silent and "temp" in effect.needs:
+            out.append(Blind(effect.name, (), UNRECORDED, REMEDIES[UNRECORDED]))
+        elif silent and "warm" not in effect.needs:
+            out.append(Blind(effect.name, silent, TRACELESS, effect.tell_apart))
+    return tuple(out)
 
 
 def _silent(effect: Effect, batch: JointBatch) -> bool:

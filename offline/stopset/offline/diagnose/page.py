@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from stopset.artifact import Model
 from stopset.offline.diagnose.diagnosis import QUIET, RESTLESS, Diagnosis
-from stopset.offline.report import Page, number
+from stopset.offline.diagnose.prepare import Array
+from stopset.offline.report import COLOURS, Page, number
 
 WORDS = {
     "missing": "These effects are missing from the model, best first.",
@@ -39,6 +42,7 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
                 (r.label, k, p.value, "searched" if p.std is None else number(p.std), p.unit) for k, p in r.parameters.items()
             ]
         out.table(("effect", "parameter", "value", "standard deviation", "unit"), rows)
+        _partials(out, found)
     if found.rivals:
         out.heading("What these recordings hardly separate")
         out.table(("rivals",), [(" / ".join(group),) for group in found.rivals])
@@ -57,9 +61,48 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
         )
     if found.not_identifiable:
         out.heading("Not identifiable from these recordings")
-        for line in found.not_identifiable:
-            out.text(line)
+        out.table(
+            ("effect", "joints", "why", "what would show it"),
+            [(b.effect, ", ".join(b.joints) or "all", b.why, b.experiment) for b in found.not_identifiable],
+            "An effect of its usual size (a third of the joint's friction, if nothing else is known) would not be claimed here.",
+        )
     return out
+
+
+def _partials(out: Page, found: Diagnosis) -> None:
+    """Two panels per claim: the partial residual against the effect's column, and what is left once the effect is in."""
+    drawn = [(r, r.points) for r in found.ranked if r.points is not None]
+    if not drawn:
+        return
+    out.heading("What each effect explains")
+    for r, p in drawn:
+        figure = make_subplots(rows=1, cols=2, shared_yaxes=True, subplot_titles=("without the effect", "with it"))
+        ends = np.array([p.x.min(), p.x.max()])
+        for column, (y, line) in enumerate(((p.without, p.slope * ends), (p.left, 0.0 * ends)), start=1):
+            dots = go.Scatter(
+                x=_round(p.x),
+                y=_round(y),
+                mode="markers",
+                marker={"size": 4, "opacity": 0.35, "color": COLOURS[0]},
+                showlegend=False,
+            )
+            law = go.Scatter(
+                x=_round(ends), y=_round(line), mode="lines", line={"color": COLOURS[1], "width": 2}, showlegend=False
+            )
+            figure.add_trace(dots, row=1, col=column)
+            figure.add_trace(law, row=1, col=column)
+            figure.update_xaxes(title_text=p.axis, row=1, col=column)
+        figure.update_yaxes(title_text=f"torque of {p.joint} [N m]", row=1, col=1)
+        figure.update_layout(height=330)
+        out.figure(
+            figure, f"{r.label}: what the whole model leaves plus the effect's own torque, and what it leaves; line: the effect."
+        )
+
+
+def _round(x: Array) -> list[float]:
+    """Four digits of the range are more than the eye sees, and keep the page small."""
+    digits = 4 - int(np.floor(np.log10(max(float(np.max(np.abs(x))), 1e-12))))
+    return [float(v) for v in np.round(x, digits)]
 
 
 def _caption(found: Diagnosis) -> str:

@@ -6,6 +6,7 @@ column of a law passes through the same kernel as the torque, so that smoothing 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -137,7 +138,7 @@ def prepare(recordings: Recordings) -> Prepared:
     grids = [(r, g) for r, g in grids if len(g["t"]) > 2 * kernel.half + step]
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
-    repeated = max(r.trial for r, _ in grids) + 1
+    repeated = _repetitions([r for r, _ in grids])
     last = repeated - 1 if repeated >= REPEATED else max(1, max(r.place for r, _ in grids))
     fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
     temps: list[Array] = []
@@ -177,6 +178,12 @@ def prepare(recordings: Recordings) -> Prepared:
         warm_fine=fine["warm"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
     )  # fmt: skip
+
+
+def _repetitions(moving: Sequence[Recording]) -> int:
+    """Most repetitions of one suite, in the phase that `survey` looks at: both must count warming alike."""
+    repeated = [r for r in moving if r.phase == "open_loop"] or [r for r in moving if r.phase == "closed_loop"]
+    return max(Counter(r.suite for r in repeated).values(), default=0)
 
 
 def _before_brake(r: Recording) -> Recording | None:

@@ -1,4 +1,4 @@
-"""What a model leaves over: held-out torque errors, and the variables that the rest depends on."""
+"""What a model leaves over: the variables that the rest depends on, and its slow wander."""
 
 from __future__ import annotations
 
@@ -7,32 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.engine import FOLDS, Engine, Hyper
-from stopset.offline.diagnose.evidence import project
-from stopset.offline.diagnose.noise import coloured
 from stopset.offline.diagnose.prepare import Array, Index
 
 BINS = 24
 BLOCK = 25  # rows of half a second of motion: short against a wander of friction, long against what sensors and lags leave
-
-
-def held_out(engine: Engine, hyper: Hyper) -> Array:
-    """(n,) torque error [N m], RMS over motions that the fit has not seen, of the current model."""
-    view = engine._view()
-    n = engine.data.n
-    square, count = np.zeros(n), np.zeros(n)
-    for fold in range(FOLDS):
-        others = np.arange(FOLDS) != fold
-        G, _ = view.total(hyper, others)
-        p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper.scale))
-        theta = np.concatenate([[1.0], -p.theta])
-        for j, rows in enumerate(engine.rows):
-            gram, k = view.grams[j], len(rows.take)
-            e = coloured((gram.X @ theta[gram.index])[:k], rows.start, rows.a, rows.sd)
-            here = gram.row_fold[:k] == fold
-            square[j] += float(np.sum(e[here] ** 2))
-            count[j] += int(here.sum())
-    out: Array = np.sqrt(square / np.maximum(count, 1))
-    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,20 +23,23 @@ class Dependence:
     gain: float = 0.0  # as 2 log likelihood over the joint's rows
 
 
+def whitened(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> tuple[Array, Index]:
+    """(K,) whitened residual of a joint's moving rows, friction scales of the trials taken out, and the rows' folds."""
+    gram, k = engine._view().grams[joint], len(engine.rows[joint].take)
+    full = np.concatenate([[1.0], -theta])
+    return gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k], gram.row_fold[:k]
+
+
 def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[Dependence]:
     """Variables ranked by the share of the joint's leftover that a step function of them predicts on held-out motions."""
     rows, d = engine.rows[joint], engine.data
     take = rows.take
-    view = engine._view()
-    gram = view.grams[joint]
-    full = np.concatenate([[1.0], -theta])
-    r = gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[: len(take)]
-    fold = gram.row_fold[: len(take)]
+    r, fold = whitened(engine, theta, hyper, joint)
     way = d.way[take, joint]
     found = []
     for name, x in _variables(engine, joint, take):
         for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
-            share = _predicted(r, x, weight, fold)
+            share = predicted(r, x, weight, fold)
             found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)
 
@@ -66,9 +47,7 @@ def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[
 def slow_excess(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> float:
     """Variance of the whitened residual's half-second sums, 1 for noise: what wanders slowly shows here long before in single rows."""
     rows = engine.rows[joint]
-    gram = engine._view().grams[joint]
-    full = np.concatenate([[1.0], -theta])
-    r = gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[: len(rows.take)]
+    r, _ = whitened(engine, theta, hyper, joint)
     sums = [0.0]
     trial = engine.data.trial[rows.take]
     for part in np.split(r, np.flatnonzero(np.diff(trial)) + 1):
@@ -89,7 +68,7 @@ def _variables(engine: Engine, joint: int, take: Index) -> list[tuple[str, Array
     return out
 
 
-def _predicted(r: Array, x: Array, weight: Array, fold: Index) -> float:
+def predicted(r: Array, x: Array, weight: Array, fold: Index) -> float:
     """Share of the variance of ``r`` that bin means over ``x`` (times ``weight``) predict on folds they have not seen."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
     b = np.searchsorted(edges, x)
