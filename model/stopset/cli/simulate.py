@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory for the files")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same recordings (default 1)")
-    parser.add_argument("--plan", choices=("compact", "full"), default="compact", help="about 50,000 or 140,000 rows")
+    parser.add_argument(
+        "--plan", choices=("short", "compact", "full"), default="compact", help="of six joints about 20,000, 50,000 or 140,000 rows"
+    )  # fmt: skip
     parser.add_argument(
         "--size", choices=("easy", "hard"), default="easy",
         help="how much the effect raises the torque residual of its joint: about 3.2 or 1.4 times",

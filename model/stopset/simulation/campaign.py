@@ -12,7 +12,7 @@ Between recordings the arm goes on working and warms up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,7 +39,12 @@ class Plan:
     stops: tuple[int, int] = (20, 5)  # regular, varied; of each category
 
 
-PLANS = {"compact": Plan(), "full": Plan(closed_loop=4, closed_loop_time=7.5, suites=20, repeats=8, stops=(40, 10))}
+SHORT = Plan(poses=60, closed_loop=2, suites=4, stops=(8, 2))
+PLANS = {
+    "short": SHORT,
+    "compact": Plan(),
+    "full": Plan(closed_loop=4, closed_loop_time=7.5, suites=20, repeats=8, stops=(40, 10)),
+}
 
 
 def closed_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
@@ -130,11 +135,13 @@ def _together(job: Job) -> tuple[str, int, int]:
     return (job.phase, job.suite, 0 if job.phase == "static" else job.trial)
 
 
-def make(cell: Cell, plan: Plan) -> Iterator[Recording]:
-    """Make the whole campaign, recording by recording, in the order of time."""
+def make(cell: Cell, plan: Plan, phases: Collection[str] | None = None) -> Iterator[Recording]:
+    """Make the whole campaign (or these ``phases`` of it), recording by recording, in the order of time."""
     jobs = schedule(cell, plan)
     box = cell.cad.q_limit
     for place, job in enumerate(jobs):
+        if phases is not None and job.phase not in phases:
+            continue
         r = replace(record(cell, job, temperatures(cell, job.progress)), place=place)
         if job.phase == "open_loop":
             r = r.cut(0, _within(r, job, box))

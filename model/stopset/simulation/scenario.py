@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,8 @@ from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 from stopset.simulation.campaign import PLANS, Plan, make, schedule
 from stopset.simulation.cell import Cell, build_cell, wrong_cad
-from stopset.simulation.hidden import KINDS, Parameters, healthy, parse_hidden
+from stopset.simulation.compensated import PHASES, compensated
+from stopset.simulation.hidden import BASE, KINDS, Parameters, healthy, parse_hidden
 from stopset.simulation.plant import healthy_plant, rotor_inertia
 from stopset.simulation.sizing import RATIOS, Sized, closed_loop, inject, residual_rms, size_effect
 
@@ -32,17 +33,25 @@ class Scenario:
     truth: dict[str, Any]
 
     @property
+    def compensated(self) -> bool:
+        """Whether the drives show compensated torque: what is hidden is in what they forget to take off."""
+        return bool(self.cell.truth.left_gravity.any())
+
+    @property
     def meta(self) -> Meta:
-        return self.cell.meta
+        return replace(self.cell.meta, effort="compensated_torque") if self.compensated else self.cell.meta
 
     @property
     def count(self) -> int:
         """Number of recordings."""
-        return len(schedule(self.cell, self.plan))
+        return sum(job.phase in PHASES or not self.compensated for job in schedule(self.cell, self.plan))
 
     def recordings(self) -> Iterator[Recording]:
         """Make the recordings one after the other, the same ones every time."""
-        return make(self.cell, self.plan)
+        if not self.compensated:
+            return make(self.cell, self.plan)
+        made = make(self.cell, self.plan, PHASES)
+        return (compensated(r, self.cell.cad, self.cell.truth) for r in made)
 
     @property
     def datasheet(self) -> str:
@@ -101,6 +110,7 @@ def _tell(
 ) -> dict[str, Any]:  # fmt: skip
     joints, plant = cell.cad.joints, cell.truth.plant
     outside = any(s.hidden.effect.startswith("outside_") for s in sized)
+    missing = any(KINDS[s.hidden.effect].fixed != BASE for s in sized)
     effects = []
     for s, said in zip(sized, parameters, strict=True):
         joint = None if s.hidden.joint is None else joints[s.hidden.joint]
@@ -114,7 +124,7 @@ def _tell(
         })  # fmt: skip
     return {
         "robot": cell.cad.name, "seed": cell.seed, "plan": plan, "size": size, "urdf_exact": cad == "exact",
-        "verdict": "unknown" if outside else "missing" if sized else "none",
+        "verdict": "unknown" if outside else "missing" if missing else "none",
         "effects": effects,
         "floor_rms_Nm": dict(zip(joints, floor.round(4).tolist(), strict=True)),
         "torque_noise_Nm": dict(zip(joints, cell.torque_noise.round(4).tolist(), strict=True)),

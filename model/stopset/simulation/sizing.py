@@ -104,6 +104,8 @@ def size_effect(cell: Cell, plan: Plan, healthy: Sequence[Recording], effect: st
     Where physics ends earlier (`Kind.most`), the largest sensible size is taken and the note says what it reaches.
     """
     kind = KINDS[effect]
+    if kind.fixed:
+        return Sized(Hidden(effect, joint, kind.guess), np.ones(cell.cad.n), wanted, f"size fixed, {kind.fixed}")
     floor = residual_rms(cell, healthy, kind.top)
 
     def ratios(size: float) -> Array:
