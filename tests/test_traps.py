@@ -16,6 +16,7 @@ from scipy.optimize import linprog
 from scipy.stats import binom
 
 import stopset.offline.conform.linear as linear
+import stopset.offline.conform.program as program
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
 from stopset.offline.compare import compare
@@ -362,17 +363,18 @@ def test_p11_radians_and_radians_per_second_are_weighted_not_added() -> None:
     trials = recordings((2.0,), (4.0,), suites=1, trials=5, bias=0.0, spread=0.5)
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    block = linear._block(env, R, [0, 1], [0, 1], [0], 1, False)
-    naive = linear._block(env, R, [0, 1], [0, 1], [0], 1, True)
+    noise = Box.symmetric([2e-5, 2e-3])
+    block = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1), True)
+    naive = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1, capped=False), True)
     # columns: X0 lo (q, dq), X0 hi (q, dq), V lo, V hi, U lo, U hi; a velocity counts as its way within a stop
-    assert block.cost[7] / block.cost[6] == pytest.approx(linear.STOP_TIME)
+    assert block.cost[7] / block.cost[6] == pytest.approx(program.STOP_TIME)
     assert naive.cost[7] / naive.cost[6] == pytest.approx(1.0)  # a rad/s as dear as a rad
 
 
 def test_p11_the_weights_are_in_the_model_file(planar) -> None:
     _, _, found = planar
     cost = found.model.provenance["cost"]
-    assert cost["velocity_counts_for_s"] == linear.STOP_TIME
+    assert cost["velocity_counts_for_s"] == program.STOP_TIME
 
 
 # ---- P12: stiction must not hide in X0
@@ -472,7 +474,7 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
     trials = recordings((2.0,), (4.0,), suites=1, trials=4)
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    exact = linear.linprog
+    exact = program.linprog
 
     class Sloppy:
         status, message = 0, "solved"
@@ -486,8 +488,8 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
         x[0], x[2] = x[2] + 1e-9, x[0] - 1e-9  # and X0's interval inverted
         return Sloppy(x)
 
-    monkeypatch.setattr(linear, "linprog", sloppy)
-    monkeypatch.setattr(linear, "ROUNDS", 3)
+    monkeypatch.setattr(program, "linprog", sloppy)
+    monkeypatch.setattr(program, "ROUNDS", 3)
     noise = Box.symmetric([2e-5, 2e-3])
     fit = fit_sets(env, R, noise, SINGLE, ("a",))
     assert leaves(fit, R, env) <= 0.0
@@ -496,11 +498,11 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
 
 def _raw(env: Envelope, R: Responses, noise: Box) -> float:
     """Worst unmet row of the solver's own answer."""
-    block = linear._block(env, R, [0, 1], [0, 1], [0], 1, False)
-    limits, bounds = linear._limits(block, noise, True, True)
-    z = linear.linprog(
-        block.cost, A_ub=np.vstack([-block.G, limits]), b_ub=np.concatenate([-block.h, np.zeros(len(limits))]), bounds=bounds
-    ).x
+    bounds = program.Bounds(noise, 1)
+    block = linear._block(env, R, [0, 1], [0, 1], [0], bounds, True)
+    limits = bounds.rows()
+    need = np.concatenate([-block.h, np.zeros(len(limits))])
+    z = program.linprog(block.cost, A_ub=np.vstack([-block.G, limits]), b_ub=need, bounds=bounds.limits()).x
     return float((block.h - block.G @ z).max())
 
 

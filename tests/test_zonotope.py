@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from stopset.artifact import Abstraction
-from stopset.errors import NotConformant
-from stopset.offline.conform.cooperative import Trial
-from stopset.offline.conform.zonotopes import ZonotopeFit, directions, fit_zonotope, reach, template, torque_deviations
-from stopset.recording import read_recordings
+from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
+from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
+from stopset.offline.adaptive import from_scratch, load_state, save_state, update
+from stopset.offline.compare import compare
+from stopset.offline.conform.envelope import Deviations, Envelope
+from stopset.offline.conform.linear import Fit, fit_sets
+from stopset.offline.conform.sets import BOX, enclosing, seen_by
+from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
+from stopset.offline.identify import Identification, Settings, identify
+from stopset.reach.flowpipe import along_joints, deviation_tube
+from stopset.recording import Recording, read_recordings
 from stopset.robot import load_robot
 from stopset.sets import Box, Zonotope
+from synthetic import arm as robot_of
+from synthetic import names, recordings, save_trials
 
 numbers = st.floats(-10, 10, allow_subnormal=False)
 
@@ -104,20 +112,40 @@ ACROSS = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2)
 TOGETHER = np.array([[1.0, 0.05], [0.6, -0.08]])  # both joints are pushed the same way
 
 
-def fits(data: list[Trial], model: Abstraction) -> dict[str, ZonotopeFit]:
+def seen(data: list[Trial], model: Abstraction, l: np.ndarray, steps: int = 60) -> Envelope:  # noqa: E741
+    """Envelope of all trials along ``l``, and of every window start."""
+    deviations = Deviations(model, DT, steps, "sliding", l)
+    envelope = deviations.empty()
+    for k, (x, u) in enumerate(data):
+        t = np.arange(len(x)) * DT
+        deviations.add(envelope, Recording("open_loop", 0, k, k, t, x[:, :2], x[:, 2:], u), u)
+    return envelope
+
+
+def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
     l = np.vstack([np.eye(2), ACROSS])  # noqa: E741
-    seen = directions(data, model, l, DT, 60, 3)
-    G = template(torque_deviations(data, model, DT), model)
-    return {"box": fit_zonotope(seen, model, np.eye(2), NOISE), "zonotope": fit_zonotope(seen, model, G, NOISE)}
+    envelope = seen(data, model, l)
+    shapes = {"box": np.eye(2), "zonotope": generators(torque_deviations(data, model, DT), model)}
+    out = {}
+    for name, G in shapes.items():
+        T = Template(G, l)
+        R = seen_by(model, DT, 60, T)
+        out[name] = enclosing(fit_sets(envelope, R, NOISE, model, ("a", "b"), template=T), R, envelope, False)
+    return out
+
+
+def of(fit: Fit) -> Zonotope:
+    assert fit.zonotope is not None
+    return fit.zonotope.set
 
 
 def test_a_zonotope_is_smaller_where_joints_are_disturbed_together() -> None:
     got = fits(trials(TOGETHER), arm())
     assert got["zonotope"].cost < 0.85 * got["box"].cost
-    assert got["zonotope"].U.volume < 0.5 * got["box"].U.volume
+    assert of(got["zonotope"]).volume < 0.5 * of(got["box"]).volume
     # and it is about the set that made the data
     true = Zonotope(np.zeros(2), TOGETHER)
-    assert np.all(got["zonotope"].U.width(ACROSS) < 1.25 * true.width(ACROSS) + 0.05)
+    assert np.all(of(got["zonotope"]).width(ACROSS) < 1.25 * true.width(ACROSS) + 0.05)
 
 
 def test_a_zonotope_is_never_worse_than_a_box() -> None:
@@ -126,41 +154,131 @@ def test_a_zonotope_is_never_worse_than_a_box() -> None:
         assert got["zonotope"].cost <= got["box"].cost * (1 + 1e-6)
 
 
-def tube(fit: ZonotopeFit, model: Abstraction, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # noqa: E741
-    E1, middle, size = reach(model, l, fit.U.generators, DT, 60)
-    rows = np.vstack([np.hstack([l, 0 * l]), np.hstack([0 * l, l])])
-    spread = np.abs(E1) @ fit.V.hi + np.abs(rows) @ fit.V.hi + size.sum(axis=2)
-    return middle @ fit.U.centre - spread, middle @ fit.U.centre + spread
+def sets_of(fit: Fit) -> UncertaintySets:
+    return UncertaintySets(fit.X0, fit.U, fit.V, DT, 60 * DT, zonotope=fit.zonotope)
 
 
 def test_the_tube_encloses_the_data_and_new_solutions_and_shrinking_breaks_it() -> None:
     model, l = arm(), np.vstack([np.eye(2), ACROSS])  # noqa: E741
     data = trials(TOGETHER)
     fit = fits(data, model)["zonotope"]
-    lo, hi = tube(fit, model, l)
-    every = directions(data, model, l, DT, 60, 3)  # the deviations the fit has seen
-    assert np.all(every.hi[1:] <= hi[1:]) and np.all(every.lo[1:] >= lo[1:])
+    sets = sets_of(fit)
+    every, tube = seen(data, model, l), deviation_tube(model, sets, l)
+    assert np.all(every.hi[1:] <= tube.hi[1:]) and np.all(every.lo[1:] >= tube.lo[1:])
     # new solutions under torques anywhere in U, from readings with any noise
     rng = np.random.default_rng(9)
     Ad, Bd = _step(model)
-    project = np.vstack([np.hstack([l, 0 * l]), np.hstack([0 * l, l])])
-    e = rng.uniform(-1, 1, (500, 4)) * NOISE.hi
+    project = along_joints(l)
+    e = rng.uniform(fit.X0.lo, fit.X0.hi, (500, 4))
+    U = of(fit)
     for h in range(1, 61):
-        w = fit.U.centre + np.sign(rng.uniform(-1, 1, (500, fit.U.generators.shape[1]))) @ fit.U.generators.T
+        w = U.centre + np.sign(rng.uniform(-1, 1, (500, U.generators.shape[1]))) @ U.generators.T
         e = e @ Ad.T + w @ Bd.T
-        seen = e @ project.T
-        assert np.all(seen <= hi[h]) and np.all(seen >= lo[h])
-    small = replace(fit, U=Zonotope(fit.U.centre, 0.9 * fit.U.generators))
-    lo, hi = tube(small, model, l)
-    assert not (np.all(every.hi[1:] <= hi[1:]) and np.all(every.lo[1:] >= lo[1:]))
+        x = e @ project.T
+        assert np.all(x <= tube.hi[h]) and np.all(x >= tube.lo[h])
+    assert sets.zonotope is not None
+    small = replace(sets, zonotope=replace(sets.zonotope, generators=0.9 * sets.zonotope.generators))
+    less = deviation_tube(model, small, l)
+    assert not (np.all(every.hi[1:] <= less.hi[1:]) and np.all(every.lo[1:] >= less.lo[1:]))
+
+
+def test_whoever_takes_the_box_around_it_is_never_narrower() -> None:
+    """Stops and FMU know boxes only: the hull of the zonotope, in every direction and at every age."""
+    model, l = arm(), np.vstack([np.eye(2), ACROSS])  # noqa: E741
+    sets = sets_of(fits(trials(TOGETHER), model)["zonotope"])
+    exact, box = deviation_tube(model, sets, l), deviation_tube(model, sets.boxed, l)
+    assert np.all(box.hi >= exact.hi - 1e-12) and np.all(box.lo <= exact.lo + 1e-12)
+    assert (box.hi - box.lo)[-1].sum() > 1.2 * (exact.hi - exact.lo)[-1].sum()
 
 
 def test_impossible_data_are_refused() -> None:
-    model = arm()
-    seen = directions(trials(TOGETHER, 2), model, np.eye(2), DT, 20, 3)
-    broken = replace(seen, hi=np.where(np.arange(21)[:, None] == 5, np.nan, seen.hi))
+    model, T = arm(), Template(np.eye(2), np.eye(2))
+    broken = seen(trials(TOGETHER, 2), model, T.directions, 20)
+    broken.hi[5] = np.nan
     with pytest.raises((NotConformant, ValueError)):
-        fit_zonotope(broken, model, np.eye(2), NOISE)
+        fit_sets(broken, seen_by(model, DT, 20, T), NOISE, model, ("a", "b"), template=T)
+
+
+@pytest.fixture(scope="module")
+def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Identification]:
+    """Two joints that are pushed the same way, through the whole of `stopset identify --shape zonotope`."""
+    folder = tmp_path_factory.mktemp("together")
+    trials = recordings((1.0, 0.5), (4.0, 2.0), 3, 6, spread=0.05, seed=3)
+    rng = np.random.default_rng(5)
+    out = []
+    for r in trials:
+        N = len(r.t)
+        push = rng.uniform(-1.0, 1.0, (N // 60 + 1, 1)).repeat(60, axis=0)[:N] * np.array([[0.4, 0.2]])
+        out.append(replace(r, tau=r.tau - push))
+    path = save_trials(folder / "r.parquet", out, names(2))
+    robot = replace(robot_of(names(2)), tip=np.array([0.4, 0.0, 0.0]))  # a tool that both joints move
+    return path, identify(robot, [path], Settings(shape="zonotope"), keep=True)
+
+
+def test_from_recordings_to_the_model_file_and_back(together: tuple[Path, Identification], tmp_path: Path) -> None:
+    path, found = together
+    powered = found.model.powered
+    assert powered.zonotope is not None and powered.U.encloses(powered.zonotope.set.box)
+    assert found.conformance.table["all"].cost < 0.95 * found.conformance.table[BOX].cost
+    saved = save_model(found.model, tmp_path / "m.json")
+    assert json.loads((tmp_path / "m.json").read_text())["schema"] == 2
+    again = load_model(tmp_path / "m.json")
+    z = again.powered.zonotope
+    assert z is not None and again.sha256 == saved.sha256
+    assert np.array_equal(z.generators, powered.zonotope.generators) and np.array_equal(z.directions, powered.zonotope.directions)
+    # held against the recordings it was made from, in all its directions: none leaves; a tenth less lets some out
+    assert not compare(again, [path]).violations
+    less = replace(powered, zonotope=replace(z, generators=0.5 * z.generators))
+    leaving = compare(replace(again, sets={**again.sets, "powered": less}), [path]).violations
+    assert leaving
+
+
+def test_a_box_that_is_not_around_its_zonotope_is_refused(together: tuple[Path, Identification], tmp_path: Path) -> None:
+    model = together[1].model
+    narrow = replace(model.powered, U=Box(0.5 * model.powered.U.lo, 0.5 * model.powered.U.hi))
+    save_model(replace(model, sets={**model.sets, "powered": narrow}), tmp_path / "m.json")
+    with pytest.raises(ModelFileError, match="zonotope"):
+        load_model(tmp_path / "m.json")
+
+
+def test_files_without_zonotopes_are_of_the_first_schema(together: tuple[Path, Identification], tmp_path: Path) -> None:
+    """What an older stopset wrote and reads."""
+    model = together[1].model
+    plain = replace(model, sets={k: s.boxed for k, s in model.sets.items()})
+    save_model(plain, tmp_path / "m.json")
+    body = json.loads((tmp_path / "m.json").read_text())
+    assert body["schema"] == 1 and all("zonotope" not in s for s in body["sets"].values())
+    assert load_model(tmp_path / "m.json").powered.zonotope is None
+
+
+def test_the_monitor_checks_with_the_zonotopes_own_tube(together: tuple[Path, Identification]) -> None:
+    """Every recording it was made from is conformant, sample by sample."""
+    from stopset.monitor.watch import Conformance, Sample, Watch
+
+    path, found = together
+    watch = Watch(replace(found.model, domain=replace(found.model.domain, temp=None)))
+    r = next(iter(read_recordings(path, found.model.robot)))
+    verdicts = [watch.step(Sample(k, t, r.q[k], r.dq[k], r.tau[k])) for k, t in enumerate(r.t)]
+    assert {v.conformance for v in verdicts[2:]} == {Conformance.CONFORMANT}
+
+
+def test_updates_keep_the_template_and_give_the_bits_of_all_read_together(
+    together: tuple[Path, Identification], tmp_path: Path
+) -> None:
+    path, found = together
+    model = save_model(found.model, tmp_path / "m.json")
+    assert found.kept is not None
+    save_state(tmp_path / "m.state", found.kept, model)
+    new = save_trials(tmp_path / "new.parquet", recordings((1.0, 0.5), (4.0, 2.0), 1, 4, spread=0.3, seed=9), names(2))
+    added = update(model, load_state(tmp_path / "m.state", model), [new])
+    whole = from_scratch(model, load_state(tmp_path / "m.state", model), [path, new])
+    a, b = added.model.powered.zonotope, whole.model.powered.zonotope
+    assert a is not None and b is not None and np.array_equal(a.generators, b.generators) and np.array_equal(a.centre, b.centre)
+
+
+def test_a_nonlinear_model_has_no_zonotope(together: tuple[Path, Identification]) -> None:
+    with pytest.raises((NotCovered, RecordingError), match="--model 1"):
+        identify(robot_of(names(2)), [together[0]], Settings(shape="zonotope", model=2, order=3))
 
 
 @pytest.mark.shared
@@ -169,22 +287,25 @@ def test_on_the_real_arm_a_zonotope_is_narrower_at_the_tool() -> None:
     path = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"
     if not path.exists():
         pytest.skip("../shared/data is not here")
-    spec = importlib.util.spec_from_file_location(
-        "zonotope_benchmark", Path(__file__).resolve().parents[1] / "benchmarks" / "zonotope.py"
-    )
-    assert spec is not None and spec.loader is not None
-    benchmark = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(benchmark)
     robot = load_robot("lwa4p")
     inertia, damping = np.array([1.89, 12.4, 1.93, 1.82, 0.55, 0.43]), np.array([12.6, 30.8, 8.5, 8.1, 3.5, 4.0])
     model = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None])
-    data = []
-    for r in read_recordings(path, robot):
+    trials, coarse = list(read_recordings(path, robot)), []
+    for r in trials:
         steps = (len(r.t) - 1) // 5
         mean = r.tau[: steps * 5].reshape(steps, 5, -1).mean(axis=1)
-        data.append((np.hstack([r.q, r.dq])[: steps * 5 + 1 : 5], np.vstack([mean, mean[-1:]])))
-    tool = benchmark.tool_directions(robot, np.array([x[len(x) // 2, :6] for x, _ in data[::40]]))
+        x = np.hstack([r.q, r.dq])[: steps * 5 + 1 : 5]
+        u = np.vstack([mean, mean[-1:]])
+        coarse.append((replace(r, t=r.t[: steps * 5 + 1 : 5], q=x[:, :6], dq=x[:, 6:], tau=u), u))
+    T = template([(np.hstack([r.q, r.dq]), u) for r, u in coarse], model, robot, 0.02)
+    deviations = Deviations(model, 0.02, 50, "sliding", T.directions)
+    envelope = deviations.empty()
+    for r, u in coarse:
+        deviations.add(envelope, r, u)
     noise = Box.symmetric(np.repeat([1e-4, 5e-3], 6))  # about the encoder's resolution and the velocity's scatter
-    got = benchmark.compare(data, model, noise, tool, 0.02, 1.0)
+    got = {}
+    for name, shape in (("box", Template(np.eye(6), T.directions)), ("zonotope", T)):
+        R = seen_by(model, 0.02, 50, shape)
+        got[name] = enclosing(fit_sets(envelope, R, noise, model, robot.joints, template=shape), R, envelope, False)
     assert got["zonotope"].cost < 0.9 * got["box"].cost
-    assert got["zonotope"].U.volume < 0.5 * got["box"].U.volume
+    assert of(got["zonotope"]).volume < 0.5 * of(got["box"]).volume

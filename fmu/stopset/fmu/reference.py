@@ -94,7 +94,7 @@ def _run(model: Model, share: float) -> Reference:
             if not model.abstraction.linear:  # decoupled joints are cooperative: the corners stay the corners
                 lo[k + 1], hi[k + 1] = step(lo[k], u + s.U.lo), step(hi[k], u + s.U.hi)
     if model.abstraction.linear:
-        tube = deviation_tube(model.abstraction, s)
+        tube = deviation_tube(model.abstraction, s.boxed)  # what is exported is the box
         return Reference(t, tau, x, x + tube.lo[:rows], x + tube.hi[:rows], temp)
     return Reference(t, tau, x, lo + s.V.lo, hi + s.V.hi, temp)
 

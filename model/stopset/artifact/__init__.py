@@ -10,6 +10,7 @@ from stopset.artifact.model import (
     Model,
     Revision,
     TemperatureBand,
+    TorqueZonotope,
     UncertaintySets,
 )
 from stopset.artifact.store import load_model, model_text, save_model
@@ -24,6 +25,7 @@ __all__ = [
     "Model",
     "Revision",
     "TemperatureBand",
+    "TorqueZonotope",
     "UncertaintySets",
     "load_model",
     "model_text",

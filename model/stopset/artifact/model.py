@@ -6,7 +6,7 @@ Nothing in it is ever executed; `stopset.artifact.store` reads and writes it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,10 @@ from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
 from stopset.robot import Robot
-from stopset.sets import Box
+from stopset.sets import Box, Zonotope
 
 Array = NDArray[np.float64]
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 2: torque sets as zonotopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +59,29 @@ class TemperatureBand:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueZonotope:
+    """The torque set as ``centre + generators b``, every ``b`` in [-1, 1]: joints that are not all disturbed at once [N m].
+
+    ``centre``: (n,), ``generators``: (n, m); ``directions``: (k, n) in the joints along which its tube encloses what was
+    recorded, positions [rad] and speeds [rad/s], the joints themselves first.
+    """
+
+    centre: Array
+    generators: Array
+    directions: Array
+
+    @property
+    def set(self) -> Zonotope:
+        return Zonotope(self.centre, self.generators)
+
+
+@dataclass(frozen=True, slots=True)
 class UncertaintySets:
     """Sets of one regime (powered, stop0, stop1), and how they were found (trap P18: the runtime must do the same).
 
     A measured state at age ``a`` after a measured state ``x_m`` lies in
     ``x*(a) + e^{Aa} X0 + hull of the U convolution + V``: ``X0, V``: (2n,) boxes over (q, dq); ``U``: (n,) box [N m].
+    Where there is a ``zonotope``, that is the torque set, and ``U`` the box around it, for whoever takes boxes.
     """
 
     X0: Box
@@ -76,6 +94,12 @@ class UncertaintySets:
     margin: float = 1.0
     active: tuple[ActiveBound, ...] = ()
     temp: TemperatureBand | None = None  # None: at every temperature of the domain
+    zonotope: TorqueZonotope | None = None
+
+    @property
+    def boxed(self) -> UncertaintySets:
+        """The same with the box around the torque set: coarser, never narrower."""
+        return self if self.zonotope is None else replace(self, zonotope=None)
 
 
 @dataclass(frozen=True, slots=True)

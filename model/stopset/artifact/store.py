@@ -17,7 +17,7 @@ from typing import Any, get_args, get_origin
 
 import numpy as np
 
-from stopset.artifact.model import SCHEMA_VERSION, Model
+from stopset.artifact.model import SCHEMA_VERSION, Model, UncertaintySets
 from stopset.errors import ModelFileError, RobotError
 from stopset.files import write_text
 from stopset.robot import Robot
@@ -25,6 +25,7 @@ from stopset.robot.arm import robot_from_text
 from stopset.sets import Box
 
 FORMAT = "stopset model"
+FIRST_SCHEMA = 1  # before zonotopes
 
 
 def _plain(x: Any) -> Any:
@@ -68,9 +69,16 @@ def _digest(body: Mapping[str, Any]) -> str:
 
 
 def model_text(model: Model) -> str:
-    """The model file's text; its ``sha256`` covers everything else in it."""
-    body: dict[str, Any] = {"format": FORMAT, "schema": SCHEMA_VERSION, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
+    """The model file's text; its ``sha256`` covers everything else in it.
+
+    It is of the oldest schema that can hold the model: a file without zonotopes is what it was before there were any.
+    """
+    schema = SCHEMA_VERSION if any(s.zonotope is not None for s in model.sets.values()) else FIRST_SCHEMA
+    body: dict[str, Any] = {"format": FORMAT, "schema": schema, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
     body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
+    if schema == FIRST_SCHEMA:
+        for sets in body["sets"].values():
+            del sets["zonotope"]
     body["sha256"] = _digest(body)
     return _text(body)
 
@@ -138,9 +146,10 @@ def load_model(path: str | Path) -> Model:
         raise ModelFileError(f"{p} is not a stopset model file: its JSON is nested without end; give the right file") from e
     if not isinstance(body, dict) or body.get("format") != FORMAT:
         raise ModelFileError(f'{p} is not a stopset model file; expected JSON with "format": "{FORMAT}"')
-    if body.get("schema") != SCHEMA_VERSION:
+    if body.get("schema") not in range(FIRST_SCHEMA, SCHEMA_VERSION + 1):
         raise ModelFileError(
-            f"{p} has schema {body.get('schema')!r}, this stopset reads {SCHEMA_VERSION}; identify again or match versions"
+            f"{p} has schema {body.get('schema')!r}, this stopset reads {FIRST_SCHEMA} to {SCHEMA_VERSION}; identify again or "
+            "match versions"
         )
     if body.get("sha256") != _digest(body):
         raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
@@ -152,6 +161,15 @@ def load_model(path: str | Path) -> Model:
     assert isinstance(model, Model)
     _check_shapes(model, p)
     return model
+
+
+def _fits(sets: UncertaintySets, n: int) -> bool:
+    """Whether a zonotope has the robot's joints, and ``U`` is around it."""
+    z = sets.zonotope
+    if z is None:
+        return True
+    shapes = z.centre.shape == (n,) and z.generators.ndim == z.directions.ndim == 2
+    return shapes and len(z.generators) == z.directions.shape[1] == n and sets.U.encloses(z.set.box)
 
 
 def _check_shapes(m: Model, path: Path) -> None:
@@ -170,6 +188,7 @@ def _check_shapes(m: Model, path: Path) -> None:
             ("effects", all(f.joint is None or set(f.joint.split("+")) <= set(m.joints) for f in m.effects)),
             ("domain", m.domain.q.dim == n and m.domain.dq.dim == n and m.domain.u.dim == n),
             *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),
+            *((f"sets.{k}.zonotope", _fits(s, n)) for k, s in m.sets.items()),
             ("sets.powered", "powered" in m.sets),
         )
         if not ok

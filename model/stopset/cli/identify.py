@@ -13,6 +13,7 @@ from stopset.cli.common import add_output_options, check_outputs, say, write_jso
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
+    from stopset.offline.conform.linear import Fit
     from stopset.offline.identify import Identification
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
@@ -61,6 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--windows", choices=("sliding", "start"), default="sliding",
         help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--shape", choices=("box", "zonotope"), default="box",
+        help="of the torque set; a zonotope is narrower at the tool where joints are disturbed together, and slower to find",
     )  # fmt: skip
     parser.add_argument("--margin", type=margin, default=None, metavar="auto|FACTOR", help="growth of the sets (default auto)")
     parser.add_argument(
@@ -126,6 +131,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
     settings = Settings(
         model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
+        shape=args.shape,
     )  # fmt: skip
     return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep is not None)
 
@@ -138,7 +144,7 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
     add_arguments(parser)
     given = [
         f"--{name}"
-        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands")
+        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape")
         if getattr(args, name) != parser.get_default(name)
     ]
     if given:
@@ -154,6 +160,7 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
     from stopset.offline.conform.bands import narrower
+    from stopset.offline.conform.sets import BOX
 
     m, c = found.model, found.conformance
     s = m.powered
@@ -173,6 +180,8 @@ def summary(found: Identification) -> str:
     lines += ["", f"sum of U widths {s.U.width.sum():.2f} N m (margin {s.margin:.2f}; without margin:"]
     lines += [f"  {name:<32}{fit.U.width.sum():8.2f} N m" for name, fit in c.table.items()]
     lines.append("  ) the first is the chosen case; 'start' restarts predictions only at each trial's start, as the paper does")
+    if s.zonotope is not None:
+        lines.append(_beside_box(c.table[s.conform], c.table[BOX]))
     for b in narrower(m):
         tube = "" if b.tube_share is None else f"position tube {b.tube:.4f} rad, {b.tube_share:.0%} of the whole's; "
         lines.append(f"  {b.band:<17} {b.at:<20} {tube}U {b.torque:.2f} N m, {b.torque_share:.0%}")
@@ -183,3 +192,14 @@ def summary(found: Identification) -> str:
     ]  # fmt: skip
     lines += ["", *(f"note: {x}" for x in m.notes), "", m.guarantee.text]
     return "\n".join(lines)
+
+
+def _beside_box(zonotope: Fit, box: Fit) -> str:
+    """How much a zonotope gains on the data at hand."""
+    assert zonotope.template is not None
+    share, mean = zonotope.cost / box.cost - 1.0, 1e3 / len(zonotope.template.directions)
+    return (
+        f"  zonotope of {len(zonotope.inputs.lo) - len(zonotope.template.generators)} generators: mean tube width over the "
+        f"joints and the tool's directions {mean * box.cost:.1f} mrad as a box, {mean * zonotope.cost:.1f} mrad as a zonotope "
+        f"({share:+.1%})"
+    )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.errors import NotCovered
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 
@@ -53,10 +54,11 @@ def discretise(abstraction: Abstraction, dt: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Responses:
-    """Responses on the grid ``k dt``, k = 0..H: ``E1`` (H+1, 2n, 2n), ``plus`` and ``minus`` (H+1, 2n, n).
+    """Responses on the grid ``k dt``, k = 0..H: ``E1`` (H+1, r, 2n), ``plus`` and ``minus`` (H+1, r, m).
 
-    ``plus`` is an upper bound of the integral of ``max(K, 0)``, ``minus`` a lower bound of that of ``min(K, 0)``; where
-    K keeps its sign within a step (always, for a decoupled model) both are exact.
+    Of all states (r = 2n, the first ``E1`` is the identity) or of combinations of them, to a torque at each joint (m = n) or
+    along given directions.  ``plus`` is an upper bound of the integral of ``max(K, 0)``, ``minus`` a lower bound of that of
+    ``min(K, 0)``; where K keeps its sign within a step (always, for a decoupled model) both are exact.
     """
 
     dt: float
@@ -65,29 +67,47 @@ class Responses:
     minus: Array
 
     def hull(self, X0_lo: Array, X0_hi: Array, U_lo: Array, U_hi: Array) -> tuple[Array, Array]:
-        """Lower and upper bounds (H+1, 2n) of ``E1 X0 + convolution of K with U``."""
+        """Lower and upper bounds (H+1, r) of ``E1 X0 + convolution of K with U``."""
         Ep, En = np.maximum(self.E1, 0.0), np.minimum(self.E1, 0.0)
         hi = Ep @ X0_hi + En @ X0_lo + self.plus @ U_hi + self.minus @ U_lo
         lo = Ep @ X0_lo + En @ X0_hi + self.plus @ U_lo + self.minus @ U_hi
         return lo, hi
 
+    def tube(self, X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
+        """The same for readings, whose own noise ``V`` (2n,) comes on top."""
+        lo, hi = self.hull(X0.lo, X0.hi, U.lo, U.hi)
+        Lp, Ln = np.maximum(self.E1[0], 0.0), np.minimum(self.E1[0], 0.0)
+        return lo + (Lp @ V.lo + Ln @ V.hi), hi + (Lp @ V.hi + Ln @ V.lo)
 
-def responses(abstraction: Abstraction, dt: float, steps: int) -> Responses:
-    """`Responses` of a linear abstraction for ages ``0, dt, ..., steps dt``."""
+
+def responses(
+    abstraction: Abstraction, dt: float, steps: int, torques: Array | None = None, rows: Array | None = None
+) -> Responses:
+    """`Responses` of a linear abstraction for ages ``0, dt, ..., steps dt``.
+
+    ``torques``: (n, m) directions in the joints' torques that inputs act along, ``rows``: (r, 2n) combinations of states
+    that are looked at; without them every joint and every state by itself.
+    """
     A, B = _linear(abstraction)
     Ad, Bd = discretise(abstraction, dt)
-    m, n = B.shape
-    E1 = np.empty((steps + 1, m, m))
-    plus, minus = np.zeros((steps + 1, m, n)), np.zeros((steps + 1, m, n))
-    E1[0] = np.eye(m)
-    growth = np.abs(A) @ expm(np.abs(A) * dt)  # |K'| on a step <= growth |K(start)|
+    signed = torques is None and rows is None and _signed(abstraction)
+    if torques is not None:
+        B, Bd = B @ torques, Bd @ torques
+    m = A.shape[0]
+    L = np.eye(m) if rows is None else rows
+    E1 = np.empty((steps + 1, len(L), m))
+    plus, minus = np.zeros((steps + 1, len(L), B.shape[1])), np.zeros((steps + 1, len(L), B.shape[1]))
+    E = np.eye(m)
+    E1[0] = L
+    growth = np.abs(A) @ expm(np.abs(A) * dt)  # |K'| of the states on a step <= growth |K(start)|
     for k in range(steps):
-        E1[k + 1] = E1[k] @ Ad
+        slope = np.abs(L) @ (growth @ np.abs(E @ B)) * dt
+        E = E @ Ad
+        E1[k + 1] = E if rows is None else L @ E
         Ka, Kb = E1[k] @ B, E1[k + 1] @ B
         whole = E1[k] @ Bd  # exact integral of K over the step
-        slope = growth @ np.abs(Ka) * dt
         # with both ends on one side, K would need this much slope to reach zero and come back within the step
-        keeps_sign = ((Ka * Kb >= 0.0) & (np.abs(Ka) + np.abs(Kb) >= slope)) | _signed(abstraction)
+        keeps_sign = ((Ka * Kb >= 0.0) & (np.abs(Ka) + np.abs(Kb) >= slope)) | signed
         magnitude = np.where(keeps_sign, np.abs(whole), dt * (np.minimum(np.abs(Ka), np.abs(Kb)) + slope))
         plus[k + 1] = plus[k] + 0.5 * (magnitude + whole)
         minus[k + 1] = minus[k] - 0.5 * (magnitude - whole)
@@ -108,22 +128,57 @@ class Tube:
     hi: Array
 
 
-def deviation_tube(abstraction: Abstraction, sets: UncertaintySets) -> Tube:
+def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Array | None = None) -> Tube:
     """Tube of measured deviations for all ages up to the sets' horizon: the start's and the reading's noise included.
 
-    For ``conform == 'position'`` the velocity rows are unbounded (infinite), because nothing was promised about them.
+    ``across``: (k, n) directions in the joints; the tube is then that of their positions and speeds (2k columns), else that
+    of every joint.  Where the torque set is a zonotope the directions it was found in are held by the recordings, others
+    are not.  For ``conform == 'position'`` the velocity columns are unbounded (infinite): nothing was promised about them.
     """
     steps = round(sets.horizon / sets.dt)
-    R = responses(abstraction, sets.dt, steps)
-    lo, hi = R.hull(sets.X0.lo, sets.X0.hi, sets.U.lo, sets.U.hi)
-    lo, hi = lo + sets.V.lo, hi + sets.V.hi
     n = abstraction.n
+    rows = None if across is None else along_joints(across)
+    if sets.zonotope is None:
+        lo, hi = responses(abstraction, sets.dt, steps, None, rows).tube(sets.X0, sets.U, sets.V)
+        terms = n
+    else:  # a box in the generators' coordinates: a fixed centre, and -1 to 1 along each generator
+        G, c = sets.zonotope.generators, sets.zonotope.centre
+        R = responses(abstraction, sets.dt, steps, np.hstack([np.eye(n), G]), rows)
+        ones = np.ones(G.shape[1])
+        lo, hi = R.tube(sets.X0, Box(np.concatenate([c, -ones]), np.concatenate([c, ones])), sets.V)
+        terms = n + G.shape[1]
+    k = lo.shape[1] // 2
     if sets.conform == "position":
-        lo[:, n:], hi[:, n:] = -np.inf, np.inf
-    # sums of 2n + 2n + 1 products in double precision, rounded outward
-    slack = 2.0**-50 * n * np.maximum(np.abs(lo), np.abs(hi))
+        lo[:, k:], hi[:, k:] = -np.inf, np.inf
+    # sums of 2n + 2 terms + 2n products in double precision, rounded outward
+    slack = 2.0**-50 * terms * np.maximum(np.abs(lo), np.abs(hi))
     slack[~np.isfinite(slack)] = 0.0
     return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo - slack, hi + slack)
+
+
+def along_joints(directions: Array) -> Array:
+    """Rows (2k, 2n) that read positions, then speeds, along ``directions`` (k, n) of the joints."""
+    none = np.zeros_like(directions)
+    return np.block([[directions, none], [none, directions]])
+
+
+def between_samples(abstraction: Abstraction, dt: float, lo: Array, hi: Array, u: Box) -> tuple[Array, Array]:
+    """Bounds (N - 1, 2n) of all states *between* samples, from bounds ``lo``, ``hi`` (N, 2n) at the samples (trap P3).
+
+    ``u`` (n,): all inputs of the linear model that may act meanwhile, at any time.  An angle leaves the chord between two
+    samples by at most ``a_max dt^2 / 8``, a speed by ``a_max dt / 2``; whatever is compared with a limit needs that on top of
+    the samples' hull.
+    """
+    A, _ = _linear(abstraction)
+    n = abstraction.n
+    drag, gain = np.abs(A[n:, n:]), np.abs(abstraction.Minv)
+    push = gain @ np.maximum(np.abs(u.lo), np.abs(u.hi))
+    ends = np.maximum(np.abs(lo[:, n:]), np.abs(hi[:, n:]))
+    # no speed within the step is larger: |dq'| <= drag |dq| + push
+    speed = (np.maximum(ends[:-1], ends[1:]) + dt * push) @ expm(drag * dt).T
+    a_max = speed @ drag.T + push
+    out = np.hstack([a_max * dt**2 / 8.0, a_max * dt / 2.0]) * (1.0 + 2.0**-40)
+    return np.minimum(lo[:-1], lo[1:]) - out, np.maximum(hi[:-1], hi[1:]) + out
 
 
 def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:

@@ -54,10 +54,10 @@ def update(
     numbers = _numbers(kept, found)
     new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(kept.tally.steps)
     tell(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")
-    later = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, True, scheduler)
+    later = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
-    fresh = concluded(robot, meta, found, kept.nominal, settings, kept.bands, earlier.merge(later), tally)
+    fresh = concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
     assert fresh.kept is not None
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
@@ -88,8 +88,8 @@ def from_scratch(
     for r in source():
         tally.add(r)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
-    sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, True, scheduler)
-    return concluded(robot, meta, found, kept.nominal, settings, kept.bands, sums, tally)
+    sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
+    return concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally)
 
 
 def _joined(old: Meta, paths: Sequence[str | Path]) -> Meta:

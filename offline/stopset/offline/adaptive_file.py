@@ -23,6 +23,7 @@ from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.sets import Gathered
+from stopset.offline.conform.zonotopes import Template
 from stopset.offline.errors import Figures
 from stopset.offline.identify import Kept, NominalPart, Sums
 from stopset.offline.motions import Suite
@@ -60,6 +61,8 @@ def save_state(path: str | Path, kept: Kept, model: Model) -> None:
     }
     if kept.bands is not None:
         arrays["reference"] = _edges(kept.bands.reference)
+    if kept.template is not None:
+        arrays["generators"], arrays["directions"] = kept.template.generators, kept.template.directions
     buffer = BytesIO()
     arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
@@ -114,9 +117,11 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
     steps = round(settings_of(model).horizon / dt)
     bands = None if head["bands"] is None else Bands(_box(arrays["reference"]), tuple(head["bands"]))
     repeats, places = head["session"]
+    zonotope = Template(arrays["generators"], arrays["directions"]) if "generators" in arrays else None
     return Kept(
-        tally=_tally(head["tally"], arrays), sums=_sums(head["sums"], arrays, nominal, dt, steps, model.n), nominal=nominal,
+        tally=_tally(head["tally"], arrays), sums=_sums(head["sums"], arrays, nominal, dt, steps, zonotope), nominal=nominal,
         meta=meta, learnt=frozenset((p, s) for p, s in head["learnt"]), session=(repeats, places), dt=dt, bands=bands,
+        template=zonotope,
         motion={(p, s): number for p, s, number in head["motion"]}, fitted_files=int(head["fitted_files"]),
         more_notes=tuple(head["more_notes"]),
     )  # fmt: skip
@@ -207,11 +212,16 @@ def _pack(env: Envelope, name: str, arrays: Arrays) -> list[str]:
     return list(env.labels)
 
 
-def _sums(head: Mapping[str, Any], arrays: Arrays, nominal: NominalPart, dt: float, steps: int, n: int) -> Sums:
-    def envelope(name: str, labels: list[str]) -> Envelope:
+def _sums(
+    head: Mapping[str, Any], arrays: Arrays, nominal: NominalPart, dt: float, steps: int, zonotope: Template | None
+) -> Sums:
+    n = nominal.abstraction.n
+    across = n if zonotope is None else len(zonotope.directions)
+
+    def envelope(name: str, labels: list[str], k: int = across) -> Envelope:
         x = {field: arrays[f"{name}_{field}"] for field in ENVELOPE}
         rows = len(x["count"])
-        for field, shape in zip(ENVELOPE, ((rows, 2 * n),) * 2 + ((rows, 2 * n, 2),) * 2 + ((rows,),), strict=True):
+        for field, shape in zip(ENVELOPE, ((rows, 2 * k),) * 2 + ((rows, 2 * k, 2),) * 2 + ((rows,),), strict=True):
             if x[field].shape != shape:
                 raise ValueError(f"{name}: {field} has shape {x[field].shape}, expected {shape}")
         return Envelope(dt, x["hi"], x["lo"], x["hi_at"], x["lo_at"], x["count"], labels).upto(steps)
@@ -219,7 +229,7 @@ def _sums(head: Mapping[str, Any], arrays: Arrays, nominal: NominalPart, dt: flo
     g = head["gathered"]
     first, second = (envelope(f"half_{k}", labels) for k, labels in enumerate(g["halves"]))
     gathered = Gathered(
-        {m: envelope(f"part_{m}", labels) for m, labels in g["parts"]}, envelope("start", g["start"]), (first, second),
+        {m: envelope(f"part_{m}", labels) for m, labels in g["parts"]}, envelope("start", g["start"], n), (first, second),
         {k: {m: envelope(f"band_{k}_{m}", labels) for m, labels in of} for k, of in g["bands"]},
     )  # fmt: skip
     rows = list(zip(head["figures"], arrays["figure_rows"], strict=True))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import RecordingError
-from stopset.offline.conform.envelope import Deviations
+from stopset.offline.conform.envelope import Deviations, state_names
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.errors import joint_figures, torque_error
 from stopset.offline.identify import roller
@@ -96,8 +96,10 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
 
     if not model.abstraction.linear:
         return _compare_nonlinear(model, found, list(pairs()))
-    tube = deviation_tube(model.abstraction, model.powered)
-    deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows)
+    zonotope = model.powered.zonotope
+    across = None if zonotope is None else zonotope.directions
+    tube = deviation_tube(model.abstraction, model.powered, across)
+    deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows, across)
     rows = []
     for motion, r, u in pairs():
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
@@ -157,7 +159,9 @@ def _worst(model: Model, deviations: Deviations, tube: Tube, r: Recording, u: Ar
     relative = np.divide(excess, half, out=np.full_like(excess, -np.inf), where=out)
     age, state = np.unravel_index(int(np.argmax(relative)), excess.shape)
     side = "above" if above[age, state] >= below[age, state] else "below"
-    at = env.where("", int(age) + 1, int(state), "hi" if side == "above" else "lo", model.joints)
+    at = env.where(
+        "", int(age) + 1, int(state), "hi" if side == "above" else "lo", state_names(model.joints, len(deviations.across))
+    )
     worst = float(excess[age, state])
     return Violation(r.label, at.state, side, at.start_s, at.age_s, worst, worst / float(half[age, state]))
 

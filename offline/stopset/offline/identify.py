@@ -22,10 +22,11 @@ from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.conform.bands import Bands, band_sets, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.guarantee import split
-from stopset.offline.conform.linear import STOP_TIME
 from stopset.offline.conform.nonlinear import GRID, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
+from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.sets import Conformance, Gathered, Options, Pairs, conform, few_motions, gather
+from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.errors import Figures, joint_figures
 from stopset.offline.known import described, plain
@@ -57,11 +58,13 @@ class Settings:
     margin: float | None = None
     horizon: float = HORIZON
     bands: int = 0  # temperature bands beside the whole; 0: none
+    shape: str = "box"  # or "zonotope": of the torque set
 
     @property
     def sha256(self) -> str:
         # what was not asked for leaves the hash of earlier models as it was
-        kept = {k: v for k, v in asdict(self).items() if k != "bands" or v}
+        later = {"bands": 0, "shape": "box"}
+        kept = {k: v for k, v in asdict(self).items() if k not in later or v != later[k]}
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
@@ -88,6 +91,7 @@ class Kept:
     session: tuple[int, int]  # most repeats and trials: what it counts warming in
     dt: float  # [s] the sets' grid
     bands: Bands | None
+    template: Template | None  # of zonotopes
     motion: dict[Suite, int]
     fitted_files: int  # how many of the files the nominal model was fitted to
     notes: tuple[str, ...] = ()  # of the model as it was made from these sums alone
@@ -150,6 +154,11 @@ def identify(
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
     if chosen.model != 1 or chosen.order not in (None, 1):
         nominal = _abstracted(nominal, learnt, chosen, meta.effort)
+    if chosen.shape == "zonotope" and not nominal.abstraction.linear:
+        raise NotCovered(
+            f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
+            f"{nominal.abstraction.order}; leave --shape out, or take --model 1 --order 1"
+        )
     if keep and not nominal.abstraction.linear:
         raise NotCovered(
             f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; leave --keep "
@@ -312,9 +321,10 @@ def _with_sets(
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     if nominal.abstraction.linear:
-        sums = sums_of(source, found, nominal, meta.effort, settings, bands, tally is not None, scheduler)
+        zonotope = _template(found, nominal, meta.effort) if settings.shape == "zonotope" else None
+        sums = sums_of(source, found, nominal, meta.effort, settings, bands, zonotope, tally is not None, scheduler)
         tell("identifying the sets")
-        return concluded(robot, meta, found, nominal, settings, bands, sums, tally)
+        return concluded(robot, meta, found, nominal, settings, bands, zonotope, sums, tally)
     # its windows do not fold into an envelope: trials in memory, one process
     figures = Figures(nominal.abstraction, found.dt)
     pairs = _pairs(source, found, nominal, meta.effort)
@@ -337,13 +347,20 @@ def _with_sets(
     return _packed(robot, meta, found, nominal, settings, figures, result, by_band)
 
 
+def _template(found: Survey, nominal: NominalPart, effort: str) -> Template:
+    """What a zonotope is made of, from the trials in memory that judge nothing."""
+    sample = [r for r in found.sample if r.motion not in found.held_out]
+    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in _pairs(lambda: sample, found, nominal, effort)()]
+    return template(trials, nominal.abstraction, nominal.robot, found.dt)
+
+
 def _in_band(pairs: Pairs, bands: Bands, k: int) -> Pairs:
     return lambda: (p for p in pairs() if k in bands.of(p[1]))
 
 
 def sums_of(
-    source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None, keep: bool,
-    scheduler: str | None = None,
+    source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None,
+    zonotope: Template | None, keep: bool, scheduler: str | None = None,
 ) -> Sums:  # fmt: skip
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     found = replace(found, sample=())  # what a part needs, without the trials kept in memory
@@ -359,14 +376,14 @@ def sums_of(
                 yield motion, r, u
 
         in_bands = None if bands is None else bands.of
-        return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands), figures
+        return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands, zonotope), figures
 
     return Sums(*in_parts(part, found.places, scheduler))
 
 
 def concluded(
-    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, bands: Bands | None, sums: Sums,
-    tally: Tally | None = None,
+    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, bands: Bands | None,
+    zonotope: Template | None, sums: Sums, tally: Tally | None = None,
 ) -> Identification:  # fmt: skip
     """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
     options = Options(settings.conform, settings.windows, settings.margin)
@@ -375,10 +392,10 @@ def concluded(
     gathered = sums.gathered.mapped(lambda env: env.upto(steps))
     shared = (nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options)
     learnt = found.learnt_motions
-    result = conform(gathered, *shared, found.trials, learnt)
+    result = conform(gathered, *shared, found.trials, learnt, zonotope)
     by_band = {}
     if bands is not None and found.temp is not None:
-        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt)
+        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt, zonotope)
     out = _packed(robot, meta, found, nominal, settings, sums.figures, result, by_band)
     if tally is None:
         return out
@@ -387,7 +404,7 @@ def concluded(
     session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, found.motion, files, out.model.notes)
+    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files, out.model.notes)
     return replace(out, kept=kept)
 
 

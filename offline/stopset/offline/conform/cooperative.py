@@ -22,7 +22,8 @@ from scipy.optimize import linprog
 
 from stopset.artifact import Abstraction
 from stopset.errors import NotConformant
-from stopset.offline.conform.linear import STOP_TIME, Fit, age_weights
+from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.program import STOP_TIME, age_weights
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import corner_step, parts
 from stopset.sets import Box

@@ -7,6 +7,7 @@ trial's start does not survive a restart); ``'start'`` predicts from the trial's
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,12 +25,15 @@ Index = NDArray[np.int64]
 
 @dataclass(slots=True)
 class Envelope:
-    """Running envelope: ``hi``, ``lo`` (H+1, 2n) of deviations at age ``k dt``; where each was reached; samples per age."""
+    """Running envelope: ``hi``, ``lo`` (H+1, 2k) of deviations at age ``k dt``; where each was reached; samples per age.
+
+    Columns are positions and speeds of the joints (k = n), and of further directions across them where asked for.
+    """
 
     dt: float
     hi: Array
     lo: Array
-    hi_at: Index  # (H+1, 2n, 2) trial number (position in `labels`), start sample
+    hi_at: Index  # (H+1, 2k, 2) trial number (position in `labels`), start sample
     lo_at: Index
     count: Index  # (H+1,) number of windows that reach this age
     labels: list[str] = field(default_factory=list)
@@ -66,13 +70,17 @@ class Envelope:
         out.labels = list(self.labels)
         return out
 
-    def where(self, bound: str, age: int, state: int, side: str, joints: tuple[str, ...]) -> ActiveBound:
-        """Which recording and time put the envelope where it is at this age and state."""
+    def where(self, bound: str, age: int, state: int, side: str, names: Sequence[str]) -> ActiveBound:
+        """Which recording and time put the envelope where it is at this age and state, ``names`` of which see `state_names`."""
         at = (self.hi_at if side == "hi" else self.lo_at)[age, state]
-        n = len(joints)
-        name = f"{'q' if state < n else 'dq'}_{joints[state % n]}"
         label = self.labels[int(at[0])] if at[0] >= 0 else "noise alone"
-        return ActiveBound(bound, label, float(at[1]) * self.dt, age * self.dt, name)
+        return ActiveBound(bound, label, float(at[1]) * self.dt, age * self.dt, names[state])
+
+
+def state_names(joints: Sequence[str], directions: int) -> list[str]:
+    """Names of an envelope's columns: positions, then speeds, of the joints and of further directions across them."""
+    across = [*joints, *(f"direction {k + 1}" for k in range(directions - len(joints)))]
+    return [f"{x}_{name}" for x in ("q", "dq") for name in across]
 
 
 @njit(cache=True, nogil=True)
@@ -122,23 +130,44 @@ def _first(x: Array, live: int, value: float) -> int:
     return -1
 
 
-def _update_coupled(Ad: Array, residual: Array, starts: int, trial: int, env: Envelope) -> None:
-    """The same recursion for a full state matrix, all starts at once."""
-    N = residual.shape[0]
-    e = np.zeros((starts, residual.shape[1]))
-    for h in range(1, min(env.hi.shape[0] - 1, N) + 1):
-        live = min(starts, N - h + 1)
-        e = e[:live] @ Ad.T + residual[h - 1 : h - 1 + live]
-        top, bottom = e.argmax(axis=0), e.argmin(axis=0)
-        for side, at, best, better in (
-            (env.hi, env.hi_at, top, np.greater),
-            (env.lo, env.lo_at, bottom, np.less),
-        ):
-            value = e[best, np.arange(e.shape[1])]
-            new = better(value, side[h])
-            side[h, new] = value[new]
-            at[h, new, 0] = trial
-            at[h, new, 1] = best[new]
+@njit(cache=True, nogil=True)
+def _update(
+    Ad: Array, across: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
+) -> None:
+    """The same for a full state matrix, looked at along ``across`` (k, n): positions, then speeds."""
+    N, m = residual.shape
+    n, k = m // 2, across.shape[0]
+    e, x = np.zeros((starts, m)), np.empty(m)
+    top, bottom = np.empty(2 * k), np.empty(2 * k)
+    top_at, bottom_at = np.empty(2 * k, np.int64), np.empty(2 * k, np.int64)
+    for h in range(1, min(hi.shape[0] - 1, N) + 1):
+        top[:], bottom[:] = -np.inf, np.inf
+        for s in range(min(starts, N - h + 1)):
+            for i in range(m):
+                x[i] = residual[s + h - 1, i]
+                for j in range(m):
+                    x[i] += Ad[i, j] * e[s, j]
+            e[s] = x
+            for i in range(k):
+                q = dq = 0.0
+                for j in range(n):
+                    q += across[i, j] * x[j]
+                    dq += across[i, j] * x[n + j]
+                if q > top[i]:
+                    top[i], top_at[i] = q, s
+                if q < bottom[i]:
+                    bottom[i], bottom_at[i] = q, s
+                if dq > top[k + i]:
+                    top[k + i], top_at[k + i] = dq, s
+                if dq < bottom[k + i]:
+                    bottom[k + i], bottom_at[k + i] = dq, s
+        for i in range(2 * k):
+            if top[i] > hi[h, i]:
+                hi[h, i] = top[i]
+                hi_at[h, i, 0], hi_at[h, i, 1] = trial, top_at[i]
+            if bottom[i] < lo[h, i]:
+                lo[h, i] = bottom[i]
+                lo_at[h, i, 0], lo_at[h, i, 1] = trial, bottom_at[i]
 
 
 def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
@@ -147,16 +176,22 @@ def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
 
 
 class Deviations:
-    """Deviations of one nominal model on one grid, trial by trial; ``windows`` as in the module's first lines."""
+    """Deviations of one nominal model on one grid, trial by trial; ``windows`` as in the module's first lines.
 
-    def __init__(self, abstraction: Abstraction, dt: float, steps: int, windows: str = "sliding") -> None:
+    ``across``: (k, n) directions in the joints that are looked at, the joints themselves among them (None: only these).
+    """
+
+    def __init__(
+        self, abstraction: Abstraction, dt: float, steps: int, windows: str = "sliding", across: Array | None = None
+    ) -> None:
         self.dt, self.steps, self.windows = dt, steps, windows
-        self.states = 2 * abstraction.n
         self._Ad, self._Bd = discretise(abstraction, dt)
         self._blocks = None
-        if abstraction.decoupled:
+        if abstraction.decoupled and across is None:
             pairs = [[j, abstraction.n + j] for j in range(abstraction.n)]
             self._blocks = np.ascontiguousarray(np.stack([self._Ad[np.ix_(p, p)] for p in pairs]))
+        self.across = np.eye(abstraction.n) if across is None else np.ascontiguousarray(across)
+        self.states = 2 * len(self.across)
 
     def empty(self) -> Envelope:
         return Envelope.empty(self.dt, self.steps, self.states)
@@ -178,7 +213,8 @@ class Deviations:
         if self._blocks is not None:
             _update_decoupled(self._blocks, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
         else:
-            _update_coupled(self._Ad, residual, starts, trial, env)
+            where = (env.hi, env.lo, env.hi_at, env.lo_at)
+            _update(self._Ad, self.across, residual, starts, trial, *where)
         reach = min(self.steps, len(residual))
         ages = np.arange(1, reach + 1)
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)

@@ -8,7 +8,7 @@ still grow to enclose everything recorded: growing can only lower the chance of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from scipy.stats import beta
 
 from stopset.artifact import Guarantee
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.linear import SOLVER_SLACK, Fit
+from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.program import SOLVER_SLACK
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 
@@ -54,10 +55,10 @@ def scenario_bound(support: int, scenarios: int, confidence: float = CONFIDENCE)
 
 def touching(fit: Fit, R: Responses, env: Envelope) -> bool:
     """Whether an envelope reaches the tube of ``fit``: without those that do not, the program has the same solution."""
-    lo, hi = R.hull(fit.X0.lo, fit.X0.hi, fit.U.lo, fit.U.hi)
+    lo, hi = R.tube(fit.X0, fit.inputs, fit.V)
     rows = slice(1, min(env.steps, len(R.E1) - 1) + 1)
-    states = slice(0, 2 * fit.U.dim if fit.conform == "all" else fit.U.dim)
-    lo, hi = (lo + fit.V.lo)[rows, states], (hi + fit.V.hi)[rows, states]
+    states = slice(0, lo.shape[1] if fit.conform == "all" else lo.shape[1] // 2)
+    lo, hi = lo[rows, states], hi[rows, states]
     near = TOUCHING * (hi - lo) + 10 * SOLVER_SLACK
     return bool(np.any(env.hi[rows, states] >= hi - near) or np.any(env.lo[rows, states] <= lo + near))
 
@@ -65,33 +66,20 @@ def touching(fit: Fit, R: Responses, env: Envelope) -> bool:
 def needed_factors(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Array:
     """Smallest factors (n,), each >= 1, by which every joint's sets, grown about their centres, enclose ``env``.
 
-    Joints of a coupled model reach into each other's tubes: they share one factor.
+    Joints of a coupled model, or of a zonotope, reach into each other's tubes: they share one factor.
     """
     last = min(env.steps, len(R.E1) - 1)
     rows = slice(1, last + 1)
-
-    def tube(X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
-        lo, hi = R.hull(X0.lo, X0.hi, U.lo, U.hi)
-        return (lo + V.lo)[rows], (hi + V.hi)[rows]
-
-    c_lo, c_hi = tube(Box.point(fit.X0.centre), Box.point(fit.U.centre), Box.point(fit.V.centre))
-    lo, hi = tube(fit.X0, fit.U, fit.V)
+    c_lo, c_hi = (x[rows] for x in R.tube(*(Box.point(b.centre) for b in (fit.X0, fit.inputs, fit.V))))
+    lo, hi = (x[rows] for x in R.tube(fit.X0, fit.inputs, fit.V))
     seen_hi, seen_lo = env.hi[rows], env.lo[rows]
     with np.errstate(divide="ignore", invalid="ignore"):
         above = np.where(seen_hi > c_hi, (seen_hi - c_hi) / (hi - c_hi), 0.0)
         below = np.where(seen_lo < c_lo, (c_lo - seen_lo) / (c_lo - lo), 0.0)
     worst = np.maximum(above.max(axis=0), below.max(axis=0))
-    n = fit.U.dim
-    by_joint = np.maximum(1.0, worst[:n] if fit.conform == "position" else np.maximum(worst[:n], worst[n:]))
-    return np.asarray(by_joint if decoupled else np.full(n, by_joint.max()))
-
-
-def inflated(fit: Fit, factors: Array) -> Fit:
-    """The fit with every joint's sets grown about their centres by its factor (n,)."""
-    if np.all(factors <= 1.0):
-        return fit
-    both = np.concatenate([factors, factors])
-    return replace(fit, X0=fit.X0.inflated(both), U=fit.U.inflated(factors), V=fit.V.inflated(both))
+    k = len(worst) // 2
+    along = np.maximum(1.0, worst[:k] if fit.conform == "position" else np.maximum(worst[:k], worst[k:]))
+    return np.asarray(along if decoupled and fit.template is None else np.full(fit.X0.dim // 2, along.max()))
 
 
 def union(parts: Sequence[Envelope]) -> Envelope:

@@ -1,55 +1,83 @@
 """The uncertainty sets of a linear model: an exact linear program over the envelope, solved, re-checked, repaired outward.
 
 Unknowns are the bounds of ``X0``, ``U`` and ``V`` themselves.  ``U`` is found directly (trap P6), centres are free (trap
-P7), signs of the response decide corners (trap P1).  ``V`` is the measurement noise for positions and at least that for
-velocities: what a velocity reading does beyond it (vibration above the model's bandwidth, a filter's ringing) may widen
-it where that is cheaper than a torque at all times.  A start state is a reading too, so ``X0`` lies in ``-V`` (trap P12)
-and cannot hide stiction.  With a
-decoupled model every joint is a program of its own.  Source: Liu & Althoff (2018), eq. (17)-(21) as corrected there.
+P7).  ``V`` is the measurement noise for positions and at least that for velocities: what a velocity reading does beyond it
+(vibration above the model's bandwidth, a filter's ringing) may widen it where that is cheaper than a torque at all times.
+A start state is a reading too, so ``X0`` lies in ``-V`` (trap P12) and cannot hide stiction.  With a decoupled model and
+boxes every joint is a program of its own.  Source: Liu & Althoff (2018), eq. (17)-(21) as corrected there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
-from stopset.artifact import Abstraction, ActiveBound
-from stopset.errors import NotConformant
-from stopset.offline.conform.envelope import Envelope
+from stopset.artifact import Abstraction, ActiveBound, TorqueZonotope
+from stopset.offline.conform.envelope import Envelope, state_names
+from stopset.offline.conform.program import SOLVER_SLACK, STOP_TIME, Bounds, age_weights, cheapest, price, sides
+from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-
-# HiGHS keeps rows to 1e-7 at best (it was seen 9e-8 outside): rows start this much inside, and are re-checked
-SOLVER_SLACK = 2e-7
-ROUNDS = 40  # of constraint generation
-# trap P11: rad and rad/s are not addable. A velocity counts as the way it goes within a typical stop.
-STOP_TIME = 0.2  # [s]
+AGES = 160  # of a zonotope's program, evenly in the logarithm: its rows couple all joints; what is checked is every age
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """The sets, the cost they were chosen by (mean tube width, rad), and what fixes each bound."""
+    """The sets, the cost they were chosen by (mean tube width, rad), and what fixes each bound.
+
+    ``inputs``: the torque set in the coordinates of the responses' inputs: the box ``U`` itself, or of a ``template`` the
+    centre (n,) and the lengths of its generators (m,).
+    """
 
     X0: Box
-    U: Box
+    inputs: Box
     V: Box
     cost: float
     active: tuple[ActiveBound, ...]
     conform: str = "all"
+    template: Template | None = None
+
+    @property
+    def zonotope(self) -> TorqueZonotope | None:
+        """The torque set where it is a zonotope; generators of no length left out."""
+        if self.template is None:
+            return None
+        n = len(self.template.generators)
+        length = self.inputs.hi[n:]
+        used = length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)
+        # what is left out is shared among the axes: nothing is lost, however little
+        rest = np.abs(self.template.generators[:, ~used]) @ length[~used]
+        generators = np.hstack([self.template.generators[:, used] * length[used], np.diag(rest)[:, rest > 0.0]])
+        return TorqueZonotope(self.inputs.centre[:n], generators, self.template.directions)
+
+    @property
+    def U(self) -> Box:
+        """The torque set as a box [N m], the smallest around a zonotope."""
+        z = self.zonotope
+        return self.inputs if z is None else z.set.box
+
+    def inflated(self, factors: Array | float) -> Fit:
+        """All sets grown about their centres, by one factor or one per joint (joints of a zonotope share the largest)."""
+        f = np.broadcast_to(factors, self.X0.dim // 2)
+        if np.all(f <= 1.0):
+            return self
+        both = np.concatenate([f, f])
+        inputs = self.inputs.inflated(f if self.template is None else float(f.max()))
+        return replace(self, X0=self.X0.inflated(both), inputs=inputs, V=self.V.inflated(both))
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """One linear program: rows ``G z >= h`` over ``z = (X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi)`` of states xs, inputs us."""
+    """One linear program: rows ``G z >= h`` of states xs, inputs us, and where each row comes from."""
 
     xs: list[int]
     us: list[int]
+    bounds: Bounds
     G: Array
     h: Array
     cost: Array
@@ -57,153 +85,91 @@ class _Block:
     state: NDArray[np.int64]
     upper: NDArray[np.bool_]
 
-    def split(self, z: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
-        m, k = len(self.xs), len(self.us)
-        return z[:m], z[m : 2 * m], z[2 * m : 3 * m], z[3 * m : 4 * m], z[4 * m : 4 * m + k], z[4 * m + k :]
 
-
-def age_weights(last: int, dt: float) -> Array:
-    """(last,) weights of ages ``dt .. last dt`` in the cost, sum 1: every decade of age beyond a stop's counts alike.
-
-    A plain mean over some seconds would trade width at stop horizons away for width that nobody looks at.
-    """
-    w = 1.0 / (dt * np.arange(1, last + 1) + STOP_TIME)
-    return np.asarray(w / w.sum())
-
-
-def _block(env: Envelope, R: Responses, states: list[int], xs: list[int], us: list[int], n: int, paper: bool) -> _Block:
-    last, m, k = env.steps, len(xs), len(us)
-    ages = slice(1, last + 1)
+def _block(env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: list[int], bounds: Bounds, dense: bool) -> _Block:
+    last = env.steps
+    paper = not bounds.capped
     importance = np.full(last, 1.0 / last) if paper else age_weights(last, R.dt)
+    positions = R.E1.shape[1] // 2
+    weight = np.array([1.0 if i < positions or paper else STOP_TIME for i in wanted])
+    E, P, N = R.E1[:, wanted][:, :, xs], R.plus[:, wanted][:, :, us], R.minus[:, wanted][:, :, us]
+    L, count = E[0], len(wanted)
+    ages = np.arange(1, last + 1) if dense else np.unique(np.geomspace(1, last, AGES).astype(np.int64))
     G, h, age, state, upper = [], [], [], [], []
-    cost = np.zeros(4 * m + 2 * k)
-    for i in states:
-        E = R.E1[ages, i][:, xs]
-        P, N = R.plus[ages, i][:, us], R.minus[ages, i][:, us]
-        Ep, En = np.maximum(E, 0.0), np.minimum(E, 0.0)
-        own = np.tile((np.array(xs) == i).astype(float), (last, 1))
-        none = np.zeros_like(own)
-        G += [np.hstack([En, Ep, none, own, N, P]), -np.hstack([Ep, En, own, none, P, N])]
-        h += [env.hi[ages, i], -env.lo[ages, i]]
-        age += [np.arange(1, last + 1)] * 2
-        state += [np.full(2 * last, i)]
-        upper += [np.full(last, True), np.full(last, False)]
-        weight = 1.0 if i < n or paper else STOP_TIME
-        start, torque = importance @ np.abs(E), importance @ (P - N)
-        cost += weight * np.concatenate([-start, start, -own[0], own[0], -torque, torque])
+    for i in range(count):
+        up, down = sides(E[ages, i], np.tile(L[i], (len(ages), 1)), P[ages, i], N[ages, i])
+        G += [up, down]
+        h += [env.hi[ages, wanted[i]], -env.lo[ages, wanted[i]]]
+        age += [ages] * 2
+        state += [np.full(2 * len(ages), wanted[i])]
+        upper += [np.full(len(ages), True), np.full(len(ages), False)]
+    every = slice(1, last + 1)
+    cost = price(E[every], L, P[every], N[every], importance, weight)
     return _Block(
-        xs, us, np.vstack(G), np.concatenate(h), cost, np.concatenate(age), np.concatenate(state), np.concatenate(upper)
+        xs, us, bounds, np.vstack(G), np.concatenate(h), cost, np.concatenate(age), np.concatenate(state), np.concatenate(upper)
     )
 
 
 def fit_sets(
     env: Envelope, R: Responses, noise: Box, abstraction: Abstraction, joints: tuple[str, ...], conform: str = "all",
-    capped: bool = True,
+    capped: bool = True, template: Template | None = None,
 ) -> Fit:  # fmt: skip
-    """Smallest boxes ``X0`` (2n,), ``U`` (n,), ``V`` (2n,) whose tube encloses the envelope at every age.
+    """Smallest sets ``X0`` (2n,), ``U`` (n,), ``V`` (2n,) whose tube encloses the envelope at every age.
 
     ``noise`` (2n,): what ``V`` holds at least; ``conform``: ``"all"`` states or ``"position"`` only (then ``V`` is exactly
     ``noise``, since positions alone say nothing of velocity readings); ``capped=False`` is the paper's program: ``V`` is
     exactly ``noise``, ``X0`` is free, so stiction may hide in it, and every edge at every age costs the same (eq. 21).
-    Raises `NotConformant` when no such sets exist.
+    ``template``: ``U`` as a zonotope; ``R`` and ``env`` are then those of its directions, and ages between those of the
+    program are left to the caller's check.  Raises `NotConformant` when no such sets exist.
     """
     n = abstraction.n
-    wanted = range(2 * n) if conform == "all" else range(n)
-    blocks = [[j] for j in range(n)] if abstraction.decoupled else [list(range(n))]
-    lo = {name: np.zeros(n if name == "U" else 2 * n) for name in ("X0", "V", "U")}
+    rows = R.E1.shape[1]
+    names = state_names(joints, rows // 2)
+    wanted = list(range(rows if conform == "all" else rows // 2))
+    inputs = n if template is None else n + template.generators.shape[1]
+    alone = abstraction.decoupled and template is None
+    blocks = [([j], [j, n + j]) for j in range(n)] if alone else [(list(range(inputs)), list(range(2 * n)))]
+    lo = {name: np.zeros(inputs if name == "U" else 2 * n) for name in ("X0", "V", "U")}
     hi = {name: np.zeros_like(x) for name, x in lo.items()}
     cost = 0.0
     active: list[ActiveBound] = []
-    for us in blocks:
-        xs = [*us, *(n + j for j in us)]
-        block = _block(env, R, [i for i in wanted if i in xs], xs, us, n, not capped)
-        z = _solve(block, noise.take(xs), capped, conform == "all", [joints[j] for j in us])
-        lo["X0"][xs], hi["X0"][xs], lo["V"][xs], hi["V"][xs], lo["U"][us], hi["U"][us] = block.split(z)
+    for us, xs in blocks:
+        bounds = Bounds(noise.take(xs), len(us), capped, conform == "all", None if template is None else n)
+        mine = [i for i in wanted if i in xs] if alone else wanted
+        block = _block(env, R, mine, xs, us, bounds, template is None)
+        who = "joint " + ", ".join(joints[j] for j in us if j < n)
+        z = _repaired(block, bounds.tidy(cheapest(block.G, block.h, block.cost, bounds, who)))
+        lo["X0"][xs], hi["X0"][xs], lo["V"][xs], hi["V"][xs], lo["U"][us], hi["U"][us] = bounds.split(z)
         cost += float(block.cost @ z)
-        active += _active(block, z, env, joints)
-    return Fit(Box(lo["X0"], hi["X0"]), Box(lo["U"], hi["U"]), Box(lo["V"], hi["V"]), cost, tuple(active), conform)
-
-
-def _limits(block: _Block, noise: Box, capped: bool, widen: bool) -> tuple[Array, list[tuple[float, float]]]:
-    """Rows ``L z <= 0`` (bounds in order; X0 within -V) and bounds of each unknown."""
-    m, k = len(block.xs), len(block.us)
-    size = 4 * m + 2 * k
-    rows = []
-
-    def row(*entries: tuple[int, float]) -> None:
-        r = np.zeros(size)
-        for column, value in entries:
-            r[column] = value
-        rows.append(r)
-
-    for a in range(m):
-        row((a, 1.0), (m + a, -1.0))
-        if capped:  # X0.lo >= -V.hi, X0.hi <= -V.lo
-            row((a, -1.0), (3 * m + a, -1.0))
-            row((m + a, 1.0), (2 * m + a, 1.0))
-    for a in range(k):
-        row((4 * m + a, 1.0), (4 * m + k + a, -1.0))
-    inf = np.inf
-    bounds: list[tuple[float, float]] = [(-inf, inf)] * (2 * m)
-    wide = [capped and widen and a >= m // 2 for a in range(m)]  # velocities, the second half of the block's states
-    bounds += [(-inf if w else v, v) for v, w in zip(noise.lo.tolist(), wide, strict=True)]
-    bounds += [(v, inf if w else v) for v, w in zip(noise.hi.tolist(), wide, strict=True)]
-    bounds += [(-inf, inf)] * (2 * k)
-    return np.array(rows), bounds
-
-
-def _solve(block: _Block, noise: Box, capped: bool, widen: bool, names: Sequence[str]) -> Array:
-    """Constraint generation on HiGHS, then a floating-point re-check of every row and an outward repair (trap P17)."""
-    limits, bounds = _limits(block, noise, capped, widen)
-    m = len(block.xs)
-    sign = np.concatenate([np.tile(np.repeat([-1.0, 1.0], m), 2), np.repeat([-1.0, 1.0], len(block.us))])
-    # a vanishing charge on every width keeps directions that cost nothing from wandering off
-    c = block.cost + 1e-9 * float(np.abs(block.cost).max()) * sign
-    # a row scaled to unit size: the solver's absolute tolerance then means the same for every age
-    scale = np.maximum(np.abs(block.G).max(axis=1), 1e-12)
-    G, h = block.G / scale[:, None], block.h / scale + SOLVER_SLACK
-    chosen = np.unique(np.linspace(0, len(h) - 1, min(len(h), 600)).astype(int))
-    for _ in range(ROUNDS):
-        A = np.vstack([-G[chosen], limits])
-        b = np.concatenate([-h[chosen], np.zeros(len(limits))])
-        result = linprog(c, A_ub=A, b_ub=b, bounds=bounds, method="highs-ds")
-        if result.status != 0:
-            raise NotConformant(
-                f"no sets make joint {', '.join(names)} conformant ({result.message.splitlines()[0].strip()}); the data jump "
-                "within one sample by more than the noise allows: check the velocity signal"
-            )
-        z = np.asarray(result.x)
-        short = h - G @ z
-        new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
-        if not len(new):
-            break
-        chosen = np.union1d(chosen, new[np.argsort(-short[new])[:300]])
-    return _repaired(block, z)
+        active += _active(block, z, env, names, joints)
+    return Fit(
+        Box(lo["X0"], hi["X0"]), Box(lo["U"], hi["U"]), Box(lo["V"], hi["V"]), cost, tuple(active), conform, template
+    )  # fmt: skip
 
 
 def _repaired(block: _Block, z: Array) -> Array:
     """Widen ``V``, by what each row still lacks in floating point, until every row holds with a margin above rounding."""
     z = z.copy()
-    m = len(block.xs)
-    x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = block.split(z)  # views into z
-    for low, high in ((x_lo, x_hi), (v_lo, v_hi), (u_lo, u_hi)):
-        np.maximum(high, low, out=high)
+    _, _, v_lo, v_hi, _, _ = block.bounds.split(z)  # views into z
+    m = block.bounds.m
     rounding = 2.0**-48 * (np.abs(block.G) @ np.abs(z) + np.abs(block.h))
-    short = block.h + rounding - block.G @ z
-    for a, state in enumerate(block.xs):
-        mine = block.state == state
-        v_hi[a] += max(0.0, float(short[mine & block.upper].max(initial=0.0)))
-        v_lo[a] -= max(0.0, float(short[mine & ~block.upper].max(initial=0.0)))
-    assert m and float((block.h - block.G @ z).max()) <= 0.0
+    short = np.maximum(block.h + rounding - block.G @ z, 0.0)
+    reads = np.abs(block.G[:, 2 * m : 4 * m])  # a row along one state reads one bound of V, a row across joints several
+    most = reads.argmax(axis=1)
+    wider = np.zeros(2 * m)
+    np.maximum.at(wider, most, short / reads[np.arange(len(most)), most])
+    v_lo -= wider[:m]
+    v_hi += wider[m:]
+    assert float((block.h - block.G @ z).max()) <= 0.0
     return z
 
 
-def _active(block: _Block, z: Array, env: Envelope, joints: tuple[str, ...]) -> list[ActiveBound]:
+def _active(block: _Block, z: Array, env: Envelope, names: Sequence[str], joints: tuple[str, ...]) -> list[ActiveBound]:
     """For each bound of U and V, the tightest row in which it takes part: which recording, time and state fix it."""
     n, m, k = len(joints), len(block.xs), len(block.us)
-    state_names = [f"{'q' if i < n else 'dq'}_{joints[i % n]}" for i in block.xs]
-    labels = [f"V[{x}].{s}" for s in ("lo", "hi") for x in state_names]
-    labels += [f"U[{joints[j]}].{s}" for s in ("lo", "hi") for j in block.us]
+    states = state_names(joints, n)
+    inputs = [f"U[{joints[j]}]" if j < n else f"U generator {j - n + 1}" for j in block.us]
+    labels = [f"V[{states[i]}].{s}" for s in ("lo", "hi") for i in block.xs] + [f"{u}.{s}" for s in ("lo", "hi") for u in inputs]
     slack = (block.G @ z - block.h) / np.maximum(np.abs(block.G).max(axis=1), 1e-12)
     tight = np.flatnonzero(slack <= 20 * SOLVER_SLACK)
     out: list[ActiveBound] = []
@@ -211,5 +177,5 @@ def _active(block: _Block, z: Array, env: Envelope, joints: tuple[str, ...]) -> 
         takes_part = tight[np.abs(block.G[tight, v]) > 0]
         if len(takes_part):
             r = takes_part[np.argmax(np.abs(block.G[takes_part, v]))]
-            out.append(env.where(label, int(block.age[r]), int(block.state[r]), "hi" if block.upper[r] else "lo", joints))
+            out.append(env.where(label, int(block.age[r]), int(block.state[r]), "hi" if block.upper[r] else "lo", names))
     return out

@@ -15,16 +15,16 @@ Source: Liu & Althoff (2018), Sec. IV-C.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform.cooperative import Trial, fit_cooperative
-from stopset.offline.conform.linear import STOP_TIME, Fit, age_weights
+from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal
 from stopset.sets import Box
@@ -34,8 +34,6 @@ Array = NDArray[np.float64]
 GRID = 0.02  # [s] finest step of the time-varying hull, whose cost is quadratic in the number of steps
 WINDOWS = 160  # of the check; the program sees every other one
 AGES = 14  # of a window that give rows in the program, evenly in the logarithm
-ROUNDS = 40  # of constraint generation
-SOLVER_SLACK = 2e-7
 BATCH = 64  # nominal solutions integrated at once
 
 
@@ -94,92 +92,31 @@ def windows_of(
 
 
 def _rows(w: Window, ages: NDArray[np.int64], states: int) -> tuple[Array, Array]:
-    """Rows ``G z >= h`` of one window over ``z = (X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi)``, upper sides first."""
-    m = w.d.shape[1]
+    """Rows ``G z >= h`` of one window (see `program`), upper sides first."""
     E, P, N = (x[ages][:, :states].reshape(-1, x.shape[2]) for x in (w.R.E1, w.R.plus, w.R.minus))
-    Ep, En = np.maximum(E, 0.0), np.minimum(E, 0.0)
-    own = np.tile(np.eye(m)[:states], (len(ages), 1))
-    none = np.zeros_like(own)
+    L = np.tile(w.R.E1[0, :states], (len(ages), 1))
     d = w.d[ages][:, :states].ravel()
-    return np.vstack([np.hstack([En, Ep, none, own, N, P]), -np.hstack([Ep, En, own, none, P, N])]), np.concatenate([d, -d])
+    return np.vstack(sides(E, L, P, N)), np.concatenate([d, -d])
 
 
 def _cost(w: Window, dt: float, states: int, n: int) -> Array:
     """Price of the unknowns by one window: mean tube width [rad], velocities counted as the way gone in a stop."""
-    last = len(w.d) - 1
-    importance = age_weights(last, dt)
+    E, P, N = (x[1:, :states] for x in (w.R.E1, w.R.plus, w.R.minus))
     weight: Array = np.where(np.arange(states) < n, 1.0, STOP_TIME)
-    start = importance @ (np.abs(w.R.E1[1:, :states]) * weight[:, None]).sum(axis=1)
-    torque = importance @ ((w.R.plus - w.R.minus)[1:, :states] * weight[:, None]).sum(axis=1)
-    own = np.zeros(2 * n)
-    own[:states] = weight
-    return np.concatenate([-start, start, -own, own, -torque, torque])
-
-
-def _least(G: Array, h: Array, cost: Array, noise: Box, both: bool) -> Array:
-    """Cheapest unknowns under all rows, by constraint generation (HiGHS; every row is looked at after each solution)."""
-    m = noise.dim
-    n = m // 2
-    size = 4 * m + m
-    limits = []
-    for low, high, count in ((0, m, m), (4 * m, 4 * m + n, n)):
-        for a in range(count):
-            row = np.zeros(size)
-            row[low + a], row[high + a] = 1.0, -1.0
-            limits.append(row)
-    for a in range(m):  # X0 inside -V (trap P12)
-        for x, v, sign in ((a, 3 * m + a, -1.0), (m + a, 2 * m + a, 1.0)):
-            row = np.zeros(size)
-            row[[x, v]] = sign
-            limits.append(row)
-    wide = [both and a >= n for a in range(m)]
-    bounds: list[tuple[float | None, float | None]] = [(None, None)] * (2 * m)
-    bounds += [(None if w else v, v) for v, w in zip(noise.lo.tolist(), wide, strict=True)]
-    bounds += [(v, None if w else v) for v, w in zip(noise.hi.tolist(), wide, strict=True)]
-    bounds += [(None, None)] * m
-    widths = np.concatenate([np.tile(np.repeat([-1.0, 1.0], m), 2), np.repeat([-1.0, 1.0], n)])
-    c = cost + 1e-9 * float(np.abs(cost).max()) * widths
-    scale = np.maximum(np.abs(G).max(axis=1), 1e-12)
-    A, b = G / scale[:, None], h / scale + SOLVER_SLACK
-    chosen = np.unique(np.linspace(0, len(b) - 1, min(len(b), 1500)).astype(int))
-    z = np.zeros(size)
-    for _ in range(ROUNDS):
-        below, right = np.vstack([-A[chosen], limits]), np.concatenate([-b[chosen], np.zeros(len(limits))])
-        result = linprog(c, A_ub=below, b_ub=right, bounds=bounds, method="highs-ds")
-        if result.status != 0:
-            raise NotConformant(
-                f"no sets make this model conformant ({result.message.splitlines()[0].strip()}); the readings jump by more "
-                "than the noise allows: check the velocity signal"
-            )
-        z = np.asarray(result.x)
-        short = b - A @ z
-        new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
-        if not len(new):
-            break
-        chosen = np.union1d(chosen, new[np.argsort(-short[new])[:500]])
-    return z
+    return price(E, w.R.E1[0, :states], P, N, age_weights(len(w.d) - 1, dt), weight)
 
 
 def needed(w: Window, fit: Fit) -> float:
     """Smallest factor about the sets' centres with which one window is enclosed at all its ages; inf if none."""
     states = slice(0, fit.U.dim * (2 if fit.conform == "all" else 1))
 
-    def tube(X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
-        lo, hi = w.R.hull(X0.lo, X0.hi, U.lo, U.hi)
-        return (lo + V.lo)[1:, states], (hi + V.hi)[1:, states]
-
-    c_lo, c_hi = tube(Box.point(fit.X0.centre), Box.point(fit.U.centre), Box.point(fit.V.centre))
-    lo, hi = tube(fit.X0, fit.U, fit.V)
+    c_lo, c_hi = (x[1:, states] for x in w.R.tube(*(Box.point(b.centre) for b in (fit.X0, fit.inputs, fit.V))))
+    lo, hi = (x[1:, states] for x in w.R.tube(fit.X0, fit.inputs, fit.V))
     d = w.d[1:, states]
     with np.errstate(divide="ignore", invalid="ignore"):
         above = np.where(d > c_hi, (d - c_hi) / (hi - c_hi), 0.0)
         below = np.where(d < c_lo, (c_lo - d) / (c_lo - lo), 0.0)
     return float(max(above.max(initial=0.0), below.max(initial=0.0)))
-
-
-def grown(fit: Fit, factor: float) -> Fit:
-    """All sets grown about their centres by ``factor`` (>= 1)."""
-    return replace(fit, X0=fit.X0.inflated(factor), U=fit.U.inflated(factor), V=fit.V.inflated(factor))
 
 
 def fit_windows(seen: Sequence[Window], noise: Box, dt: float, conform: str = "all", every: int = 2) -> tuple[Fit, float]:
@@ -196,15 +133,15 @@ def fit_windows(seen: Sequence[Window], noise: Box, dt: float, conform: str = "a
         G.append(rows)
         h.append(rhs)
         cost += _cost(w, dt, states, n)
-    z = _least(np.vstack(G), np.concatenate(h), cost / len(G), noise, conform == "all")
-    x_lo, x_hi, v_lo, v_hi = (z[k * m : (k + 1) * m] for k in range(4))
-    boxes = [Box(np.minimum(lo, hi), np.maximum(lo, hi)) for lo, hi in ((x_lo, x_hi), (z[4 * m : 4 * m + n], z[4 * m + n :]))]
-    fit = Fit(boxes[0], boxes[1], Box(v_lo.copy(), v_hi.copy()), float(cost @ z / len(G)), (), conform)
+    bounds = Bounds(noise, n, widen=conform == "all")
+    z = bounds.tidy(cheapest(np.vstack(G), np.concatenate(h), cost / len(G), bounds, "this model"))
+    x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = bounds.split(z)
+    fit = Fit(Box(x_lo, x_hi), Box(u_lo, u_hi), Box(v_lo, v_hi), float(cost @ z / len(G)), (), conform)
     factor = max(1.0, *(needed(w, fit) for w in seen))
     if not np.isfinite(factor):
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")
     # the last rounding of the division, outward
-    return (grown(fit, factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
+    return (fit.inflated(factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
 
 
 def fit_along(

@@ -88,12 +88,12 @@ def conform_nonlinear(
     fit = algorithm.fit(used, options.conform)
     margin, notes = _margin(algorithm, data, division.used, options)
     chosen = options.margin if options.margin is not None else margin
-    grown = along.grown(fit, chosen)
+    grown = fit.inflated(chosen)
     violated = sum(algorithm.needed(grown, data[m]) > 1.0 + TOLERANCE for m in division.held)
     everything = [t for rows in data.values() for t in rows]
     extra = algorithm.needed(grown, everything)
     # a held-out motion may lie outside by the tolerance and not be counted: the sets that are promised include it
-    final = along.grown(grown, max(extra * (1.0 + 1e-9), 1.0 + TOLERANCE if division.held else 1.0))
+    final = grown.inflated(max(extra * (1.0 + 1e-9), 1.0 + TOLERANCE if division.held else 1.0))
     if extra > 1.0 + TOLERANCE:
         notes.append(f"grown by another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
     if len(everything) < trials:
@@ -111,8 +111,8 @@ def conform_nonlinear(
 
     other = "position" if options.conform == "all" else "all"
     second = algorithm.fit(used, other)
-    companion = along.grown(second, chosen)
-    companion = along.grown(companion, algorithm.needed(companion, everything) * (1.0 + 1e-9))
+    companion = second.inflated(chosen)
+    companion = companion.inflated(algorithm.needed(companion, everything) * (1.0 + 1e-9))
     return Conformance(
         packed(final), packed(companion), promise, np.full(len(joints), margin), {options.conform: fit, other: second}, {},
         fit.cost, tuple(notes),

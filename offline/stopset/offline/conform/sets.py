@@ -17,12 +17,16 @@ from stopset.errors import NotConformant
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear import Fit, fit_sets
+from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses, responses
 from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (motion, trial on the grid, its input u), anew per call
+
+
+BOX = "box, same directions"  # beside a zonotope: the narrowest box where the zonotope is the narrowest
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +106,11 @@ def divided(motions: Iterable[int], learnt: Collection[int]) -> g.Split:
 
 def gather(
     pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, windows: str, few_motions: bool,
-    bands: Callable[[Recording], Iterable[int]] | None = None,
+    bands: Callable[[Recording], Iterable[int]] | None = None, template: Template | None = None,
 ) -> Gathered:  # fmt: skip
     """One pass over ``pairs``: running envelopes in constant memory; ``bands``: temperature bands a trial belongs to."""
     steps = round(horizon / dt)
-    main = Deviations(abstraction, dt, steps, windows)
+    main = Deviations(abstraction, dt, steps, windows, None if template is None else template.directions)
     from_start = Deviations(abstraction, dt, steps, "start")
     out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
@@ -126,31 +130,34 @@ def gather(
 
 def conform(
     found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
-    options: Options, trials: int, learnt: Collection[int] = (),
+    options: Options, trials: int, learnt: Collection[int] = (), template: Template | None = None,
 ) -> Conformance:  # fmt: skip
     """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s].
 
-    ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted to them.
+    ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted to them; ``template``: the
+    torque set as a zonotope.
     """
-    R = responses(abstraction, dt, round(horizon / dt))
+    R = seen_by(abstraction, dt, round(horizon / dt), template)
     parts = found.parts
     division = divided(parts, learnt)
     used = {m: parts[m] for m in division.used}
     everything = g.union(list(parts.values()))
-    V = fit_sets(g.union(list(used.values())), R, noise, abstraction, joints, "all").V
+    V = fit_sets(g.union(list(used.values())), R, noise, abstraction, joints, "all", template=template).V
 
     def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> Fit:
         base = V if case == "position" else noise
-        return fit_sets(g.union(list(envelopes)), R, base, abstraction, joints, case)
+        env = g.union(list(envelopes))
+        fit = fit_sets(env, R, base, abstraction, joints, case, template=template)
+        return fit if template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
 
-    fit = fitted(list(used.values()))
     alone = abstraction.decoupled
+    fit = fitted(list(used.values()))
     factors, notes = _margin(found.halves, abstraction, options, used, fitted, R)
     chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
-    grown = g.inflated(fit, chosen)
+    grown = fit.inflated(chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
     final = enclosing(grown, R, everything, alone)
-    extra = float((final.U.width / np.maximum(grown.U.width, 1e-12)).max())
+    extra = float((final.inputs.width / np.maximum(grown.inputs.width, 1e-12)).max())
     if extra > 1.0 + 1e-6:
         notes.append(f"grown by up to another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
     promise = Guarantee(
@@ -166,16 +173,35 @@ def conform(
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(
             X0=f.X0, U=f.U, V=f.V, dt=dt, horizon=everything.steps * dt, conform=f.conform, windows=options.windows,
-            margin=float(chosen.max()), active=f.active,
+            margin=float(chosen.max()), active=f.active, zonotope=f.zonotope,
         )  # fmt: skip
 
     other = "position" if options.conform == "all" else "all"
     second = fitted(list(used.values()), other)
     table = {options.conform: fit, other: second}
-    table |= _variants(found.start, abstraction, joints, noise, R)
-    grown = g.inflated(second, chosen)
+    by_state = R if template is None else responses(abstraction, dt, round(horizon / dt))
+    table |= _variants(found.start, abstraction, joints, noise, by_state)
+    if template is not None:
+        box = Template(np.eye(abstraction.n), template.directions)
+        in_them = seen_by(abstraction, dt, round(horizon / dt), box)
+        everyone = g.union(list(used.values()))
+        base = V if options.conform == "position" else noise
+        same = fit_sets(everyone, in_them, base, abstraction, joints, options.conform, template=box)
+        table[BOX] = enclosing(same, in_them, everyone, alone)
+        notes.append(
+            "the torque set is a zonotope: comparison and monitor use its own tube; stops and FMU take the box around it, "
+            "which is never narrower"
+        )
+    grown = second.inflated(chosen)
     companion = packed(enclosing(grown, R, everything, alone))
     return Conformance(packed(final), companion, promise, factors, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
+
+
+def seen_by(abstraction: Abstraction, dt: float, steps: int, template: Template | None) -> Responses:
+    """Responses to the inputs and in the directions of a zonotope's template, or to each joint's torque in each state."""
+    if template is None:
+        return responses(abstraction, dt, steps)
+    return responses(abstraction, dt, steps, template.torques, template.rows)
 
 
 def few_motions(used: int) -> bool:
@@ -195,7 +221,7 @@ def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
             return out
         if not np.all(np.isfinite(left)):
             break
-        out = g.inflated(out, np.where(left > 1.0, np.maximum(left, 1.0 + 1e-10), 1.0))
+        out = out.inflated(np.where(left > 1.0, np.maximum(left, 1.0 + 1e-10), 1.0))
     raise NotConformant(
         f"no growth of the sets encloses all recordings (a factor of {left.max():.3g} would be needed); expected deviations "
         "of one order of magnitude: look for a broken trial with `stopset inspect`"

@@ -1,0 +1,162 @@
+"""The one linear program behind all sets: unknown are the bounds of ``X0``, ``V`` and ``U``, every reading is a row.
+
+``z = (X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi)``; a reading ``d`` at some age lies in the tube if ``G z >= d`` for the row of
+its upper side and ``G z >= -d`` for that of its lower side.  Signs of the responses decide which bound takes part (trap
+P1).  Solved by constraint generation on HiGHS; callers re-check in floating point (trap P17).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from stopset.errors import NotConformant
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+
+# HiGHS keeps rows to 1e-7 at best (it was seen 9e-8 outside): rows start this much inside, and are re-checked
+SOLVER_SLACK = 2e-7
+ROUNDS = 40  # of constraint generation
+FIRST, MORE = 600, 300  # rows to begin with, and added in one round
+# trap P11: rad and rad/s are not addable. A velocity counts as the way it goes within a typical stop.
+STOP_TIME = 0.2  # [s]
+# a vanishing charge on every width keeps directions that cost nothing from wandering off
+CHARGE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The unknowns of ``m`` states and ``k`` inputs, and what holds for them whatever was recorded.
+
+    ``noise`` (m,): ``V`` is at least that, for speeds (the second half of the states) more where ``widen``; ``capped``:
+    ``X0`` lies in ``-V``, so that it cannot hide stiction (trap P12); the first ``points`` inputs are single values and the
+    others symmetric (a zonotope's centre and generators), or all are free intervals (None; trap P7).
+    """
+
+    noise: Box
+    k: int
+    capped: bool = True
+    widen: bool = True
+    points: int | None = None
+
+    @property
+    def m(self) -> int:
+        return self.noise.dim
+
+    def split(self, z: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Views of ``z``: X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi."""
+        m, k = self.m, self.k
+        return z[:m], z[m : 2 * m], z[2 * m : 3 * m], z[3 * m : 4 * m], z[4 * m : 4 * m + k], z[4 * m + k :]
+
+    def rows(self) -> Array:
+        """Rows ``L z <= 0``: bounds in order, X0 within -V, the shape of a zonotope."""
+        m, k = self.m, self.k
+        out = []
+
+        def row(*entries: tuple[int, float]) -> None:
+            r = np.zeros(4 * m + 2 * k)
+            for column, value in entries:
+                r[column] = value
+            out.append(r)
+
+        for a in range(m):
+            row((a, 1.0), (m + a, -1.0))
+            if self.capped:  # X0.lo >= -V.hi, X0.hi <= -V.lo
+                row((a, -1.0), (3 * m + a, -1.0))
+                row((m + a, 1.0), (2 * m + a, 1.0))
+        for a in range(k):
+            low, high = 4 * m + a, 4 * m + k + a
+            row((low, 1.0), (high, -1.0))
+            if self.points is not None:
+                sign = -1.0 if a < self.points else 1.0  # hi = lo, or hi = -lo
+                row((low, sign), (high, 1.0))
+                if a >= self.points:
+                    row((low, -1.0), (high, -1.0))
+        return np.array(out)
+
+    def limits(self) -> list[tuple[float, float]]:
+        """Bounds of each unknown."""
+        inf = np.inf
+        wide = [self.capped and self.widen and a >= self.m // 2 for a in range(self.m)]
+        lo, hi = self.noise.lo.tolist(), self.noise.hi.tolist()
+        out: list[tuple[float, float]] = [(-inf, inf)] * (2 * self.m)
+        out += [(-inf if w else v, v) for v, w in zip(lo, wide, strict=True)]
+        out += [(v, inf if w else v) for v, w in zip(hi, wide, strict=True)]
+        return out + [(-inf, inf)] * (2 * self.k)
+
+    def tidy(self, z: Array) -> Array:
+        """``z`` with its bounds in order and a zonotope's shape exact, both of which the solver keeps to its tolerance only."""
+        z = z.copy()
+        x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = self.split(z)  # views into z
+        for low, high in ((x_lo, x_hi), (v_lo, v_hi), (u_lo, u_hi)):
+            np.maximum(high, low, out=high)
+        if self.points is not None:
+            p = self.points
+            u_lo[:p] = u_hi[:p] = 0.5 * (u_lo[:p] + u_hi[:p])
+            length = np.maximum(np.abs(u_lo[p:]), np.abs(u_hi[p:]))
+            u_lo[p:], u_hi[p:] = -length, length
+        return z
+
+    def widths(self) -> Array:
+        """Signs with which the unknowns add up to the sum of all widths."""
+        return np.concatenate([np.tile(np.repeat([-1.0, 1.0], self.m), 2), np.repeat([-1.0, 1.0], self.k)])
+
+
+def sides(E: Array, L: Array, P: Array, N: Array) -> tuple[Array, Array]:
+    """Rows of the upper and of the lower side (each (R, 4m + 2k)) from responses to start ``E``, reading ``L``, inputs ``P, N``."""
+    Ep, En, Lp, Ln = np.maximum(E, 0.0), np.minimum(E, 0.0), np.maximum(L, 0.0), np.minimum(L, 0.0)
+    return np.hstack([En, Ep, Ln, Lp, N, P]), -np.hstack([Ep, En, Lp, Ln, P, N])
+
+
+def price(E: Array, L: Array, P: Array, N: Array, importance: Array, weight: Array) -> Array:
+    """Cost of the unknowns: mean width of the tube over ages (H,) of an ``importance`` of sum 1 and rows (r,) of some ``weight``.
+
+    ``E``: (H, r, m), ``L``: (r, m), ``P, N``: (H, r, k).
+    """
+    start = importance @ (np.abs(E) * weight[:, None]).sum(axis=1)
+    torque = importance @ ((P - N) * weight[:, None]).sum(axis=1)
+    own = (np.abs(L) * weight[:, None]).sum(axis=0)
+    return np.concatenate([-start, start, -own, own, -torque, torque])
+
+
+def age_weights(last: int, dt: float) -> Array:
+    """(last,) weights of ages ``dt .. last dt`` in the cost, sum 1: every decade of age beyond a stop's counts alike.
+
+    A plain mean over some seconds would trade width at stop horizons away for width that nobody looks at.
+    """
+    w = 1.0 / (dt * np.arange(1, last + 1) + STOP_TIME)
+    return np.asarray(w / w.sum())
+
+
+def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array:
+    """The ``z`` of least ``cost`` with ``G z >= h`` and within ``bounds``, up to the solver's tolerance; ``who``: of whom.
+
+    Raises `NotConformant` when there is none.
+    """
+    limits = bounds.rows()
+    c = cost + CHARGE * float(np.abs(cost).max()) * bounds.widths()
+    # a row scaled to unit size: the solver's absolute tolerance then means the same for every age
+    scale = np.maximum(np.abs(G).max(axis=1), 1e-12)
+    unit, need = G / scale[:, None], h / scale + SOLVER_SLACK
+    chosen = np.unique(np.linspace(0, len(need) - 1, min(len(need), FIRST)).astype(int))
+    z = np.zeros(len(c))
+    for _ in range(ROUNDS):
+        A = np.vstack([-unit[chosen], limits])
+        b = np.concatenate([-need[chosen], np.zeros(len(limits))])
+        result = linprog(c, A_ub=A, b_ub=b, bounds=bounds.limits(), method="highs-ds")
+        if result.status != 0:
+            raise NotConformant(
+                f"no sets make {who} conformant ({result.message.splitlines()[0].strip()}); the data jump within one sample by "
+                "more than the noise allows: check the velocity signal"
+            )
+        z = np.asarray(result.x)
+        short = need - unit @ z
+        new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
+        if not len(new):
+            break
+        chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
+    return z
