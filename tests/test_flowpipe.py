@@ -13,7 +13,7 @@ from scipy.linalg import expm as scipy_expm
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.errors import NotCovered
-from stopset.reach.flowpipe import deviation_tube, discretise, expm, predict, responses
+from stopset.reach.flowpipe import along_joints, between_samples, deviation_tube, discretise, expm, predict, responses
 from stopset.sets import Box
 from synthetic import lag
 
@@ -106,3 +106,58 @@ def test_nonlinear_models_are_refused() -> None:
     cubic = Abstraction(1, 3, np.diag([0.5]), np.array([[4.0, 0.0, 0.1]]))
     with pytest.raises(NotCovered, match="order 3"):
         responses(cubic, 0.01, 10)
+
+
+def between(a: Abstraction, dt: float, x0: np.ndarray, u: np.ndarray, parts: int = 40) -> np.ndarray:
+    """States at ``parts`` instants within each step, (N, parts, 2n), by a fine simulation of the same held inputs."""
+    fine = predict(a, dt / parts, x0, np.vstack([np.repeat(u, parts, axis=0), u[-1:]]))
+    return np.stack([fine[k * parts : (k + 1) * parts + 1] for k in range(len(u))])
+
+
+@pytest.mark.parametrize("a", [DIAGONAL, COUPLED, FREE])
+def test_p3_states_between_samples_leave_the_samples_hull_but_not_the_widened_one(a: Abstraction) -> None:
+    """Trap P3: motions turn round between samples; torques may change there too, as fast as they like."""
+    dt, n, rng = 0.05, a.n, np.random.default_rng(3)
+    escaped = False
+    for _ in range(30):
+        # torques that jump five times as often as samples are taken
+        u = rng.uniform(-20.0, 20.0, (100, n))
+        inside = between(a, dt / 5, rng.normal(size=2 * n), u, 8)
+        x = np.vstack([inside[::5, 0], inside[-1:, -1]])  # every fifth instant is a sample
+        inside = inside.reshape(20, -1, 2 * n)
+        lo, hi = between_samples(a, dt, x, x, Box.symmetric([20.0] * n))
+        assert np.all(inside >= lo[:, None]) and np.all(inside <= hi[:, None])
+        naive_hi = np.maximum(x[:-1], x[1:])
+        escaped |= bool(np.any(inside[:, :, :n] > naive_hi[:, None, :n] + 1e-4))
+    assert escaped, "the hull of both samples would have done"
+
+
+def test_p3_the_widening_is_no_larger_than_it_must_be() -> None:
+    """Without damping a throw up and down within one step goes up by exactly ``a h^2 / 8``."""
+    h, push = 0.1, 3.0  # FREE: 0.5 / kg, so 1.5 rad/s^2
+    x0 = np.array([0.0, 0.5 * 0.5 * push * h])
+    inside = between(FREE, h, x0, np.array([[-push]]))[0]
+    x = inside[[0, -1]]
+    _, hi = between_samples(FREE, h, x, x, Box.symmetric([push]))
+    assert x[1, 0] == pytest.approx(0.0, abs=1e-12)
+    assert inside[:, 0].max() == pytest.approx(0.5 * push * h**2 / 8, rel=1e-9)
+    assert inside[:, 0].max() <= hi[0, 0] <= inside[:, 0].max() * (1 + 1e-9)
+
+
+def test_tubes_across_joints_are_those_of_the_same_inputs() -> None:
+    """Along a direction, and with inputs along other torques: brute force over corners that change at every step."""
+    L, G, steps, dt = np.array([[0.6, -0.8]]), np.array([[1.0, 0.3], [0.5, -0.2]]), 30, 0.01
+    R = responses(COUPLED, dt, steps, G, along_joints(L))
+    U = Box.of([-1.0, -0.5], [2.0, 0.5])
+    lo, hi = R.tube(Box.point(np.zeros(4)), U, Box.point(np.zeros(4)))
+    Ad, Bd = discretise(COUPLED, dt)
+    best = np.zeros((2, 2))  # greatest and least position and speed along L after all steps, input by input and step by step
+    for row in range(2):
+        l = along_joints(L)[row]  # noqa: E741
+        for k in range(steps):
+            gain = l @ np.linalg.matrix_power(Ad, steps - 1 - k) @ Bd @ G
+            best[0, row] += np.maximum(gain * U.lo, gain * U.hi).sum()
+            best[1, row] += np.minimum(gain * U.lo, gain * U.hi).sum()
+    assert np.all(hi[-1] >= best[0] - 1e-12) and np.all(lo[-1] <= best[1] + 1e-12)
+    # torques may change within a step too: a little wider, not much
+    np.testing.assert_allclose(hi[-1] - lo[-1], best[0] - best[1], rtol=0.05)

@@ -15,8 +15,12 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.stats import binom
 
+import stopset.offline.abstraction.choose as choose
+import stopset.offline.algorithm as algorithm
 import stopset.offline.conform.linear as linear
+import stopset.offline.conform.noise as readings
 import stopset.offline.conform.program as program
+import stopset.offline.nominal.preprocess as preprocess
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
 from stopset.offline.compare import compare
@@ -528,6 +532,18 @@ def test_p18_another_grid_is_another_tube_so_the_grid_is_in_the_file(planar) -> 
     assert not np.allclose(Ad, Ad2)
     assert found.model.provenance["settings_sha256"] == found.settings.sha256
     assert Settings(windows="start").sha256 != Settings().sha256
+
+
+def test_p18_the_hash_covers_the_constants_of_the_algorithm_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Settings().sha256
+    assert algorithm.constants()["stopset.offline.conform.program.STOP_TIME"] == program.STOP_TIME
+    for module, name in ((program, "STOP_TIME"), (readings, "COVERAGE"), (preprocess, "CLEAR"), (choose, "TIE")):
+        with monkeypatch.context() as m:
+            m.setattr(module, name, 1.5 * getattr(module, name))
+            algorithm.constants.cache_clear()
+            assert Settings().sha256 != before, f"{module.__name__}.{name}"
+    algorithm.constants.cache_clear()
+    assert Settings().sha256 == before
 
 
 # ---- P24: kind and unit of the effort

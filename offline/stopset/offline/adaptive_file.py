@@ -96,7 +96,10 @@ def load_state(path: str | Path, model: Model) -> Kept:
             "kept with"
         )
     if head.get("settings_sha256") != settings_of(model).sha256:
-        raise ModelFileError(f"{path} was kept under other settings than the model's; identify again with --keep")
+        raise ModelFileError(
+            f"{path} was kept under other settings than the model's, or by a stopset whose algorithm has other constants; identify "
+            "again with --keep"
+        )
     try:
         return _unpacked(head, arrays, model)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError) as e:

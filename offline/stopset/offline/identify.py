@@ -18,6 +18,7 @@ from stopset.artifact.inputs import input_map
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError, NotCovered, RecordingError
 from stopset.offline.abstraction.identified import best_order
+from stopset.offline.algorithm import constants
 from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.conform.bands import Bands, band_sets, cut
 from stopset.offline.conform.bands import name as band_name
@@ -48,7 +49,7 @@ HORIZON = 5.0  # [s] the paper's test suites are "up to 5 seconds long" (sec. V-
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the user chose; its hash goes into the model file, since the runtime must do the same (trap P18)."""
+    """What the user chose; its hash, with the constants of the algorithm, goes into the model file (trap P18)."""
 
     model: int = 1
     order: int | None = None
@@ -64,7 +65,7 @@ class Settings:
     def sha256(self) -> str:
         # what was not asked for leaves the hash of earlier models as it was
         later = {"bands": 0, "shape": "box"}
-        kept = {k: v for k, v in asdict(self).items() if k not in later or v != later[k]}
+        kept = {k: v for k, v in asdict(self).items() if k not in later or v != later[k]} | constants()
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
