@@ -107,23 +107,44 @@ def split(motions: Sequence[int]) -> Split:
     return Split(tuple(m for m in ordered if m not in held), held)
 
 
-def words(g: Guarantee, trials: int, motions: int, margin: float, scope: str) -> str:
-    """The guarantee in words that are true for two motions and for three hundred; ``scope``: what is predicted from where."""
-    seen = f"All {trials} recorded trials of {motions} independent motion{'s' if motions != 1 else ''} are enclosed {scope}"
+GIVEN, OTHER_MOTIONS, REPETITIONS, NO_REPETITION = (
+    "as given",
+    "calibrated on motions left out in turn",
+    "calibrated on repetitions of the same motions only",
+    "not calibrated, for nothing is repeated",
+)
+
+
+def words(g: Guarantee, trials: int, motions: int, margin: float, how: str, scope: str) -> str:
+    """The guarantee in words that are true for two motions and for three hundred.
+
+    ``how`` the margin came about: `GIVEN`, `OTHER_MOTIONS`, `REPETITIONS` or `NO_REPETITION`; ``scope``: what is predicted
+    from where.
+    """
+    plural = "s" if motions != 1 else ""
+    seen = f"All {trials} recorded trials of {motions} independent motion{plural} are enclosed {scope} (margin up to {margin:.2f}, {how})."
     if g.motions == 0 and motions >= FEWEST_MOTIONS:
         return (
-            f"{seen} (margin up to {margin:.2f}). The nominal model was fitted to every motion that could have been held out: "
-            "nothing statistical is promised for other motions; identify again from all recordings."
+            f"{seen} The nominal model was fitted to every motion that could have been held out: nothing statistical is promised "
+            "for other motions; identify again from all recordings."
         )
     if g.motions == 0:
         return (
-            f"{seen} (margin up to {margin:.2f}). With only {motions} independent motion{'s' if motions != 1 else ''} none "
-            "could be held out: nothing statistical is promised for other motions; record at least eight."
+            f"{seen} With only {motions} independent motion{plural} none could be held out: nothing statistical is promised for "
+            "other motions; record at least eight."
         )
+    held = f"{seen} Of {g.motions} held-out motion{'s' if g.motions != 1 else ''} {g.violated} left the sets with this margin"
+    if g.upper_bound >= 1.0:
+        return f"{held}: nothing statistical can be promised for other motions; look for what differs in them, or record more."
     text = (
-        f"{seen} (margin up to {margin:.2f}). Of {g.motions} held-out motions {g.violated} left the calibrated sets: with "
-        f"{g.confidence:.0%} confidence a new motion of the same kind leaves them with probability below {g.upper_bound:.1%}"
+        f"{held}: with {g.confidence:.0%} confidence a new motion, drawn as these were, leaves them with probability of at most "
+        f"{_upward(g.upper_bound)}"
     )
     if g.scenario_bound is not None:
-        text += f" (scenario bound {g.scenario_bound:.1%}, the nominal model taken as given)"
+        text += f" (scenario bound {_upward(g.scenario_bound)}, the nominal model taken as given)"
     return text + "."
+
+
+def _upward(probability: float) -> str:
+    """In percent with one decimal, never less than it is."""
+    return f"{np.ceil(probability * 1e3 - 1e-9) / 10:.1f}%"

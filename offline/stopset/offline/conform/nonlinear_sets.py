@@ -86,7 +86,7 @@ def conform_nonlinear(
     division = g.split(list(data))
     used = [t for m in division.used for t in data[m]]
     fit = algorithm.fit(used, options.conform)
-    margin, notes = _margin(algorithm, data, division.used, options)
+    margin, how, notes = _margin(algorithm, data, division.used, options)
     chosen = options.margin if options.margin is not None else margin
     grown = fit.inflated(chosen)
     violated = sum(algorithm.needed(grown, data[m]) > 1.0 + TOLERANCE for m in division.held)
@@ -104,7 +104,7 @@ def conform_nonlinear(
     )  # fmt: skip
     what = "in position and velocity" if options.conform == "all" else "in position"
     scope = f"{what} up to {steps * dt * every:.2f} s ahead of {_scope(abstraction, options)}"
-    promise = replace(promise, text=g.words(promise, len(everything), len(data), float(chosen), scope))
+    promise = replace(promise, text=g.words(promise, len(everything), len(data), float(chosen), how, scope))
 
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(f.X0, f.U, f.V, dt * every, steps * dt * every, f.conform, options.windows, float(chosen))
@@ -135,10 +135,12 @@ def _kept(pairs: Pairs, trials: int) -> dict[int, list[Trial]]:
     return dict(sorted(out.items()))
 
 
-def _margin(algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[int], options: Options) -> tuple[float, list[str]]:
+def _margin(
+    algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[int], options: Options
+) -> tuple[float, str, list[str]]:
     """The factor that sets fitted without a part of the data need to enclose that part, worst over all parts."""
     if options.margin is not None:
-        return options.margin, []
+        return options.margin, g.GIVEN, []
 
     def worst(parts: Sequence[list[Trial]], rest: Callable[[int], list[Trial]]) -> float:
         return max(algorithm.needed(algorithm.fit(rest(k), options.conform), part) for k, part in enumerate(parts))
@@ -147,12 +149,16 @@ def _margin(algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[i
         folds = [list(used)[k :: g.FOLDS] for k in range(g.FOLDS)]
         parts = [[t for m in fold for t in data[m]] for fold in folds]
         factor = worst(parts, lambda k: [t for i, part in enumerate(parts) if i != k for t in part])
-        return factor, [f"margin from {len(folds)} folds over {len(used)} motions: {factor:.2f}"]
+        return factor, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(used)} motions: {factor:.2f}"]
     halves = [[t for m in used for t in data[m][k::2]] for k in (0, 1)]
     if not all(halves):
-        return 1.0, ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
+        return 1.0, g.NO_REPETITION, ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
     factor = worst(halves, lambda k: halves[1 - k])
-    return factor, [f"too few motions to calibrate across them: margin {factor:.2f} is that between repetitions (even, odd)"]
+    return (
+        factor,
+        g.REPETITIONS,
+        [f"too few motions to calibrate across them: margin {factor:.2f} is that between repetitions (even, odd)"],
+    )
 
 
 class Excess(NamedTuple):

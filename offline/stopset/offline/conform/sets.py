@@ -152,7 +152,7 @@ def conform(
 
     alone = abstraction.decoupled
     fit = fitted(list(used.values()))
-    factors, notes = _margin(found.halves, abstraction, options, used, fitted, R)
+    factors, how, notes = _margin(found.halves, abstraction, options, used, fitted, R)
     chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
     grown = fit.inflated(chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
@@ -168,7 +168,7 @@ def conform(
     what = "in position and velocity" if options.conform == "all" else "in position"
     where = "every sample" if options.windows == "sliding" else "each trial's start only"
     scope = f"{what} up to {everything.steps * dt:.2f} s ahead of {where}"
-    promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max()), scope))
+    promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max()), how, scope))
 
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(
@@ -231,11 +231,14 @@ def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
 def _margin(
     halves: tuple[Envelope, Envelope], abstraction: Abstraction, options: Options, used: dict[int, Envelope],
     fitted: Callable[[Sequence[Envelope]], Fit], R: Responses,
-) -> tuple[Array, list[str]]:  # fmt: skip
-    """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts."""
+) -> tuple[Array, str, list[str]]:  # fmt: skip
+    """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts.
+
+    And how it came about, in the guarantee's words, and notes.
+    """
     alone = abstraction.decoupled
     if options.margin is not None:
-        return np.full(abstraction.n, options.margin), []
+        return np.full(abstraction.n, options.margin), g.GIVEN, []
     if not few_motions(len(used)):
         keys = sorted(used)
         folds = [keys[k :: g.FOLDS] for k in range(g.FOLDS)]
@@ -244,13 +247,17 @@ def _margin(
             rest = [used[m] for m in keys if m not in fold]
             unseen = g.union([used[m] for m in fold])
             factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, alone))
-        return factors, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
+        return factors, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     if not all(h.labels for h in halves):
-        return np.ones(abstraction.n), ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
+        return (
+            np.ones(abstraction.n),
+            g.NO_REPETITION,
+            ["no repetition to calibrate a margin on: the sets are those of these trials alone"],
+        )
     needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], alone) for a in (0, 1)]
     factors = np.maximum(*needed)
     note = f"too few motions to calibrate across them: margin {_range(factors)} is that between repetitions (even, odd)"
-    return factors, [note]
+    return factors, g.REPETITIONS, [note]
 
 
 def _range(factors: Array) -> str:
