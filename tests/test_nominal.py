@@ -262,25 +262,27 @@ def test_effects_of_the_whole_arm_are_refused() -> None:
         identify_nominal(true, campaign(Truth(true), seconds=3.0), ("coulomb", "payload"))
 
 
-def test_stated_errors_are_honest() -> None:
-    """Friction differs from motion to motion by 2 %: the stated errors must cover it, over ten campaigns."""
+@pytest.mark.parametrize("motions", [1, 3, 12])
+def test_stated_errors_are_honest(motions: int) -> None:
+    """Friction differs from motion to motion by 2 %: twice the stated error covers it, however few motions there were."""
     true = arm()
     z = []
-    for seed in range(10):
+    for seed in range(8):
         rng = np.random.default_rng([seed, 7])
         trials = poses(Truth(true), 20, seed)
-        for k in range(12):
+        for k in range(motions):
             c, v = F_C * (1 + 0.02 * rng.normal(size=3)), F_V * (1 + 0.02 * rng.normal(size=3))
             law = lambda dq, load, c=c, v=v: c * np.sign(dq) + v * dq  # noqa: E731
-            trials.append(moving(Truth(true, friction=law), k, 6.0, (1.2, 0.4, 0.8)[k % 3], seed))
+            trials.append(moving(Truth(true, friction=law), k + 100 * seed, 6.0, (1.2, 0.4, 0.8)[k % 3], seed))
         nominal = identify_nominal(true, Recordings(Meta(joints=JOINTS), tuple(trials)))
         std = nominal.std
         for j, joint in enumerate(JOINTS):
             z.append((nominal.value("coulomb", joint)["F_c"] - F_C[j]) / std[f"coulomb:{joint}.F_c"])
             z.append((nominal.value("viscous", joint)["F_v"] - F_V[j]) / std[f"viscous:{joint}.F_v"])
-    spread = float(np.sqrt(np.mean(np.square(z))))
-    # 60 numbers, 30 of them independent: 1 within a factor of two, on either side
-    assert 0.5 < spread < 2.0, spread
+    covered = float(np.mean(np.abs(z) < 2.0))
+    # 48 numbers, 24 of them independent: fewer than 19 of 24 inside has a chance below 1 % if 95 % are meant to be
+    assert covered >= 19 / 24, covered
+    assert float(np.sqrt(np.mean(np.square(z)))) > 0.25  # nor is everything called unknown
 
 
 def test_residuals_of_a_trial_match_the_stated_error(found) -> None:  # type: ignore[no-untyped-def]

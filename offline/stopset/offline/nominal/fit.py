@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
 from stopset.offline.nominal.gram import Layout, NormalEquations
@@ -18,6 +20,8 @@ ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
 ASSUMED_INFLATION = 10.0  # then errors are taken to hang together over half a second, at 20 rows per second
 MOST_INFLATION = 1000.0
+ASSUMED_SPREAD = 0.02  # of friction from motion to motion, where one motion cannot tell
+COVERED = 0.975  # by two standard errors, one-sided
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
 
@@ -194,16 +198,23 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
     """Torque residual (n,) on groups of motions left out of the fit, and the covariance widened by how much they matter.
 
     The widening is the jackknife over groups: friction differs from motion to motion, so that counting samples would
-    promise too much; never narrower than the model's own.  With fewer than two groups the residual is nan.
+    promise too much; never narrower than the model's own.  Few motions know their own spread badly: it is widened by
+    Student's quantile, so that twice the standard error covers 95 %.  With fewer than two groups the residual is nan and
+    the spread is assumed (`ASSUMED_SPREAD`).
+
+    Source: Bell & McCaffrey (2002), degrees of freedom of clustered standard errors.
     """
     n = data.layout.n
     groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
-    if len(groups) < 2:
+    if not len(groups):
         return np.full(n, np.nan), full.covariance
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
-    total = moving.sum(axis=0)
     w = np.where(rows > 0, 1 / np.maximum(full.sigma**2 * full.inflation, 1e-12), 0.0)
     w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
+    shares = _influences(data.layout, moving[groups], w, full)
+    if len(groups) < 2:
+        return np.full(n, np.nan), _widened(full.covariance, ASSUMED_SPREAD**2 * shares.sum(axis=0))
+    total = moving.sum(axis=0)
     squares = np.zeros(n)
     thetas = []
     for g in groups:
@@ -213,10 +224,32 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
         left = problem_of(data.layout, moving[g], still, rows, rows_still)
         squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
         thetas.append(theta)
-    heldout = np.sqrt(squares / np.maximum(rows, 1))
-    if len(groups) < FEW_GROUPS:
-        return heldout, full.covariance
     m = len(groups)
     jackknife = (m - 1) / m * np.sum((np.array(thetas) - np.mean(thetas, axis=0)) ** 2, axis=0)
-    wider = np.sqrt(np.maximum(jackknife / np.diag(full.covariance), 1.0))
-    return heldout, np.asarray(wider[:, None] * full.covariance * wider)
+    return np.sqrt(squares / np.maximum(rows, 1)), _widened(full.covariance, _student(shares) ** 2 * jackknife)
+
+
+def _widened(covariance: Array, least: Array) -> Array:
+    """``covariance`` with every variance at least ``least``, correlations kept."""
+    wider = np.sqrt(np.maximum(least / np.diag(covariance), 1.0))
+    return np.asarray(wider[:, None] * covariance * wider)
+
+
+def _influences(layout: Layout, moving: Array, w: Array, full: Fit) -> Array:
+    """(groups, size) variance of each parameter from friction terms that differ by their own size in one group of motions."""
+    head = 10 * layout.n + 1
+    out = np.zeros((len(moving), layout.size))
+    for j in range(layout.n):
+        index = layout.index(j)
+        k = len(index)
+        felt = w[j] * full.covariance[:, index] @ moving[:, j, :k, head:k]  # (groups, size, friction terms)
+        out += ((felt * full.theta[index[head:]]) ** 2).sum(axis=2)
+    return out
+
+
+def _student(shares: Array) -> Array:
+    """(size,) Student's quantile over the normal one, at the number of groups that make up each parameter's variance."""
+    top = np.maximum(shares.max(axis=0), 1e-300)
+    count = (shares / top).sum(axis=0) ** 2 / np.maximum(((shares / top) ** 2).sum(axis=0), 1.0)
+    freedom = np.where(shares.max(axis=0) > 0, count, len(shares)) - 1.0
+    return np.asarray(student.ppf(COVERED, np.maximum(freedom, 1.0)) / norm.ppf(COVERED))
