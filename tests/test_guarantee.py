@@ -52,8 +52,8 @@ def test_a_margin_that_was_given_is_not_called_calibrated() -> None:
 
 
 def test_three_hundred_motions_from_recordings_to_the_sentence(tmp_path: Path) -> None:
-    path = save_trials(tmp_path / "r.parquet", recordings((2.0,), (4.0,), suites=300, trials=1, seconds=0.5), names(1))
-    found = identify(arm(names(1)), [path], Settings(horizon=0.2))
+    path = save_trials(tmp_path / "r.parquet", recordings((1.0, 0.5), (4.0, 2.0), suites=300, trials=1, seconds=0.4), names(2))
+    found = identify(arm(names(2)), [path], Settings(horizon=0.2))
     promise, text = found.model.guarantee, found.model.guarantee.text
     assert "All 300 recorded trials of 300 independent motions are enclosed" in text
     assert f"Of 75 held-out motions {promise.violated} left the sets with this margin" in text
