@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stopset.offline.abstraction import build
 from stopset.offline.compare import answer, compare
 from stopset.offline.conform.guarantee import scenario_bound
+from stopset.offline.errors import torque_error
 from stopset.offline.identify import Identification, Settings, identify
+from stopset.reach.nonlinear import nominal
 from stopset.recording import Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
+from test_abstraction import ROTOR, VISCOUS, two_link
 
 J7, V7 = (3.0, 2.5, 2.0, 1.5, 0.6, 0.4, 0.2), (12.0, 11.0, 9.0, 7.0, 4.0, 3.0, 1.5)
 
@@ -237,3 +242,20 @@ def test_the_guarantee_counts_motions(motions: int, tmp_path: Path) -> None:
     expected = 0.95 if g.violated == 0 else None
     assert expected is None or (1 - g.upper_bound) ** 3 == pytest.approx(1 - expected)
     assert f"Of 3 held-out motions {g.violated} left" in g.text
+
+
+@pytest.mark.parametrize("kind", [1, 2, 3])
+def test_torque_error_of_a_model_on_its_own_motion_is_zero(kind: int) -> None:
+    """Coriolis torques are part of models 2 and 3: left out, they would count as a lack of the model."""
+    a, h = build(kind, 5, two_link(), ROTOR, VISCOUS[:, :1]), 0.001
+    t = h * np.arange(1200)
+    u = np.column_stack([8 * np.cos(4 * t), 6 * np.sin(5 * t + 0.3)])
+    x = nominal(a, np.array([[0.2, -0.5, 0.8, -1.0]]), u[None], h)[0]
+    q, dq = x[: len(u), :2], x[: len(u), 2:]
+    e = np.abs(torque_error(a, h, q, dq, u)).max(axis=0)
+    # inputs are held over each step and torques summed at its left end: an error of first order in the step
+    step = np.abs(np.diff(a.ddq(q, dq, u), axis=0)).max(axis=0) @ np.abs(np.linalg.inv(a.Minv))
+    assert np.all(e < step)
+    if kind == 2:
+        bare = np.abs(torque_error(replace(a, coriolis=(), kind=1), h, q, dq, u)).max(axis=0)
+        assert bare[0] > 3 * step[0]

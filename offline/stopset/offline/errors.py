@@ -26,17 +26,15 @@ LONGEST = 5.0  # [s] open-loop predictions are compared up to here
 def torque_error(abstraction: Abstraction, dt: float, q: Array, dq: Array, u: Array) -> Array:
     """Torque [N m] that the abstraction lacks, averaged over `AVERAGING`, one row per window, (W, n).
 
-    ``M (dq(T) - dq(0)) + int friction dt = int u dt`` is exact for the model, so nothing is differentiated.
+    ``M (dq(T) - dq(0) - int ddq dt)`` with the abstraction's own ``ddq``, Coriolis torques and all: momentum balance, so nothing
+    measured is differentiated.
     """
     m = max(1, round(AVERAGING / dt))
     edges = np.arange(0, len(q) - 1, m)
     edges = edges[edges + m < len(q)]
-    M = np.linalg.inv(abstraction.Minv)
-    friction = sum(abstraction.viscous[:, k] * dq ** (k + 1) for k in range(abstraction.viscous.shape[1]))
-    rate = np.asarray(u - friction)
-    impulse = np.vstack([np.zeros(q.shape[1]), np.cumsum(rate * dt, axis=0)])
-    gained = (dq[edges + m] - dq[edges]) @ M.T
-    return np.asarray((gained - (impulse[edges + m] - impulse[edges])) / (m * dt))
+    gained = np.vstack([np.zeros(q.shape[1]), np.cumsum(abstraction.ddq(q, dq, u) * dt, axis=0)])
+    lacking = (dq[edges + m] - dq[edges]) - (gained[edges + m] - gained[edges])
+    return np.asarray(lacking @ np.linalg.inv(abstraction.Minv).T / (m * dt))
 
 
 class Figures:
