@@ -93,6 +93,9 @@ def columns(trials: Sequence[Recording], joints: Sequence[str]) -> dict[str, np.
     for k, j in enumerate(joints):
         for name in ("q", "dq", "tau"):
             out[f"{name}_{j}"] = np.concatenate([getattr(r, name)[:, k] for r in trials])
+    if any(r.stop_trigger is not None for r in trials):
+        triggers = [np.zeros(len(r.t), bool) if r.stop_trigger is None else r.stop_trigger for r in trials]
+        out["stop_trigger"] = np.concatenate(triggers)
     return out
 
 

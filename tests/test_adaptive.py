@@ -18,7 +18,6 @@ from stopset.offline.adaptive import from_scratch, load_state, save_state, updat
 from stopset.offline.adaptive_file import ENVELOPE
 from stopset.offline.identify import Identification, Kept, Settings, identify
 from stopset.recording import Recording
-from stopset.sets import Box
 from synthetic import arm, names, recordings, save_trials
 
 JOINTS = names(2)
@@ -168,19 +167,45 @@ def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> N
     assert hot.hi > 1.2, "the last band ends with the hottest reading"
 
 
-def test_the_stop_regime_keeps_what_its_brakes_were_judged_with(nine: Campaign) -> None:
-    """Its torques grow by what is new, though the powered ones may move away; its noise and the brakes stay."""
-    powered = nine.model.powered
-    noise = Box.symmetric(np.full(4, 1e-3))
-    shifted = replace(powered, U=Box(powered.U.lo - 1.0, powered.U.hi - 1.0), X0=noise, V=noise)
-    model = replace(nine.model, sets={**nine.model.sets, "stop0": shifted}, provenance={**nine.model.provenance, "ramp": 3})
-    new = nine.write("stops.parquet", [*recordings(J, v, 1, seed=61), replace(recordings(J, v, 1, 1)[0], phase="stop0")])
-    added = update(model, nine.kept(), [new]).model
-    stop = added.sets["stop0"]
-    assert stop.U.encloses(added.powered.U) and stop.U.encloses(shifted.U)
-    assert np.array_equal(stop.V.hi, noise.hi) and np.array_equal(stop.X0.lo, noise.lo)
-    assert added.provenance["ramp"] == 3
-    assert any("1 stops of stops.parquet were not added" in x for x in added.notes)
+def stops(phase: str, count: int, seed: int) -> list[Recording]:
+    """Two joints slowed down by constant brakes, or by a ramp, from a request at the tenth sample on; then at rest."""
+    rng, dt, N = np.random.default_rng(seed), 0.004, 160
+    out = []
+    for k in range(count):
+        v0, slowing = rng.uniform(-1.0, 1.0, 2), rng.uniform(3.6, 4.0)
+        age = np.maximum(dt * (np.arange(N) - 10), 0.0)[:, None]
+        dq = np.sign(v0) * np.maximum(np.abs(v0) - slowing * np.maximum(age - 0.02, 0.0), 0.0)
+        q = np.cumsum(dq, axis=0) * dt + rng.uniform(-1e-5, 1e-5, dq.shape)
+        trigger = np.arange(N) >= 10
+        noisy = dq + rng.uniform(-1e-3, 1e-3, dq.shape)
+        out.append(Recording(phase, 0, k, k, dt * np.arange(N), q, noisy, np.zeros_like(q), stop_trigger=trigger))
+    return out
+
+
+def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) -> None:
+    """Ramps, the noise at rest and the guarantee line rest on old and new stops alike; stops alone can be added too."""
+    moving = recordings(J, v, 3, seed=71)
+    old = save_trials(tmp_path / "old.parquet", [*moving, *stops("stop1", 10, 1)], JOINTS, effort="motor_torque")
+    found = identify(ROBOT, [old], keep=True)
+    assert found.kept is not None and len(found.kept.stops) == 10
+    model = save_model(found.model, tmp_path / "m.json")
+    save_state(tmp_path / "s.state", found.kept, model)
+    kept = load_state(tmp_path / "s.state", model)
+    for a, b in zip(kept.stops, found.kept.stops, strict=True):
+        assert a.key == b.key and a.place == b.place and a.stop_trigger is not None and b.stop_trigger is not None
+        assert np.array_equal(a.q, b.q) and np.array_equal(a.dq, b.dq) and np.array_equal(a.stop_trigger, b.stop_trigger)
+    both = save_trials(
+        tmp_path / "both.parquet", [*recordings(J, v, 1, seed=72), *stops("stop1", 6, 2)], JOINTS, effort="motor_torque"
+    )
+    alone = save_trials(tmp_path / "alone.parquet", stops("stop1", 8, 3), JOINTS, effort="motor_torque")
+    for new, count in ((both, 16), (alone, 18)):
+        added, whole = update(model, kept, [new]), from_scratch(model, kept, [old, new])
+        same(added, whole)
+        line = [x for x in added.model.notes if x.startswith("STOP 1:")]
+        assert len(line) == 1 and line == [x for x in whole.model.notes if x.startswith("STOP 1:")]
+        assert f"({count // 2} stops were used" in line[0] and f"({10 // 2} stops were used" not in line[0]
+        assert added.kept is not None and len(added.kept.stops) == count
+        assert f"{count - 10} stops added to 10" in added.model.revisions[-1].note
 
 
 def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytest.CaptureFixture[str]) -> None:
@@ -257,7 +282,7 @@ def test_new_files_of_an_old_name_are_told_apart(nine: Campaign) -> None:
 
 def test_recordings_without_powered_motion_or_of_another_torque_are_refused(nine: Campaign) -> None:
     still = nine.write("static.parquet", [replace(r, phase="static") for r in recordings(J, v, 1, seed=51)])
-    with pytest.raises(RecordingError, match="hold only static trials; expected open_loop"):
+    with pytest.raises(RecordingError, match=r"hold only static trials .*; expected open_loop trials or stops"):
         update(nine.model, nine.kept(), [still])
     other = save_trials(nine.folder / "motor.parquet", recordings(J, v, 1, seed=52), JOINTS, effort="motor_torque")
     with pytest.raises(RecordingError, match="hold motor_torque, the model was identified from compensated_torque"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
+from stopset.offline.compare import compare
 from stopset.offline.conform.bands import Bands, cut, narrower
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.identify import Identification, Settings, identify
@@ -120,6 +122,19 @@ def test_a_bands_sets_are_not_those_of_other_temperatures(warmed: tuple[Path, Id
     r = next(iter(stream_recordings([path], m.robot)))
     env = Deviations(m.abstraction, s.dt, len(tube.ages) - 1, s.windows).of(r, m.input(r.q, r.dq, r.tau, r.temp, 0.0, r.t))
     assert np.any(env.lo < tube.lo[: len(env.lo)])
+
+
+def test_compare_holds_recordings_against_the_sets_of_their_temperature(warmed: tuple[Path, Identification]) -> None:
+    """What the whole's sets let pass, a band's may not: with the warm band's sets in the cold band's place cold trials leave."""
+    path, found = warmed
+    m = found.model
+    bands = compare(m, [path]).bands
+    assert list(bands) == [f"powered, band {k}" for k in (1, 2, 3)]
+    assert all(out == 0 for _, out in bands.values()) and min(held for held, _ in bands.values()) >= 3
+    cold, warm = m.sets["powered, band 1"], m.sets["powered, band 3"]
+    swapped = replace(m, sets={**m.sets, "powered, band 1": replace(warm, temp=cold.temp)})
+    again = compare(swapped, [path])
+    assert again.bands["powered, band 1"][1] > 0 and not again.violations
 
 
 def test_the_whole_is_what_it_was_without_bands(warmed: tuple[Path, Identification]) -> None:

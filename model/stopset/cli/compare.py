@@ -33,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
             f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} at age {v.age_s:.3f} s (start {v.start_s:.3f} s)"
         )
     say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
+    for name, (held, out) in found.bands.items():
+        say(f"{name}: {out} of the {held} recordings at its temperatures leave its narrower sets (nothing is promised of them)")
     say(model.guarantee.text)
     if args.json:
         write_json(args.json, answer(model, found))

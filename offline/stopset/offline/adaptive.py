@@ -17,7 +17,7 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.adaptive_file import load_state, save_state
-from stopset.offline.identify import Identification, Kept, Sums, common_meta, concluded, sums_of
+from stopset.offline.identify import STOPS, Identification, Kept, Sums, common_meta, concluded, stopped, sums_of
 from stopset.offline.revise import description, settings_of
 from stopset.offline.survey import POWERED, Survey, Tally
 from stopset.recording import Meta, Recording, stream_recordings
@@ -46,9 +46,12 @@ def update(
     tell("reading the new recordings")
     tally = copy.deepcopy(kept.tally)
     phases: Counter[str] = Counter()
+    stops = list(kept.stops)
     for r in source():
         phases[r.phase] += 1
         tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
     _check_phases(phases, tally, kept)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
     numbers = _numbers(kept, found)
@@ -64,10 +67,10 @@ def update(
         f"{UPDATED}{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
         f"{', '.join(dict.fromkeys(name for name, _ in kept.meta.sources[: kept.fitted_files]))}"
     )
-    stops = phases["stop0"] + phases["stop1"]
-    more = (note, f"{stops} stops of {names} were not added: brakes stay as they were") if stops else (note,)
-    revised = _revised(model, fresh.model, kept, f"recordings {names}", more)
-    return replace(fresh, model=revised, kept=replace(fresh.kept, fitted_files=kept.fitted_files))
+    if len(stops) > len(kept.stops):
+        note += f"; {len(stops) - len(kept.stops)} stops added to {len(kept.stops)}"
+    fresh = stopped(replace(fresh, kept=replace(fresh.kept, fitted_files=kept.fitted_files)), stops, tell)
+    return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
 
 
 def from_scratch(
@@ -85,11 +88,14 @@ def from_scratch(
 
     tell("reading the recordings")
     tally = Tally(kept.tally.phase)
+    stops = []
     for r in source():
         tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
     sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
-    return concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally)
+    return stopped(concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally), stops, tell)
 
 
 def _joined(old: Meta, paths: Sequence[str | Path]) -> Meta:
@@ -112,18 +118,16 @@ def _joined(old: Meta, paths: Sequence[str | Path]) -> Meta:
 
 def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
     best = next((p for p in POWERED if phases[p]), None)
-    if len(tally.steps) == len(kept.tally.steps) and best is None:
-        raise RecordingError(
-            f"the new recordings hold only {', '.join(sorted(phases))} trials; expected {tally.phase}, which the sets rest on"
-        )
     if best is not None and POWERED.index(best) < POWERED.index(tally.phase):
         raise RecordingError(
             f"the new recordings hold {best} trials, the model's sets rest on {tally.phase} ones; identify again from all recordings"
         )
-    if len(tally.steps) == len(kept.tally.steps):
-        raise RecordingError(
-            f"the new recordings hold no {tally.phase} trial of three samples, which the model's sets rest on; record some"
-        )
+    if len(tally.steps) > len(kept.tally.steps) or any(phases[p] for p in STOPS):
+        return
+    raise RecordingError(
+        f"the new recordings hold only {', '.join(sorted(phases))} trials and none of three samples that the model rests on; "
+        f"expected {tally.phase} trials or stops: record some"
+    )
 
 
 def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
@@ -138,20 +142,12 @@ def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
     return out
 
 
-def _revised(old: Model, fresh: Model, kept: Kept, added: str, notes: tuple[str, ...]) -> Model:
-    """``fresh`` as the next revision of ``old``, with what no recording of powered motion tells anything about."""
-    sets = dict(fresh.sets)
-    for regime, s in old.sets.items():
-        if regime == "stop0":  # powered torques, noise of its own; the brakes were judged with the old ones, so these stay inside
-            sets[regime] = replace(fresh.powered, U=s.U | fresh.powered.U, X0=s.X0, V=s.V, active=())
-        elif regime not in sets:
-            sets[regime] = s
+def _revised(old: Model, fresh: Model, added: str, note: str) -> Model:
+    """``fresh`` as the next revision of ``old``, with what no recording tells anything about."""
     number = old.revisions[-1].number + 1 if old.revisions else 1
     before = dict(old.revisions[-1].after) if old.revisions else {}
-    revision = Revision(number, added, before, dict(fresh.revisions[-1].after), notes[0].removeprefix(UPDATED))
-    earlier = tuple(x for x in kept.more_notes if not x.startswith(UPDATED))
+    revision = Revision(number, added, before, dict(fresh.revisions[-1].after), note.removeprefix(UPDATED))
     return replace(
-        fresh, sets=sets, brakes=old.brakes, domain=replace(fresh.domain, payload=old.domain.payload),
-        provenance={**old.provenance, **fresh.provenance}, revisions=(*old.revisions, revision),
-        notes=(*fresh.notes, *earlier, *notes),
+        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
+        revisions=(*old.revisions, revision), notes=(*fresh.notes, note),
     )  # fmt: skip

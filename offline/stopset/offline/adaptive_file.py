@@ -29,13 +29,14 @@ from stopset.offline.identify import Kept, NominalPart, Sums
 from stopset.offline.motions import Suite
 from stopset.offline.revise import settings_of
 from stopset.offline.survey import Tally
-from stopset.recording import Meta
+from stopset.recording import Meta, Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
-SCHEMA = 1
+SCHEMA = 2
+SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
 
@@ -49,7 +50,6 @@ def save_state(path: str | Path, kept: Kept, model: Model) -> None:
         "settings_sha256": settings_of(model).sha256,
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
-        "more_notes": [x for x in model.notes if x not in kept.notes],
         "learnt": sorted(kept.learnt),
         "fitted_files": kept.fitted_files,
         "session": list(kept.session),
@@ -58,6 +58,7 @@ def save_state(path: str | Path, kept: Kept, model: Model) -> None:
         "motion": [[*s, m] for s, m in kept.motion.items()],
         "tally": _pack_tally(kept.tally, arrays),
         "sums": _pack_sums(kept.sums, arrays),
+        "stops": [_pack_stop(r, f"stop_{k}", arrays) for k, r in enumerate(kept.stops)],
     }
     if kept.bands is not None:
         arrays["reference"] = _edges(kept.bands.reference)
@@ -126,8 +127,22 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
         meta=meta, learnt=frozenset((p, s) for p, s in head["learnt"]), session=(repeats, places), dt=dt, bands=bands,
         template=zonotope,
         motion={(p, s): number for p, s, number in head["motion"]}, fitted_files=int(head["fitted_files"]),
-        more_notes=tuple(head["more_notes"]),
+        stops=_stops(head["stops"], arrays),
     )  # fmt: skip
+
+
+def _pack_stop(r: Recording, name: str, arrays: Arrays) -> list[Any]:
+    given = [field for field in SIGNALS if getattr(r, field) is not None]
+    for field in given:
+        arrays[f"{name}_{field}"] = getattr(r, field)
+    return [r.phase, r.suite, r.trial, r.place, r.file, given]
+
+
+def _stops(head: list[list[Any]], arrays: Arrays) -> tuple[Recording, ...]:
+    return tuple(
+        Recording(phase, suite, trial, place, file=file, **{field: arrays[f"stop_{k}_{field}"] for field in given})
+        for k, (phase, suite, trial, place, file, given) in enumerate(head)
+    )
 
 
 def _edges(box: Box) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import RecordingError
-from stopset.offline.conform.envelope import Deviations, state_names
+from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.errors import joint_figures, torque_error
 from stopset.offline.identify import roller
@@ -57,6 +57,7 @@ class Comparison:
     rows: tuple[Row, ...]
     survey: Survey
     tube: Tube
+    bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
 
     @property
     def violations(self) -> tuple[Violation, ...]:
@@ -100,14 +101,22 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
     across = None if zonotope is None else zonotope.directions
     tube = deviation_tube(model.abstraction, model.powered, across)
     deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows, across)
+    names = state_names(model.joints, len(deviations.across))
+    banded = {k: (s.temp, deviation_tube(model.abstraction, s, across)) for k, s in model.sets.items() if s.temp is not None}
+    bands = dict.fromkeys(banded, (0, 0))
     rows = []
     for motion, r, u in pairs():
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
-        rows.append(Row(r.label, motion, r.place, rms, covered, _worst(model, deviations, tube, r, u)))
+        env = deviations.of(r, u)
+        rows.append(Row(r.label, motion, r.place, rms, covered, _worst(names, env, tube, r.label)))
+        for k, (band, of_band) in banded.items():
+            if r.temp is not None and band is not None and band.covers(r.temp).all():
+                held, out = bands[k]
+                bands[k] = held + 1, out + (_worst(names, env, of_band, r.label) is not None)
     figures = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
-    return Comparison(figures, tuple(rows), found, tube)
+    return Comparison(figures, tuple(rows), found, tube, bands)
 
 
 def _compare_nonlinear(model: Model, found: Survey, trials: list[tuple[int, Recording, Array]]) -> Comparison:
@@ -146,9 +155,9 @@ def check_effort(model: Model, paths: Sequence[str | Path]) -> None:
             )
 
 
-def _worst(model: Model, deviations: Deviations, tube: Tube, r: Recording, u: Array) -> Violation | None:
-    env = deviations.of(r, u)
-    last = env.steps
+def _worst(names: Sequence[str], env: Envelope, tube: Tube, label: str) -> Violation | None:
+    """The furthest that one recording's envelope leaves a tube, if it does."""
+    last = min(env.steps, len(tube.ages) - 1)
     above = env.hi[1 : last + 1] - tube.hi[1 : last + 1]
     below = tube.lo[1 : last + 1] - env.lo[1 : last + 1]
     half = np.maximum(0.5 * (tube.hi[1 : last + 1] - tube.lo[1 : last + 1]), 1e-12)
@@ -159,11 +168,9 @@ def _worst(model: Model, deviations: Deviations, tube: Tube, r: Recording, u: Ar
     relative = np.divide(excess, half, out=np.full_like(excess, -np.inf), where=out)
     age, state = np.unravel_index(int(np.argmax(relative)), excess.shape)
     side = "above" if above[age, state] >= below[age, state] else "below"
-    at = env.where(
-        "", int(age) + 1, int(state), "hi" if side == "above" else "lo", state_names(model.joints, len(deviations.across))
-    )
+    at = env.where("", int(age) + 1, int(state), "hi" if side == "above" else "lo", names)
     worst = float(excess[age, state])
-    return Violation(r.label, at.state, side, at.start_s, at.age_s, worst, worst / float(half[age, state]))
+    return Violation(label, at.state, side, at.start_s, at.age_s, worst, worst / float(half[age, state]))
 
 
 def answer(model: Model, found: Comparison) -> dict[str, Any]:
@@ -188,6 +195,7 @@ def answer(model: Model, found: Comparison) -> dict[str, Any]:
             "motions": promise.motions, "violated": promise.violated, "upper_bound": promise.upper_bound,
             "confidence": promise.confidence, "text": promise.text,
         },
+        "bands": {k: {"recordings": held, "violations": out} for k, (held, out) in found.bands.items()},
         "violating": [
             {"recording": v.recording, "state": v.state, "side": v.side, "start_s": v.start_s, "age_s": v.age_s, "excess": v.excess}
             for v in found.violations

@@ -44,6 +44,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 
+STOPS = ("stop0", "stop1")
 HORIZON = 5.0  # [s] the paper's test suites are "up to 5 seconds long" (sec. V-B)
 
 
@@ -95,8 +96,7 @@ class Kept:
     template: Template | None  # of zonotopes
     motion: dict[Suite, int]
     fitted_files: int  # how many of the files the nominal model was fitted to
-    notes: tuple[str, ...] = ()  # of the model as it was made from these sums alone
-    more_notes: tuple[str, ...] = ()  # that its model got later
+    stops: tuple[Recording, ...] = ()  # brakes and ramps do not fold: their recordings, which are short, are kept whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,16 +166,16 @@ def identify(
             "out, or take the linear model (--model 1 --order 1)"
         )
     out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep else None)
-    return replace(out, model=_with_stops(out.model, source, tell))
+    return stopped(out, [r for r in source() if r.phase in STOPS], tell)
 
 
-def _with_stops(model: Model, source: Source, tell: Tell) -> Model:
-    """Brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
-    stops = [r for r in source() if r.phase in ("stop0", "stop1")]
-    if not stops or model.effort == "compensated_torque":
-        return model
+def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
+    """With brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
+    kept = None if found.kept is None else replace(found.kept, stops=tuple(stops))
+    if not stops or found.model.effort == "compensated_torque":
+        return replace(found, kept=kept)
     tell(f"brakes and ramps from {len(stops)} recorded stops")
-    return with_stops(model, identify_stops(model, stops))
+    return replace(found, model=with_stops(found.model, identify_stops(found.model, stops)), kept=kept)
 
 
 def fit_nominal(
@@ -405,7 +405,7 @@ def concluded(
     session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files, out.model.notes)
+    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files)
     return replace(out, kept=kept)
 
 
