@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.offline.nominal.gram import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
@@ -20,6 +21,7 @@ from stopset.recording.types import Array
 LEAST_STD = 2e-4  # [s] no clock is known better
 BLUNT = 0.005  # [s] joints with a larger standard error do not say where the middle is
 CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
+OWN = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 FEW = 3  # with fewer motions none can be left out
 TOGETHER = 10.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
@@ -38,6 +40,14 @@ class Delay:
     common: float
     common_std: float
     hold: float
+
+
+def apart(delay: Delay, period: float) -> NDArray[np.bool_]:
+    """(n,) which joints' torque is late or early on its own: a slow drive or a filter rather than two clocks; ``period`` [s]."""
+    sure = np.isfinite(delay.joint) & np.isfinite(delay.std) & np.isfinite(delay.common_std)
+    off, std = np.abs(delay.joint - delay.common), np.hypot(delay.std, delay.common_std)
+    least = max(OWN, 1.2 * period if np.isfinite(period) else 0.0)
+    return np.asarray(sure & (np.nan_to_num(off) > np.maximum(least, 4 * np.where(sure, std, np.inf))))
 
 
 def lag_weights(d: float) -> Array:

@@ -14,12 +14,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.effects import Effect, Signals
 from stopset.offline.nominal.gram import Layout
 from stopset.recording.types import Array
 
 CREEP = 1e-9  # [rad/s] a column that has vanished here is viscous, one that has not is dry
+DRY = 1e-6  # of a unit coefficient, at creeping speed
 ENDS = 5  # speeds and loads in the first set of rows: both ends, the middle, and between
 DENSE = 2001  # speeds at which a solution is checked
 
@@ -40,6 +42,15 @@ class Limits:
         )
 
 
+def dry(effect: Effect) -> NDArray[np.bool_]:
+    """(terms,) which columns are still there when the joint creeps: Coulomb friction of any kind, not viscous torque."""
+    if not set(effect.needs) <= {"dq", "load"}:
+        return np.zeros(len(effect.terms), bool)
+    way, load = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, 1.0, -1.0])  # each quadrant has columns of its own
+    creeping = _values(effect, Signals(dq=CREEP * way, load=load), 4)
+    return np.asarray(np.abs(creeping).max(axis=0) >= DRY)
+
+
 def _values(effect: Effect, s: Signals, rows: int) -> Array:
     return np.column_stack([np.broadcast_to(np.asarray(c, float), (rows,)) for c in effect.columns(s)])
 
@@ -56,17 +67,16 @@ def _rows(layout: Layout, joint: int, dq: Array, load: Array, viscous: bool) -> 
     for effect in dict.fromkeys(c.effect for c in layout.columns[joint]):
         if not set(effect.needs) <= {"dq", "load"}:
             continue
-        creeping = _values(effect, Signals(dq=np.array([CREEP]), load=np.array([1.0])), 1)[0]
         start, own = _place(layout, joint, effect)
         own = [start + k for k in own]
         if viscous:
             columns = _values(effect, Signals(dq=dq, load=load), len(dq)) / dq[:, None]
-            keep = np.abs(creeping) < 1e-6
+            keep = ~dry(effect)
         else:
             up = _values(effect, Signals(dq=np.abs(dq), load=load), len(dq))
             down = _values(effect, Signals(dq=-np.abs(dq), load=load), len(dq))
             columns = 0.5 * (up - down)
-            keep = np.abs(creeping) >= 1e-6
+            keep = dry(effect)
         A[:, own] += np.where(keep, columns, 0.0)
     return A
 

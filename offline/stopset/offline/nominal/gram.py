@@ -240,7 +240,7 @@ def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, N
     X = np.zeros((n, len(k), out.moving.shape[-1]))
     X[:, :, : 10 * n] = Y.transpose(1, 0, 2)
     X[:, :, 10 * n] = m.ddq[k].T
-    friction, load = _friction_columns(out.layout, robot, m, out.settings.still)
+    friction, load = friction_columns(out.layout, robot, m, out.settings.still)
     for j in range(n):
         for c, column in enumerate(friction[j]):
             X[j, :, 10 * n + 1 + c] = column
@@ -250,14 +250,19 @@ def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, N
     return X, m.moving[k]
 
 
-def _friction_columns(layout: Layout, robot: Robot, m: Motion, still: float) -> tuple[list[list[Array]], Array | None]:
-    """Each joint's friction columns at the kept rows, through the torque's filter, and the load if it was needed."""
+def friction_columns(
+    layout: Layout, robot: Robot, m: Motion, still: float, way: float | None = None
+) -> tuple[list[list[Array]], Array | None]:
+    """Each joint's friction columns at the kept rows, through the torque's filter, and the load if it was needed.
+
+    ``way``: direction of motion to assume in place of that of ``dq``.
+    """
     needs = {s for cs in layout.columns for c in cs for s in c.effect.needs}
     if "temp" in needs and m.temp is None:
         raise RecordingError("an effect needs joint temperatures (temp_<joint>) that this recording does not have; leave it out")
     signals = arm_signals(robot, m.q, m.dq, m.ddq, temp=m.temp, t=m.t, needs=needs or {"dq"})
     # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
-    signals = tuple(replace(s, way=np.clip(s.dq / still, -1.0, 1.0)) for s in signals)
+    signals = tuple(replace(s, way=np.clip(s.dq / still, -1.0, 1.0) if way is None else np.full(len(m.t), way)) for s in signals)
     raw: list[Array] = []
     for j, columns in enumerate(layout.columns):
         for effect in dict.fromkeys(c.effect for c in columns):

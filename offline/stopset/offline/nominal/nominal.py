@@ -5,24 +5,24 @@ Source: Liu & Althoff (2018), sec. IV-A and appendix; Gautier & Khalil (1990) fo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
-from stopset.offline.nominal.delay import Delay, estimate_delay, joint_reduced, lag_weights
+from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
-from stopset.offline.nominal.gram import Column, NormalEquations, accumulate, moving_rows
-from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.offline.nominal.gram import Column, NormalEquations, accumulate
+from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
 from stopset.offline.nominal.unknown import base_count, undetermined
 from stopset.recording.types import Array, Recording, Recordings
 from stopset.robot import Robot
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
+LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Nominal:
     ``rms``, ``rms_heldout`` (n,) [N m] torque residual after filtering, on all motions and on motions left out of the
     fit (nan with fewer than two); ``rms_before`` (n,): of the CAD model with friction fitted alone; ``s_max`` (n,)
     [rad/s]: friction is not to be predicted beyond; ``load_max`` (n,) [N m]; ``span`` (n, 2) [rad]; ``delay``: torque
-    against motion, see `Delay`; ``delay_applied`` [s]; ``undetermined``: what the data leave open; ``notes``: what was
+    against motion, see `Delay`; ``delay_applied`` (n,) [s]; ``undetermined``: what the data leave open; ``notes``: what was
     done; ``inflation`` (n,): how many filtered samples are worth one independent one; ``data``: the sums, to fold later
     recordings in with `solve_nominal(robot, old + new)`.
     """
@@ -52,7 +52,7 @@ class Nominal:
     load_max: Array
     span: Array
     delay: Delay
-    delay_applied: float
+    delay_applied: Array
     inflation: Array
     base_parameters: int
     undetermined: tuple[str, ...]
@@ -84,44 +84,9 @@ class Nominal:
         return next((dict(f.values) for f in self.friction if f.effect == effect and f.joint == joint), {})
 
 
-@dataclass(frozen=True, slots=True)
-class Residual:
-    """Torque left over along one even piece of a trial: ``t`` (N,), ``q, dq, ddq, measured, left`` (N, n), filtered like
-    the fit; ``moving`` (N, n): joint out of the stiction band; ``temp`` (N, n) or None."""
-
-    t: Array
-    q: Array
-    dq: Array
-    ddq: Array
-    measured: Array
-    left: Array
-    moving: NDArray[np.bool_]
-    temp: Array | None
-
-
-def residuals(nominal: Nominal, robot: Robot, recording: Recording) -> list[Residual]:
-    """What the nominal model leaves of a trial's torque; ``robot`` is the description it was identified with."""
-    data = nominal.data
-    view = robot.with_parameters(data.reference)
-    lags = lag_weights(nominal.delay_applied)
-    out = []
-    for m in motions(recording, data.settings):
-        X, moving = moving_rows(data, view, m)
-        measured = np.einsum("jkd,d->kj", X[:, :, -len(lags) :], lags)
-        head = X.shape[-1] - len(lags)
-        model = np.empty_like(measured)
-        for j in range(robot.n):
-            index = data.layout.index(j)
-            model[:, j] = X[j, :, : min(head, len(index))] @ nominal.theta[index]
-        k = m.kept
-        temp = None if m.temp is None else m.temp[k]
-        out.append(Residual(m.t[k], m.q[k], m.dq[k], m.ddq[k], measured, measured - model, moving, temp))
-    return out
-
-
 def identify_nominal(
     robot: Robot,
-    recordings: Recordings | Iterable[Recording],
+    recordings: Recordings | Iterable[Recording] | Callable[[], Iterable[Recording]],
     effects: Sequence[str | Effect] = ("coulomb", "viscous"),
     *,
     effort: str | None = None,
@@ -133,21 +98,26 @@ def identify_nominal(
 
     ``effects``: effects of single joints, ``"name"`` (all joints), ``"name:joint"``, or `Effect`.  ``effort``: kind of
     torque, taken from the recordings' metadata if they have one, else motor torque; currents arrive here already times
-    their torque constant.  ``tolerance``: how far the CAD may be off; ``delay`` [s]: known delay of torque against
-    motion, else it is estimated first.
+    their torque constant.  ``recordings``: an iterable is read once, a function is called for each pass.  ``tolerance``:
+    how far the CAD may be off; ``delay`` [s]: known delay of torque against motion, else it is estimated first.
     Static poses count where both approach directions were recorded; stops are left out (the brake's torque is not in
-    ``tau``).  With load-dependent effects and re-readable recordings, the load is that of a first fit, not of the CAD.
+    ``tau``).  With load-dependent effects the load is that of a first fit; where the recordings can be read only once, of the CAD.
     Raises `RecordingError` when no sample can be used; what the data leave open is kept at the CAD and listed.
     """
     if effort is None:
         effort = recordings.meta.effort if isinstance(recordings, Recordings) else "motor_torque"
     compensated = effort == "compensated_torque"
+    once = not callable(recordings) and not isinstance(recordings, Recordings)
+
+    def trials() -> Iterable[Recording]:
+        return recordings() if callable(recordings) else recordings
+
     reference = None
-    needs_load = any("load" in _effect(e).needs for e in effects)
-    if needs_load and isinstance(recordings, Recordings):
-        first = accumulate(robot, recordings, ("coulomb", "viscous"), settings, compensated=compensated)
-        reference = solve_nominal(robot, first, tolerance=tolerance, delay=delay).pi
-    data = accumulate(robot, recordings, effects, settings, reference, compensated)
+    if any("load" in _effect(e).needs for e in effects) and not once:
+        for _ in range(LOAD_PASSES):
+            first = accumulate(robot, trials(), effects, settings, reference, compensated)
+            reference = solve_nominal(robot, first, tolerance=tolerance, delay=delay).pi
+    data = accumulate(robot, trials(), effects, settings, reference, compensated)
     return solve_nominal(robot, data, tolerance=tolerance, delay=delay)
 
 
@@ -168,24 +138,38 @@ def solve_nominal(
         )
     prior = prior_of(robot, tolerance or Tolerance())
     lag, applied, notes = _delay(data, prior, delay)
-    weights = lag_weights(applied)
-    moving, still = joint_reduced(data.moving, weights), joint_reduced(data.still, weights)
+    moving, still = _at_lag(data, applied)
     result = fit(data, moving, still, prior, robot.pi)
     heldout, covariance = leave_out(data, moving, still, prior, result)
     result = replace(result, covariance=covariance)
     return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
 
 
-def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[Delay, float, list[str]]:
-    lag = estimate_delay(data, prior)
+def _at_lag(data: NormalEquations, applied: Array) -> tuple[Array, Array]:
+    """Sums of motions and of poses with the torque of each joint taken at its lag ``applied`` (n,) [s]."""
+    weights = [lag_weights(float(d)) for d in applied]
+    moving = [joint_reduced(data.moving[:, j], w) for j, w in enumerate(weights)]
+    return np.stack(moving, axis=1), np.array([joint_reduced(data.still[j], w) for j, w in enumerate(weights)])
+
+
+def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[Delay, Array, list[str]]:
+    """The delay found, that of each joint (n,) [s] that is taken out, and what is to be told of it."""
+    lag, n = estimate_delay(data, prior), data.layout.n
     if given is not None:
-        return lag, given, [f"delay of torque against motion {given * 1e3:.2f} ms as given"]
+        return lag, np.full(n, given), [f"delay of torque against motion {given * 1e3:.2f} ms as given"]
     if data.recordings == 0:
-        return lag, 0.0, []
+        return lag, np.zeros(n), []
     found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
     if not lag.common_std <= DELAY_TRUSTED:
-        return lag, 0.0, [f"delay of torque against motion undetermined ({found}): none is assumed"]
-    return lag, lag.common, [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
+        return lag, np.zeros(n), [f"delay of torque against motion undetermined ({found}): none is assumed"]
+    notes = [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
+    own = apart(lag, data.period)
+    notes += [
+        f"{data.layout.joints[j]}: its torque is {lag.joint[j] * 1e3:.1f} +- {lag.std[j] * 1e3:.1f} ms apart from the motion, unlike the "
+        "other joints'; that is taken out of the fit, but predictions get the torque as it comes"
+        for j in np.flatnonzero(own)
+    ]
+    return lag, np.where(own, lag.joint, lag.common), notes
 
 
 def _nominal(
@@ -195,7 +179,7 @@ def _nominal(
     result: Fit,
     heldout: Array,
     lag: Delay,
-    applied: float,
+    applied: Array,
     notes: tuple[str, ...],
 ) -> Nominal:
     n, layout = robot.n, data.layout
