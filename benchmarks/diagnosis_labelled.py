@@ -25,7 +25,7 @@ def right(label: dict[str, Any], verdict: str, ranked: list[tuple[str, tuple[str
         return False
     for true in label["effects"] if verdict == "missing" else ():
         name, joints = SAME.get(true["effect"], true["effect"]), set(true["joints"])
-        first = ranked[: len(label["effects"]) + len(joints) - 1]
+        first = ranked[: len(label["effects"]) + max(len(joints), 1) - 1]
         if not any(effect == name and (not at or joints & set(at)) for effect, at in first):
             return False
     return True

@@ -72,7 +72,7 @@ def test_random_friction_scales_equal_brute_force_likelihood() -> None:
     X, f = rng.normal(size=(85, 4)), rng.normal(size=(85, 2))
     sigma, kappa = 0.3, 1.7
     gram = JointGram.of(X[:, :2], f, trial, np.array([0, 1, 2]), 3, np.arange(2))
-    gram.append(X[:, 2:], np.array([2, 3]))
+    gram = gram.bordered(X[:, 2:], np.array([2, 3]))
     G, logdet = gram.at(sigma, kappa)
     V = kappa * np.eye(85)
     for t in range(3):

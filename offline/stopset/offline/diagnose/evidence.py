@@ -11,7 +11,7 @@ Source: Laird & Ware (1982), Random-effects models for longitudinal data.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ SIGMAS = np.array([0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2
 @dataclass(slots=True)
 class JointGram:
     """One joint's whitened columns ``X`` (K, c) and their sums: ``G`` (F, c, c) by fold; per trial ``g`` (T, r, c) = f'X and
-    ``ff`` (T, r, r) = f'f with the random effects' columns ``f`` (K, r); ``index`` (c,): their numbers in the whole."""
+    ``ff`` (T, r) = f'f with the random effects' columns ``f`` (K, r), turned within each trial so that these are orthogonal;
+    ``index`` (c,): the columns' numbers in the whole."""
 
     X: Array
     f: Array
@@ -37,6 +38,7 @@ class JointGram:
     G: Array
     g: Array
     ff: Array
+    _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
 
     @staticmethod
     def of(X: Array, f: Array, trial: Index, fold_of_trial: Index, folds: int, index: Index) -> JointGram:
@@ -48,11 +50,17 @@ class JointGram:
         r = f.shape[1]
         empty = JointGram(
             X[:, :0], f, np.where(moving, fold_of_trial[trial], 0), starts, ends, used, fold_of_trial[used], index[:0],
-            np.zeros((folds, 0, 0)), np.zeros((len(starts), r, 0)), np.zeros((len(starts), r, r)),
+            np.zeros((folds, 0, 0)), np.zeros((len(starts), r, 0)), np.zeros((len(starts), r)),
         )  # fmt: skip
-        empty.ff = empty._by_trial(f)
-        empty.append(X, index)
-        return empty
+        empty._orthogonal()
+        return empty.bordered(X, index)
+
+    def _orthogonal(self) -> None:
+        """Turn the two columns of each trial into orthogonal ones: their scales have equal priors, so nothing else changes."""
+        last = int(self.ends[-1]) if len(self.ends) else 0
+        self.ff, turns = np.linalg.eigh(self._by_trial(self.f))
+        turned = np.einsum("kr,krs->ks", self.f[:last], np.repeat(turns, self.ends - self.starts, axis=0))
+        self.f = np.concatenate([turned, self.f[last:]])
 
     def _by_trial(self, w: Array) -> Array:
         """(T, r, k): f'w of each trial."""
@@ -62,41 +70,49 @@ class JointGram:
         out = [np.add.reduceat(w[:last] * self.f[:last, c, None], self.starts, axis=0) for c in range(self.f.shape[1])]
         return np.stack(out, axis=1)
 
-    def append(self, w: Array, index: Index) -> None:
-        """Border the sums with the columns ``w`` (K, k)."""
+    def bordered(self, w: Array, index: Index) -> JointGram:
+        """With the further columns ``w`` (K, k)."""
         k, c = w.shape[1], self.X.shape[1]
-        self.X = np.concatenate([self.X, w], axis=1)
+        X = np.concatenate([self.X, w], axis=1)
         G = np.zeros((len(self.G), c + k, c + k))
         G[:, :c, :c] = self.G
-        for fold in range(len(G)):
-            chosen = self.row_fold == fold
-            G[fold, :, c:] = self.X[chosen].T @ w[chosen]
-            G[fold, c:, :c] = G[fold, :c, c:].T
-        self.G = G
-        self.g = np.concatenate([self.g, self._by_trial(w)], axis=2)
-        self.index = np.concatenate([self.index, index])
-
-    def keep(self, local: Index) -> JointGram:
-        """The same sums over some of the columns."""
+        runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
+        for start, end in zip(runs, np.append(runs[1:], len(X)), strict=True):
+            G[self.row_fold[start], :, c:] += X[start:end].T @ w[start:end]
+        G[:, c:, :c] = G[:, :c, c:].transpose(0, 2, 1)
         return JointGram(
-            self.X[:, local], self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
-            self.index[local], self.G[:, local][:, :, local], self.g[:, :, local], self.ff,
+            X, self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
+            np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
+        )  # fmt: skip
+
+    def keep(self, local: Index, rows: bool = True) -> JointGram:
+        """The same sums over some of the columns; without their ``rows`` where only the sums are asked for."""
+        return JointGram(
+            self.X[:, local] if rows else self.X[:, :0], self.f, self.row_fold, self.starts, self.ends, self.trial,
+            self.trial_fold, self.index[local], self.G[:, local][:, :, local], self.g[:, :, local], self.ff,
         )  # fmt: skip
 
     def at(self, sigma: float, kappa: float, folds: NDArray[np.bool_] | None = None) -> tuple[Array, float]:
         """Gram (c, c) and log determinant with friction scale ``sigma`` and noise variance ``kappa``; of some ``folds``."""
-        chosen = np.ones(len(self.trial_fold), bool) if folds is None else folds[self.trial_fold]
-        G = self.G.sum(axis=0) if folds is None else self.G[folds].sum(axis=0)
-        r = self.ff.shape[1]
-        L = np.linalg.cholesky(np.eye(r) * kappa / sigma**2 + self.ff[chosen])
-        w = np.linalg.solve(L, self.g[chosen]).reshape(-1, G.shape[0])
-        logdet = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + L.shape[0] * r * np.log(sigma**2 / kappa)
+        if folds is not None:
+            chosen = folds[self.trial_fold]
+            return self._marginal(self.G[folds].sum(axis=0), self.g[chosen], self.ff[chosen], sigma, kappa)
+        if (sigma, kappa) not in self._at:
+            self._at[sigma, kappa] = self._marginal(self.G.sum(axis=0), self.g, self.ff, sigma, kappa)
+        return self._at[sigma, kappa]
+
+    @staticmethod
+    def _marginal(G: Array, g: Array, ff: Array, sigma: float, kappa: float) -> tuple[Array, float]:
+        """The trials' friction scales integrated out."""
+        ratio = kappa / sigma**2
+        w = (g / np.sqrt(ff + ratio)[:, :, None]).reshape(-1, G.shape[0])
+        logdet = np.log(ff + ratio).sum() - ff.size * np.log(ratio)
         return (G - w.T @ w) / kappa, float(logdet)
 
     def residual(self, theta: Array, sigma: float, kappa: float) -> Array:
         """(K,) whitened residual at the coefficients ``theta`` (c,), each trial's friction scales taken out."""
         out = self.X @ theta
-        b = np.linalg.solve(np.eye(self.ff.shape[1]) * kappa / sigma**2 + self.ff, (self.g @ theta)[:, :, None])[:, :, 0]
+        b = (self.g @ theta) / (self.ff + kappa / sigma**2)
         last = int(self.ends[-1]) if len(self.ends) else 0
         out[:last] -= np.sum(self.f[:last] * np.repeat(b, self.ends - self.starts, axis=0), axis=1)
         return out
@@ -133,6 +149,10 @@ def gain(S: Array, s: Array, precision: Array) -> tuple[float, Array, Array]:
 
     ``S, s``: the group's part of a `Projection`; ``precision`` (k,): of the parameters' zero-mean normal prior.
     """
+    if len(s) == 1:
+        total = max(float(S[0, 0] + precision[0]), 1e-300)
+        value = float(s[0] ** 2 / total - max(np.log(total / precision[0]), 0.0))
+        return value, s / total, np.array([[1.0 / total]])
     A = S + np.diag(precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
     scaled = A * np.outer(scale, scale)

@@ -18,7 +18,7 @@ def held_out(engine: Engine, hyper: Hyper) -> Array:
     Where there are fewer motions than folds, every sixth second is held out in turn: a motion left out alone would then leave
     nothing to fit.  Such errors speak of these motions only.
     """
-    view = engine._view()
+    view = engine.view()
     n = engine.data.n
     few = len(np.unique(engine.fold_of_trial)) < FOLDS
     folds = [_by_time(engine, j) if few else view.grams[j].row_fold for j in range(n)]

@@ -43,7 +43,7 @@ def predictor(c: Array) -> tuple[Array, Array]:
     return a, np.sqrt(var)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     """Rows minus their prediction from the rows before, in units of its deviation; ``start``: a new run of rows begins."""
     out = np.empty_like(X)
@@ -60,7 +60,7 @@ def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     """The rows again out of their whitened values: the inverse of `whiten` for one column."""
     out = np.empty_like(e)
@@ -73,4 +73,20 @@ def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
         for p in range(m):
             x += a[m, p] * out[k - 1 - p]
         out[k] = x
+    return out
+
+
+@njit(cache=True, nogil=True)
+def whiten_adjoint(r: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
+    """The rows whose product with plain columns equals that of ``r`` with the whitened ones."""
+    out = np.zeros_like(r)
+    order = sd.shape[0] - 1
+    run = 0
+    for k in range(r.shape[0]):
+        run = 0 if start[k] else run + 1
+        m = min(run, order)
+        e = r[k] / sd[m]
+        out[k] += e
+        for p in range(m):
+            out[k - 1 - p] -= a[m, p] * e
     return out

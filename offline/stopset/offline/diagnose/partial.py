@@ -40,7 +40,7 @@ def partial(engine: Engine, hyper: Hyper, theta: Array, candidate: Candidate, jo
     rows = engine.rows[joint]
     if joint not in made or not len(rows.take):
         return None
-    view = engine._view()
+    view = engine.view()
     gram = view.grams[joint]
     full = np.concatenate([[1.0], -theta])
     k = len(rows.take)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
@@ -119,10 +120,18 @@ class Prepared:
 
 def _at(x: Array, centre: Index, h: Array) -> Array:
     """``x`` weighted by the kernel ``h`` about each sample of ``centre``."""
+    flat = np.ascontiguousarray(x.reshape(len(x), -1))
+    return _weighted(flat, centre, h).reshape(len(centre), *x.shape[1:])
+
+
+@njit(cache=True, nogil=True)
+def _weighted(x: Array, centre: Index, h: Array) -> Array:
     half = len(h) // 2
-    out = np.zeros((len(centre), *x.shape[1:]))
-    for k, weight in enumerate(h):
-        out += weight * x[centre + (k - half)]
+    out = np.zeros((len(centre), x.shape[1]))
+    for row in range(len(centre)):
+        for k in range(len(h)):
+            for c in range(x.shape[1]):
+                out[row, c] += h[k] * x[centre[row] + k - half, c]
     return out
 
 

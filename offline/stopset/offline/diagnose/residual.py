@@ -25,7 +25,7 @@ class Dependence:
 
 def whitened(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> tuple[Array, Index]:
     """(K,) whitened residual of a joint's moving rows, friction scales of the trials taken out, and the rows' folds."""
-    gram, k = engine._view().grams[joint], len(engine.rows[joint].take)
+    gram, k = engine.view().grams[joint], len(engine.rows[joint].take)
     full = np.concatenate([[1.0], -theta])
     return gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k], gram.row_fold[:k]
 

@@ -1,0 +1,56 @@
+"""A candidate: an effect at its joints with fixed shapes, and how it stands against the model without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.effects import Effect
+from stopset.offline.diagnose.evidence import gain
+from stopset.offline.diagnose.prepare import Array, Index
+
+HELD = 1e12  # prior precision of a term held at zero
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect at its joints with fixed shapes; ``cols``: its global columns; ``sd``: prior deviation of each term."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    shapes: Mapping[str, float]
+    cols: Index
+    sd: Array
+    charge: float = 0.0  # evidence to pay for having searched many shapes
+
+    @property
+    def key(self) -> tuple[str, tuple[int, ...]]:
+        return (self.effect.name, self.joints)
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A candidate against the current model: ``score`` twice the log Bayes factor; ``theta``, ``cov`` of its terms."""
+
+    candidate: Candidate
+    score: float
+    theta: Array
+    cov: Array
+
+    @property
+    def admissible(self) -> bool:
+        """Every term within its range, two standard deviations allowed beyond it."""
+        sd = np.sqrt(np.maximum(np.diag(self.cov), 0.0))
+        return all(t.lo - 2 * s <= v <= t.hi + 2 * s for t, v, s in zip(self.candidate.effect.terms, self.theta, sd, strict=True))
+
+
+def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
+    """`gain`; of several terms those that come out beyond their range are held at zero, where that lies in it."""
+    value, theta, cov = gain(S, s, 1.0 / c.sd**2)
+    terms = c.effect.terms
+    beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])
+    if len(terms) == 1 or not beyond.any() or beyond.all():
+        return value, theta, cov
+    return gain(S, s, np.where(beyond, HELD, 1.0 / c.sd**2))

@@ -1,0 +1,90 @@
+"""Shapes searched off their grid: the best contenders refined, and a claimed delay or elasticity made exact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.offline.diagnose.engine import Engine, Hyper, Scored
+from stopset.offline.diagnose.scores import score_new
+
+SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
+CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
+
+
+def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
+    """The best distinct contenders with their shapes refined, best first."""
+    contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
+    for s in scored:
+        if len(contenders) < CONTENDERS and s.admissible and s.score > 0:
+            contenders.setdefault(s.candidate.key, s)
+    refined = [refine(engine, s, hyper) for s in contenders.values()]
+    return sorted((s for s in refined if s.admissible), key=lambda s: -s.score)
+
+
+def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+    """A delay or an elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+    effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
+    if "exact" in start or (effect.enters != "input_delay" and effect.name != "elasticity"):
+        return scored
+
+    def value(shapes: Mapping[str, float]) -> Scored | None:
+        return score_new(engine, effect, joints, shapes, hyper, quick=True)
+
+    best = value({**start, "exact": 1.0})
+    if best is None:
+        return scored
+    steps = dict.fromkeys(start, 0.4)
+    while max(steps.values()) > 0.02:
+        for symbol in start:
+            here = best.candidate.shapes
+            trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
+            better = [t for t in trials if t is not None and t.score > best.score]
+            if better:
+                best = max(better, key=lambda t: t.score)
+            else:
+                steps[symbol] *= 0.4
+    return replace(best, score=scored.score)
+
+
+def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+    """Search the shapes off their grid: compass search with shrinking steps, in the logarithm (linear for the ripple's n)."""
+    effect, joints, charge = scored.candidate.effect, scored.candidate.joints, scored.candidate.charge
+    shapes = dict(scored.candidate.shapes)
+
+    def value(trial: Mapping[str, float]) -> Scored | None:
+        s = score_new(engine, effect, joints, trial, hyper, quick=True)
+        return s if s is not None and s.admissible else None
+
+    if "d0" in shapes:
+        best = scored
+        for _ in range(6):
+            s = value({**shapes, "d0": 0.5 * (float(best.theta[0]) + best.candidate.shapes["d0"])})
+            if s is None or abs(s.candidate.shapes["d0"]) < SHORTEST_LAG:
+                break
+            best = s
+        shapes = dict(best.candidate.shapes)
+        if not 0.7 < float(best.theta[0]) / shapes["d0"] < 1.4:
+            return replace(scored, score=0.0)  # a lag that does not reproduce itself is none
+    elif effect.shapes:
+        best_value = value(shapes)
+        steps = {p.symbol: (0.35 if effect.name == "torque_ripple" else 0.6) for p in effect.shapes}
+        finest = 0.06 if "exact" in shapes else 0.02  # an exact swing costs a rigid-body pass per trial value
+        while best_value is not None and max(steps.values()) > finest:
+            for p in effect.shapes:
+                for side in (1.0, -1.0):
+                    x, h = shapes[p.symbol], side * steps[p.symbol]
+                    moved = x + h if effect.name == "torque_ripple" else x * float(np.exp(h))
+                    trial = {**shapes, p.symbol: float(np.clip(moved, p.lo, p.hi))}
+                    s = value(trial)
+                    if s is not None and s.score > best_value.score:
+                        shapes, best_value = trial, s
+                        break
+                else:
+                    steps[p.symbol] *= 0.4
+    final = score_new(engine, effect, joints, shapes, hyper)
+    if final is None:
+        return scored
+    return replace(final, score=final.score - charge, candidate=replace(final.candidate, charge=charge))
