@@ -14,6 +14,7 @@ from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.offline.compare import answer, compare
+from stopset.offline.explained import Explained, partial_residual
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Meta, read_recordings, write_recordings
 from synthetic import names, recordings, save_trials
@@ -60,6 +61,21 @@ def test_open_loop_errors_are_those_of_the_prediction(planar) -> None:
         assert figures[j]["velocity_rmse"] == pytest.approx(np.sqrt(np.mean(e[:, 2 + k] ** 2)), rel=1e-6)
         # the hidden torque is +-0.2 N m in steps of 40 ms, averaged over 0.2 s: 0.2 / sqrt(3) / sqrt(5)
         assert figures[j]["torque_rmse"] == pytest.approx(0.052, rel=0.3)
+
+
+def test_the_partial_residual_shows_each_law_where_two_variables_move_together() -> None:
+    """The plain error over the one variable has the other one's slope mixed in; the partial residual has its own."""
+    rng = np.random.default_rng(0)
+    a = rng.uniform(-1, 1, 6000)
+    b = 0.6 * a + 0.8 * rng.uniform(-1, 1, 6000)
+    error = 2.0 * a - 1.0 * b + rng.normal(0, 0.05, 6000)
+    found = Explained(("a", "b"), np.array([[0.8, 0.1]]), error[:, None], (a[:, None], b[:, None]))
+    p = partial_residual(found, 0)
+    assert (p.variable, p.other) == ("a", "b")
+    slope = np.polyfit(p.line[:, 0], p.line[:, 1], 1)[0]
+    plain = np.polyfit(a, error, 1)[0]
+    # within twelfths the other variable still varies a little: a few hundredths of its slope
+    assert slope == pytest.approx(2.0, abs=0.1) and abs(plain - 2.0) > 0.5
 
 
 def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

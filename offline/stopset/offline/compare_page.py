@@ -14,11 +14,12 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare import Comparison, inputs
 from stopset.offline.conform.bands import narrower
-from stopset.offline.explained import explained
+from stopset.offline.explained import explained, partial_residual
 from stopset.offline.report import COLOURS, Page
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 POINTS = 240  # per drawn line
@@ -44,7 +45,7 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Page:
     _table2(out, model)
     _violations(out, found)
     _ranking(out, model, found)
-    _domain(out, model)
+    _domain(out, model, found)
     return out
 
 
@@ -83,10 +84,11 @@ def _tubes(out: Page, model: Model, found: Comparison, paths: Sequence[str | Pat
             first = trials[0][0]
             by = "temperature" if trials[0][0].temp is not None else "order of the trials"
             caption = (
-                f"{first.phase} suite {first.suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). Grey: all "
-                "states conformant; dark: position only."
+                f"{first.phase} suite {first.suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). "
+                "Grey: all states conformant; dark: position only. Crosses: where a recording leaves the sets most, of a prediction "
+                "that may have started later."
             )
-            out.figure(_tube_figure(model, trials), caption)
+            out.figure(_tube_figure(model, trials, found), caption)
 
 
 def _band(figure: go.Figure, t: Array, lo: Array, hi: Array, row: int, column: int, colour: str, name: str) -> None:
@@ -99,7 +101,7 @@ def _band(figure: go.Figure, t: Array, lo: Array, hi: Array, row: int, column: i
     )  # fmt: skip
 
 
-def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figure:
+def _tube_figure(model: Model, trials: list[tuple[Recording, Array]], found: Comparison) -> go.Figure:
     n, dt = model.n, model.powered.dt
     figure = make_subplots(rows=2, cols=n, shared_xaxes=True, subplot_titles=model.joints, vertical_spacing=0.06)
     first, u = max(trials, key=lambda p: len(p[0].t))
@@ -149,11 +151,30 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
                     ),
                     row=row, col=j + 1,
                 )  # fmt: skip
+    _crosses(figure, model, [r for r, _ in trials], found)
     figure.update_yaxes(title_text="q [rad]", row=1, col=1)
     figure.update_yaxes(title_text="dq [rad/s]", row=2, col=1)
     figure.update_xaxes(title_text="t [s]", row=2)
     figure.update_layout(height=520)
     return figure
+
+
+def _crosses(figure: go.Figure, model: Model, trials: list[Recording], found: Comparison) -> None:
+    """Where drawn recordings leave the sets most."""
+    drawn = {r.label: r for r in trials}
+    names = [f"{s}_{j}" for s in ("q", "dq") for j in model.joints]
+    for v in found.violations:
+        if v.recording not in drawn or v.state not in names:
+            continue
+        r, i = drawn[v.recording], names.index(v.state)
+        at = v.start_s + v.age_s
+        y = np.interp(at, r.t - r.t[0], np.hstack([r.q, r.dq])[:, i])
+        mark = {"symbol": "x", "size": 9, "color": COLOURS[7]}
+        row, column = divmod(i, model.n)
+        cross = go.Scatter(
+            x=[round(at, 4)], y=[round(float(y), 5)], mode="markers", marker=mark, name=v.recording, showlegend=False
+        )
+        figure.add_trace(cross, row=row + 1, col=column + 1)
 
 
 def _cases(model: Model) -> list[tuple[UncertaintySets, str]]:
@@ -187,17 +208,25 @@ def _heat_map(out: Page, model: Model, found: Comparison, paths: Sequence[str | 
     worst = np.argsort(-shares.share.max(axis=1))[:3]
     panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
     for column, j in enumerate(worst, start=1):
-        k = shares.telling(int(j))
-        keep = np.unique(np.linspace(0, len(shares.error) - 1, 3000).astype(int))
+        p = partial_residual(shares, int(j))
+        keep = np.unique(np.linspace(0, len(p.x) - 1, 3000).astype(int))
         dots = go.Scattergl(
-            x=shares.values[k][keep, j].round(4), y=shares.error[keep, j].round(4), mode="markers",
-            marker={"size": 3, "opacity": 0.4, "color": COLOURS[0]}, showlegend=False,
+            x=p.x[keep].round(4), y=p.y[keep].round(4), mode="markers", marker={"size": 3, "opacity": 0.4, "color": COLOURS[0]},
+            showlegend=False,
         )  # fmt: skip
+        law = go.Scatter(
+            x=p.line[:, 0].round(4), y=p.line[:, 1].round(4), mode="lines+markers", line={"color": COLOURS[1]}, showlegend=False
+        )
         panels.add_trace(dots, row=1, col=column)
-        panels.update_xaxes(title_text=shares.variables[k], row=1, col=column)
-    panels.update_yaxes(title_text="torque error [N m]", row=1, col=1)
-    panels.update_layout(height=340)
-    out.figure(panels, "Torque error over the variable that explains most of it, for the three joints where one explains most.")
+        panels.add_trace(law, row=1, col=column)
+        panels.update_xaxes(title_text=p.variable + (f"<br>(less what {p.other} explains)" if p.other else ""), row=1, col=column)
+    panels.update_yaxes(title_text="partial residual [N m]", row=1, col=1)
+    panels.update_layout(height=360)
+    out.figure(
+        panels,
+        "Torque error over the variable that explains most of it, less what the next best variable explains; line: mean within "
+        "twelfths. For the three joints where one variable explains most.",
+    )
 
 
 def _table2(out: Page, model: Model) -> None:
@@ -267,16 +296,18 @@ def _ranking(out: Page, model: Model, found: Comparison) -> None:
     )
 
 
-def _domain(out: Page, model: Model) -> None:
+def _domain(out: Page, model: Model, found: Comparison) -> None:
     out.heading("Domain of validity")
-    d = model.domain
+    d, seen = model.domain, found.survey
     rows = [
-        [j, f"[{d.q.lo[k]:.3f}, {d.q.hi[k]:.3f}]", f"[{d.dq.lo[k]:.3f}, {d.dq.hi[k]:.3f}]", f"[{d.u.lo[k]:.2f}, {d.u.hi[k]:.2f}]",
-         "–" if d.temp is None else f"[{d.temp.lo[k]:.1f}, {d.temp.hi[k]:.1f}]"]
-        for k, j in enumerate(model.joints)
-    ]  # fmt: skip
+        [j, *(_range(b, k) for b in (d.q, seen.q, d.dq, seen.dq, d.u, d.temp, seen.temp))] for k, j in enumerate(model.joints)
+    ]
     out.table(
-        ["joint", "q [rad]", "dq [rad/s]", "u [N m]", "temperature [°C]"],
+        ["joint", "q [rad]", "measured here", "dq [rad/s]", "measured here", "u [N m]", "temperature [°C]", "measured here"],
         rows,
-        "Hull of what identification saw; outside it: not covered",
+        "Hull of what identification saw, and of these recordings; outside the first: not covered",
     )
+
+
+def _range(b: Box | None, k: int) -> str:
+    return "–" if b is None else f"[{b.lo[k]:.3f}, {b.hi[k]:.3f}]"

@@ -21,6 +21,7 @@ from stopset.robot.rigid import gravity_torques
 Array = NDArray[np.float64]
 
 BINS = 12
+ROUNDS = 20  # of backfitting: two overlapping variables have settled by then
 STRETCH = 5  # windows of `AVERAGING` in a row that are held out together: about a second
 FEWEST = 4 * BINS  # windows below which no share is given
 
@@ -40,6 +41,56 @@ class Explained:
     def telling(self, joint: int) -> int:
         """Number of the variable that explains most at a joint."""
         return int(np.argmax(self.share[joint]))
+
+
+@dataclass(frozen=True, slots=True)
+class PartialResidual:
+    """Torque error of a joint against its telling variable, what the ``other`` variable explains taken off.
+
+    ``x, y`` (W,): the points; ``line``: mean of ``y`` within bins of ``x``, as (middle, mean) pairs (b, 2).
+    """
+
+    variable: str
+    other: str
+    x: Array
+    y: Array
+    line: Array
+
+
+def partial_residual(found: Explained, joint: int) -> PartialResidual:
+    """The two variables that explain most together, fitted in turn by bin means until neither takes up the other's part.
+
+    Plain error over one variable misleads where another one acts as well: its part looks like scatter or, where both move
+    together, like the first one's law.  Source: Hastie & Tibshirani (1990), backfitting.
+    """
+    e = found.error[:, joint] - found.error[:, joint].mean()
+    first = found.telling(joint)
+    places = [_places(v[:, joint]) for v in found.values]
+    left = e - _means(e, places[first])[places[first]]
+    rest = [k for k in range(len(places)) if k != first]
+    second = min(rest, key=lambda k: float(np.sum((left - _means(left, places[k])[places[k]]) ** 2)), default=first)
+    law = np.zeros(1)
+    other = np.zeros_like(e)
+    for _ in range(ROUNDS):
+        law = _means(e - other, places[first])
+        if second != first:
+            other = _means(e - law[places[first]], places[second])[places[second]]
+    x, y = found.values[first][:, joint], e - other
+    used = np.unique(places[first])
+    line = np.array([[float(x[places[first] == b].mean()), float(y[places[first] == b].mean())] for b in used])
+    names = found.variables
+    return PartialResidual(names[first], names[second] if second != first else "", x, y, line)
+
+
+def _places(x: Array) -> NDArray[np.intp]:
+    """(W,) bin of each window, of equal numbers of windows."""
+    return np.searchsorted(np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1])), x)
+
+
+def _means(y: Array, place: NDArray[np.intp]) -> Array:
+    """(BINS,) mean of ``y`` in each bin, zero in an empty one."""
+    count = np.bincount(place, minlength=BINS)
+    return np.bincount(place, weights=y, minlength=BINS) / np.maximum(count, 1)
 
 
 def explained(model: Model, pairs: Iterable[tuple[int, Recording, Array]], found: Survey) -> Explained:
@@ -85,14 +136,12 @@ def _share(e: Array, x: Array) -> float:
     """Fraction of ``e``'s mean square that bin means of ``x`` take off on the stretches they were not computed from."""
     if len(e) < FEWEST or not np.ptp(x) > 0:
         return 0.0
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
-    place = np.searchsorted(edges, x)
+    place = _places(x)
     fold = (np.arange(len(e)) // STRETCH) % 2
     left = 0.0
     for k in (0, 1):
         train = fold != k
-        count = np.bincount(place[train], minlength=BINS)
-        mean = np.bincount(place[train], weights=e[train], minlength=BINS) / np.maximum(count, 1)
+        mean = _means(e[train], place[train])
         left += float(((e[~train] - mean[place[~train]]) ** 2).sum())
     # the constant is an offset, not a dependence: it is taken off first
     return max(0.0, 1.0 - left / max(float(((e - e.mean()) ** 2).sum()), 1e-30))
