@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.artifact.inputs import entry
 from stopset.effects.base import Effect, Shape, Signals, Term
 from stopset.effects.registry import catalogue
 from stopset.effects.signals import arm_signals, paired
@@ -28,10 +29,6 @@ DT, SAMPLES, DOTS = 0.004, 6000, 450
 SETTLED = 2500  # samples left out of the figures: states start at zero and ring
 NOISE, SIZE = 0.3, 2.0  # [N m] torque noise; rms of an effect whose usual size is not known
 WIDTH, HEIGHT, PAD = 420.0, 220.0, 48.0
-ENTERS = {
-    "compensation": "the compensation torque", "inertia": "the mass matrix and gravity", "viscous": "the viscous matrix",
-    "input_gain": "the gain of the input torque", "input_delay": "the delay of the input", "state": "extra states",
-}  # fmt: skip
 # what the residual is drawn over, by the effect's `look_at`; what is not listed is drawn over the first signal it needs
 LOOK: dict[str, tuple[str, Callable[[Signals], Array]]] = {
     "temp * dq": ("(temp - 30 degC) dq [K rad/s]", lambda s: s.temp * s.dq),
@@ -179,7 +176,7 @@ def page(effect: Effect, v: dict[str, float], labels: tuple[str, str]) -> str:
         f"# {effect.name}", "", effect.says, "", "## Law", "", law + memory, "",
         "| symbol | unit | meaning | admissible range | drawn with |", "|---|---|---|---|---|", *rows, "",
         f"- Acts on: {effect.scope}", f"- Signals it needs: {', '.join(f'`{n}`' for n in effect.needs)}",
-        f"- Enters the model in: {ENTERS[effect.enters]}", f"- Look at: {effect.look_at}", f"- Looks like: {rivals}",
+        f"- Enters the model in: {entry(effect)}", f"- Look at: {effect.look_at}", f"- Looks like: {rivals}",
         f"- Telling them apart: {effect.tell_apart}", f"- Source: {reference(effect.source)}", "",
         "## Curve", "", f"![torque of the law over {labels[0]}]({effect.name}-curve.svg)", "",
         "## How it looks in your residuals", "", f"![residual over {labels[1]}]({effect.name}-residuals.svg)", "",
@@ -203,7 +200,7 @@ def build() -> dict[str, str]:
         files[f"{name}.md"] = page(effect, v, (label, over))
         files[f"{name}-curve.svg"] = svg(label, x, y, dots=False)
         files[f"{name}-residuals.svg"] = svg(over, z[pick], (effect.torque(s, v) + noise)[pick], dots=True)
-        index.append(f"| [{name}]({name}.md) | {effect.says} | {effect.look_at} | {ENTERS[effect.enters]} |")
+        index.append(f"| [{name}]({name}.md) | {effect.says} | {effect.look_at} | {entry(effect)} |")
     head = ["# The effects", "", "Written by `python benchmarks/effect_pages.py` from the effects themselves.", "",
             "| effect | in one sentence | look at | enters |", "|---|---|---|---|"]  # fmt: skip
     files["README.md"] = "\n".join([*head, *index, ""])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
-from stopset.effects.base import Fitted, Signals
+from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
 from stopset.robot import Robot
@@ -28,6 +28,19 @@ IN_ABSTRACTION = frozenset({"viscous", "rotor_inertia", "payload", "torque_gain"
 # what no instantaneous compensation can take off stays in U: the link's swing, and a torque that is reported late
 LEFT_TO_U = frozenset({"elasticity", "delay"})
 GAIN = "torque_gain"
+ENTRIES = {
+    "viscous": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
+    "input_gain": "the scale of the measured torque",
+}  # fmt: skip
+
+
+def entry(effect: Effect) -> str:
+    """Where an effect goes in the reachset model, in words, as `InputMap` and the abstraction do it."""
+    if effect.name in LEFT_TO_U:
+        return "the torque set U, which holds what it does: no torque of the measured state can take it off"
+    if effect.name in IN_ABSTRACTION:
+        return ENTRIES[effect.enters]
+    return "the compensation of eq. (11)" + (", with a state of its own along the motion" if effect.states else "")
 
 
 def compensated(effects: Sequence[Fitted], abstraction: Abstraction) -> tuple[Fitted, ...]:

@@ -1,14 +1,19 @@
-"""``stopset add``: an effect into a model, as a new revision."""
+"""``stopset add``: effects into a model, as a new revision."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 
-HELP = "add an effect: a new revision, errors and set widths before -> after"
+if TYPE_CHECKING:
+    from stopset.artifact import Model
+
+HELP = "add effects: a new revision; errors, set widths and stop distance before -> after"
 
 SHOWN = (
     ("held_out_torque_rmse", "torque error, held out", "N m"),
@@ -22,10 +27,15 @@ SHOWN = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("model", metavar="M", help="model file")
-    parser.add_argument("effect", metavar="EFFECT", help="name of the effect, as `stopset diagnose` gives it")
-    parser.add_argument("--joint", help="joint it acts at (left out: every joint, or the whole arm)")
+    parser.add_argument(
+        "effect", metavar="EFFECT", nargs="+", help="as `stopset diagnose` names it, EFFECT or EFFECT:JOINT; several are tried in turn"
+    )  # fmt: skip
+    parser.add_argument("--joint", help="joint it acts at, for a single EFFECT (left out: every joint, or the whole arm)")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings to identify the revision from")
     parser.add_argument("--out", required=True, type=Path, metavar="M2", help="the new model file")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (identify --update)"
+    )
     parser.add_argument("--force", action="store_true", help="add it even if it does not help on held-out data")
     add_output_options(parser, report=False)
 
@@ -35,23 +45,53 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import load_model, save_model
     from stopset.offline.revise import add
 
-    check_outputs(args.out, args.json)
+    check_outputs(args.out, args.json, args.keep)
     model = load_model(args.model)
 
     def tell(text: str) -> None:
         sys.stderr.write(f"{text}\n")
 
-    done = add(model, args.effect, args.joint, args.data, args.force, tell)
-    say(f"{'':<46}{'before':>12}{'after':>12}   judged on {done.judged_on}")
-    for key, means, unit in SHOWN:
-        if key in done.before and key in done.after:
-            a, b = done.before[key], done.after[key]
-            say(f"{means + ' [' + unit + ']':<46}{a:12.4g}{b:12.4g}   {(b / a - 1) * 100 if a else 0:+.0f} %")
+    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep is not None)
+    for j in done.judged:
+        say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
+        if len(done.judged) > 1 or j.why:
+            for line in _changes(j.before, j.after):
+                say(f"  {line}")
+    if done.model is not None:
+        say(f"before -> after, errors judged on {done.judged_on}")
+        for line in (*_changes(done.before, done.after), *_widths(model, done.model)):
+            say(line)
+        if "stop0_angle" not in done.after:
+            say("STOP 0: not every axis' stop from full speed can be proved, so there is no mean to compare")
     if args.json:
-        write_json(args.json, {"helps": done.helps, "before": done.before, "after": done.after, "judged_on": done.judged_on})
+        write_json(args.json, {
+            "helps": done.helps, "before": done.before, "after": done.after, "judged_on": done.judged_on,
+            "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why}
+                       for j in done.judged],
+        })  # fmt: skip
     if done.model is None:
-        say(f"refused: {args.effect} does not lower the error on held-out data; nothing was written (--force adds it anyway)")
+        say(f"refused; nothing was written{'' if args.force else ' (--force adds what has numbers anyway)'}")
         return 1
     saved = save_model(done.model, args.out)
+    if args.keep and done.kept is not None:
+        from stopset.offline.adaptive_file import save_state
+
+        save_state(args.keep, done.kept, saved)
+        say(f"state {args.keep}: with it, identify --update {args.out} adds recordings without reading these again")
     say(f"revision {saved.revisions[-1].number}: model file {args.out}  (SHA-256 {saved.sha256[:16]}...)")
     return 0
+
+
+def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """One line per figure that both sides have."""
+    return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in SHOWN if key in before and key in after]
+
+
+def _widths(before: Model, after: Model) -> list[str]:
+    """One line per joint: how wide its unknown torque is."""
+    pairs = zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True)
+    return [_line(f"U width of {joint} [N m]", a, b) for joint, a, b in pairs]
+
+
+def _line(what: str, a: float, b: float) -> str:
+    return f"{what:<56}{a:10.4g} -> {b:<10.4g}{f'{b / a - 1:+.0%}' if a else ''}"

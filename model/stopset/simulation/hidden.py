@@ -277,7 +277,7 @@ KINDS: dict[str, Kind] = {
     "spring": Kind(_spring, 1.0, 40.0),
     "coupling": Kind(_coupling, 0.1, 0.9),
     "encoder_offset": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
-    "encoder_eccentricity": Kind(_eccentricity, 0.02, 0.2, where="loaded"),
+    "encoder_eccentricity": Kind(_eccentricity, 0.01, 0.02, where="loaded"),
     "coriolis": Kind(_coriolis, 0.5, 1.5, scope="arm"),
     "outside_bump": Kind(_outside_bump, 1.0, 30.0),
     "outside_walk": Kind(_outside_walk, 0.5, 15.0),

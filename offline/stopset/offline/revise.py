@@ -1,27 +1,30 @@
-"""Add an effect to a model: a new revision that re-identifies everything, judged on data the fit has not seen.
+"""Add effects to a model: a new revision that re-identifies everything, judged on data the fit has not seen.
 
 The judgement comes first and is cheap: the nominal model with and without the effect is fitted on one half of the motions
-(or of the repetitions, where there are few motions) and simulated on the other.  Only then is the whole model identified
-again.  An effect that does not help is refused, with the numbers, unless forced.
+(or of the repetitions, where there are few motions) and simulated on the other.  Several effects are judged one after
+another, each beside those that were taken before it.  Only then is the whole model identified again, once.  An effect that
+does not help is refused, with the numbers, unless forced.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from stopset.artifact import Model, Revision
+from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError
 from stopset.offline.effect_names import find, parse_effect
-from stopset.offline.identify import Settings, identify, nominal_figures
+from stopset.offline.identify import Kept, Settings, identify, nominal_figures
 from stopset.offline.survey import survey
 from stopset.reach.stops import stop
-from stopset.recording import Recording, read_recordings, stream_recordings
+from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 
@@ -29,65 +32,148 @@ Tell = Callable[[str], None]
 
 # an effect helps if one error falls by this share on held-out data while the other does not rise by as much
 HELPS = 0.02
+HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
 
 
 @dataclass(frozen=True, slots=True)
+class Judged:
+    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken."""
+
+    name: str
+    before: dict[str, float]
+    after: dict[str, float]
+    helps: bool
+    enters: str  # where it goes in the model
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Revised:
-    """Outcome of `add`: the new model (None if refused), held-out errors and model figures before and after."""
+    """Outcome of `add`: the new model (None if all was refused), held-out errors and model figures before and after."""
 
     model: Model | None
     before: dict[str, float]
     after: dict[str, float]
-    helps: bool
+    judged: tuple[Judged, ...]
     judged_on: str
+    kept: Kept | None = None  # what later recordings can be added to, where that was asked for
+
+    @property
+    def helps(self) -> bool:
+        """Whether all that was asked for lowers the error on held-out data."""
+        return all(j.helps for j in self.judged)
 
 
 def add(
-    model: Model, effect: str, joint: str | None, paths: Sequence[str | Path], force: bool = False, tell: Tell = lambda _: None
-) -> Revised:
+    model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
+    tell: Tell = lambda _: None, keep: bool = False,
+) -> Revised:  # fmt: skip
     """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
 
-    Raises `EffectError` if the effect or joint is unknown or already part of the model.
+    Several effects are given as ``effect`` or ``effect:joint`` each, in the order to try them; ``joint`` is then left out.
+    ``keep``: also keep what later recordings can be added to (`stopset.offline.adaptive`).
+    Raises `EffectError` if an effect or joint is unknown or already part of the model.
     """
-    robot = description(model)
-    name = f"{effect}:{joint}" if joint else effect
-    parse_effect(name, robot)
-    settings = settings_of(model)
-    if name in settings.effects:
-        raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
-    more = replace(settings, effects=(*settings.effects, name))
+    robot, settings = description(model), settings_of(model)
+    names = _names(effect, joint, robot, settings)
     held, judged_on = _halves(robot, paths)
-    shift = get(effect).enters in SHIFTS
-    known = with_it = _known(model)
-    if model.effort != "compensated_torque":
-        tell(f"estimating {name}")
-        everything = read_recordings(paths, robot)
-        half = replace(everything, trials=tuple(r for r in everything if r.phase == "static" or not held(r)))
-        # a shifted parameter is weighed against the description, for which all data count; others must prove themselves
-        fitted = find(robot, everything if shift else half, known, effect, joint)
-        if fitted is None:
+    judge = _Judge(robot, model.effort, paths, held, tell)
+    known, judged = _known(model), []
+    first = errors = _judged_before(model, paths) or judge.errors(settings, known)
+    for name in names:
+        found = judge.estimate(name, known)
+        if found is None:
             # no trace in the data, so there are no numbers to add, even if forced
-            now = _sums(nominal_figures(robot, paths, settings, lambda r: not held(r), held, known), "held_out_")
-            return Revised(None, now, now, False, judged_on)
-        with_it = (*known, fitted)
-    tell(f"judging {name} on held-out data")
-    old = nominal_figures(robot, paths, settings, lambda r: not held(r), held, known)
-    new = nominal_figures(robot, paths, more, lambda r: not held(r), held, with_it)
-    before, after = _sums(old, "held_out_"), _sums(new, "held_out_")
-    helps = _helps(before, after, shift)
-    if not helps and not force:
-        return Revised(None, before, after, False, judged_on)
+            judged.append(Judged(name, errors, errors, False, "", "the data show no trace of it, so there are no numbers to add"))
+            continue
+        tell(f"judging {name} on held-out data")
+        more, with_it = replace(settings, effects=(*settings.effects, name)), (*known, *found)
+        after = judge.errors(more, with_it)
+        kind = get(name.partition(":")[0])
+        helps = _helps(errors, after, kind.enters in SHIFTS)
+        why = "" if helps or force else "it does not lower the error on held-out data"
+        judged.append(Judged(name, errors, after, helps, entry(kind), why))
+        if not why:
+            settings, known, errors = more, with_it, after
+    taken = [j for j in judged if not j.why]
+    if not taken:
+        return Revised(None, first, judged[-1].after, tuple(judged), judged_on)
     tell("identifying the new revision")
-    fresh = identify(robot, paths, more, tell, known=known).model
+    identified = identify(robot, paths, settings, tell, known=known, keep=keep)
+    fresh = identified.model
     tell("bounding stops before and after")
-    before |= dict(model.revisions[-1].after) if model.revisions else {}
-    before |= stop_figures(model, model)
-    after |= dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
+    before = (dict(model.revisions[-1].after) if model.revisions else {}) | first | stop_figures(model, model)
+    after = errors | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     number = model.revisions[-1].number + 1 if model.revisions else 1
-    note = "" if helps else "forced: it does not help on held-out data"
-    revision = Revision(number, name, before, after, note)
-    return Revised(replace(fresh, revisions=(*model.revisions, revision)), before, after, helps, judged_on)
+    revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, judged_on))
+    revised = replace(fresh, revisions=(*model.revisions, revision))
+    return Revised(revised, before, after, tuple(judged), judged_on, identified.kept)
+
+
+@dataclass(frozen=True, slots=True)
+class _Judge:
+    """Fits nominal models on one half of the data and holds them against the other."""
+
+    robot: Robot
+    effort: str
+    paths: Sequence[str | Path]
+    held: Callable[[Recording], bool]
+    tell: Tell
+
+    def errors(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
+        """Held-out RMS errors over the joints."""
+        figures = nominal_figures(self.robot, self.paths, settings, lambda r: not self.held(r), self.held, known)
+        return _sums(figures, "held_out_")
+
+    def estimate(self, name: str, known: tuple[Fitted, ...]) -> tuple[Fitted, ...] | None:
+        """Numbers of an effect in motor torque, None where there is no trace of it.
+
+        In compensated torque none are needed: they are fitted with everything else.
+        """
+        if self.effort == "compensated_torque":
+            return ()
+        self.tell(f"estimating {name}")
+        effect, _, joint = name.partition(":")
+        everything = read_recordings(self.paths, self.robot)
+        if get(effect).enters not in SHIFTS:
+            # a shifted parameter is weighed against the description, for which all data count; others must prove themselves
+            half = tuple(r for r in everything if r.phase == "static" or not self.held(r))
+            everything = replace(everything, trials=half)
+        found = find(self.robot, everything, known, effect, joint or None)
+        return None if found is None else (found,)
+
+
+def _names(effect: str | Sequence[str], joint: str | None, robot: Robot, settings: Settings) -> tuple[str, ...]:
+    """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
+    wanted = (effect,) if isinstance(effect, str) else tuple(effect)
+    if joint and (len(wanted) > 1 or ":" in wanted[0]):
+        raise EffectError(
+            f"{' '.join(wanted)} with --joint {joint}: expected a joint for one effect only; write {wanted[0].partition(':')[0]}:{joint}"
+        )
+    names = tuple(f"{w}:{joint}" if joint else w for w in wanted)
+    for k, name in enumerate(names):
+        parse_effect(name, robot)
+        if name in settings.effects:
+            raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
+        if name in names[:k]:
+            raise EffectError(f"{name} is named twice; name every effect once")
+    return names
+
+
+def _judged_before(model: Model, paths: Sequence[str | Path]) -> dict[str, float] | None:
+    """Held-out errors of this very model on these very recordings, where its last revision was judged on them."""
+    same = set(dict(model.provenance.get("data", {})).values()) == {sha for p in paths for _, sha in read_meta(p).sources}
+    tool = model.provenance.get("tool") == f"stopset {version('stopset')}"
+    last = dict(model.revisions[-1].after) if model.revisions else {}
+    found = {k: last[k] for k in HELD_OUT if k in last}
+    return found if same and tool and len(found) == len(HELD_OUT) else None
+
+
+def _note(taken: Sequence[Judged], judged_on: str) -> str:
+    """What the model file says of a revision: where each effect went, and which were forced."""
+    parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
+    return "; ".join([*parts, f"judged on {judged_on}"])
 
 
 def description(model: Model) -> Robot:
@@ -136,7 +222,7 @@ def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Record
 
 def _sums(figures: dict[str, dict[str, float]], prefix: str) -> dict[str, float]:
     """RMS over joints for torque [N m], velocity [rad/s] and position [rad]."""
-    keys = ("torque_rmse", "velocity_rmse", "position_rmse")
+    keys = [k.removeprefix(prefix) for k in HELD_OUT]
     return {prefix + k: float(np.sqrt(np.mean([row[k] ** 2 for row in figures.values()]))) for k in keys}
 
 
