@@ -20,9 +20,9 @@ from stop_arms import prbt_like, uncertain_rotors, ur5_like
 from stopset.artifact import Model
 from stopset.offline.stops.sampling import sample_stops, tightness
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.bounds import tube_of, tubes_of
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
 from stopset.reach.stops.tube import OK
+from stopset.reach.stops.tubes import tube_of, tubes_of
 
 PER_STATE = 250
 CASES: list[tuple[str, Model, tuple[float, float], float, float]] = [  # name, model, payload, top speed, share of the stops

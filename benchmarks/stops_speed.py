@@ -16,9 +16,9 @@ from stop_arms import prbt_like
 
 from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import Certificate, StopBounds
-from stopset.reach.stops.bounds import expected_stop
 from stopset.reach.stops.local import ALL_PARTS
 from stopset.reach.stops.tube import march
+from stopset.reach.stops.tubes import expected_stop
 from stopset.simulation.stop import simulate_stop
 
 Array = NDArray[np.float64]

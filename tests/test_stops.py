@@ -13,12 +13,12 @@ from stopset.artifact import Brakes
 from stopset.errors import NotCovered
 from stopset.offline.stops.sampling import sample_stops, tightness, tube_at
 from stopset.reach.stops import Ramp, StopBounds, stop
-from stopset.reach.stops.bounds import tube_of, tubes_of
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.local import Parts
 from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.tubes import tube_of, tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop

@@ -9,55 +9,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
-from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
+from stopset.reach.stops.directed import PointSets
+from stopset.reach.stops.failed import CELLS, Cell, cover, failed_cells
 from stopset.reach.stops.fast import Certificate
-from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting, setting_of
-from stopset.reach.stops.ramp import Cell, Ramp, failed_cells, infeasible, ramp_of, ramp_time, ramp_tube
-from stopset.reach.stops.split import certify
-from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
+from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.tubes import march_box, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
-from stopset.robot.rigid import gravity_torque
+from stopset.reach.stops.words import BY_ENERGY, NO_BRAKES, NO_POWER_OFF, NO_RAMP, no_certificate, ramp_assumptions
+from stopset.robot.rigid import gravity_torque, link_frames
 
 Array = NDArray[np.float64]
-KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
-PATIENCE = 6  # times the expected stop before a tube is called endless
-
-
-def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
-    """Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration."""
-    engaged = float(np.max(plant.delay_hi + plant.rise_hi))
-    M = plant.rotor + np.maximum(1e-3, np.abs(plant.pi[:, 0]) * 0.1)
-    authority = plant.brake_lo + plant.coulomb_lo - np.abs(gravity_torque(plant.chain, plant.pi, q))
-    authority = np.maximum(authority, 0.2 * plant.brake_lo + 1e-6)
-    return engaged + float(np.min([0.5, np.max(np.abs(speed) * M / authority)]))
-
-
-def tube_of(setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS) -> Tube:
-    """The STOP 0 tube from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each)."""
-    return tubes_of(setting, q, dq, q_radius, dq_radius, 1, parts)[0]
-
-
-def tubes_of(
-    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS
-) -> list[Tube]:
-    """Tubes that together hold all stops from the box, up to ``pieces`` of them; the last is not OK if that failed."""
-    lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
-    lo, hi, v_lo, v_hi = q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius
-
-    def one(plant: Plant) -> Tube:
-        tube: Tube = march(plant, lo, hi, v_lo, v_hi, lasts / KNOTS, PATIENCE * KNOTS, parts)
-        return tube
-
-    return certify(one, setting.plant, q, lasts, pieces)
-
-
-def stopped_after(tube: Tube) -> Array:
-    """(n,) [s]: the first knot from which each joint's speed bounds are zero."""
-    moving = (tube.v_lo != 0.0) | (tube.v_hi != 0.0)
-    last = np.where(moving.any(axis=0), len(tube.t) - 1 - np.argmax(moving[::-1], axis=0), -1)
-    after: Array = tube.t[np.minimum(last + 1, len(tube.t) - 1)]
-    return after
+SWEEPS = 4  # capsules per link and tube
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +103,18 @@ class StopBounds:
         assert self.setting is not None
         tubes = tubes_of(self.setting, q, dq, q_radius, dq_radius, self.pieces)
         if tubes[-1].end != OK:
-            return StopBound(
-                "0", False, self._why(tubes[-1], q), holding_margin=self._margin(q), assumptions=self.setting.assumptions
-            )
+            return self._refused("0", no_certificate(self.model.joints, self._margin(q), self._reach()), q)
         margin = np.min([t.margin for t in tubes], axis=0)
         time = np.max([stopped_after(t) for t in tubes], axis=0)
         return self._told("0", tubes, time, q, q_radius, margin, self.setting.assumptions)
+
+    def _refused(self, category: Category, why: str, q: Array) -> StopBound:
+        """No number, and why."""
+        assert self.setting is not None
+        ramp = () if category == "0" or self.ramp is None else ramp_assumptions(self.ramp, category)
+        return StopBound(
+            category, False, why, holding_margin=self._margin(q), assumptions=(*self.setting.assumptions, *ramp)
+        )  # fmt: skip
 
     def _working_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array, category: Category) -> StopBound:
         assert self.setting is not None and self.ramp is not None
@@ -155,14 +126,17 @@ class StopBounds:
         refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, dq)
         margin = self._margin(q)
         if refusal:
-            return StopBound(category, False, refusal, holding_margin=margin, assumptions=assumptions)
+            return self._refused(category, refusal, q)
         tube = ramp_tube(ramp, dq - dq_radius, dq + dq_radius)
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
             tube = tube._replace(d_lo=tube.d_lo - after, d_hi=tube.d_hi + after)
             assumptions = (*assumptions, self._fallback(q, tube))
-        elif margin.min() <= 0:
-            return StopBound(category, False, self._why(tube, q), holding_margin=margin, assumptions=assumptions)
+        else:
+            end = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1])
+            margin = np.minimum(margin, self._margin(q + end))
+            if margin.min() <= 0:
+                return self._refused(category, no_certificate(self.model.joints, margin, self._reach()), q)
         return self._told(
             category, [tube], ramp_time(ramp, dq - dq_radius, dq + dq_radius), q, q_radius, margin, assumptions
         )  # fmt: skip
@@ -172,8 +146,8 @@ class StopBounds:
         assert self.setting is not None and self.ramp is not None
         n = self.model.n
         middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
-        creep = np.full(n, self.ramp.creep)
-        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, creep, self.pieces)
+        radius = radius + self.setting.noise.radius[:n]
+        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), self.pieces)
         if tubes[-1].end != OK:
             return "if the standstill window is left: STOP 0, for which no bound is proved here"
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)
@@ -185,29 +159,30 @@ class StopBounds:
 
     def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp = self.ramp
-        assumptions = (*self.setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
+        ramp, setting = self.ramp, self.setting
         cells = failed_cells(ramp, dq)
         if not cells:
-            return StopBound(
-                "1 guaranteed", False,
-                "no stop provable: nothing says when power is taken if the ramp fails; state the SS1-t time or a monitored ramp",
-                holding_margin=self._margin(q), assumptions=assumptions,
-            )  # fmt: skip
+            return self._refused("1 guaranteed", NO_POWER_OFF, q)
+
+        def tubes_in(cell: Cell, energetic: bool) -> list[Tube]:
+            lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
+            box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
+            return [march_box(setting, setting.plant, *box, energetic)]
+
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
         margin = np.full(self.model.n, np.inf)
-        for cell in cells:
-            before, here, speed = _state_of(cell, dq, q_radius, dq_radius, ramp)
-            parts = tubes_of(self.setting, q + here[0], speed[0], here[1], speed[1], self.pieces)
-            if parts[-1].end != OK:
-                why = self._why(parts[-1], q + here[0])
-                return StopBound("1 guaranteed", False, why, holding_margin=self._margin(q), assumptions=assumptions)
+        for cell, parts in cover(cells, dq, ramp.together, CELLS * self.pieces, tubes_in):
+            before = cell.boxes(dq, dq_radius, ramp)
             for part in parts:
+                if part.end != OK:
+                    where = q + 0.5 * (before[0] + before[1])
+                    return self._refused("1 guaranteed", no_certificate(self.model.joints, self._margin(where), self._reach()), q)
                 time = np.maximum(time, cell.time + stopped_after(part))
                 margin = np.minimum(margin, part.margin)
-                # displacement since the request: where the cell lies, then the tube
+                # displacement since the request; what was passed before power-off lies in the starts of these boxes
                 tubes.append(part._replace(d_lo=part.d_lo + before[0], d_hi=part.d_hi + before[1]))
+        assumptions = (*setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
         return self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
 
     def _told(
@@ -217,22 +192,39 @@ class StopBounds:
         """The bound in words of joints and space, over all ``tubes`` of displacement since the stop request."""
         assert self.setting is not None
         robot, n = self.model.robot, self.model.n
-        ends = [robot.chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]
+        chain, tool = robot.chain, self.setting.payload_com
+        ends = [chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]
         tcp, tcp_speed, box, links = 0.0, 0.0, np.zeros((3, 2)), np.zeros(n)
+        sets, swept = [], []
         for tube in tubes:
             cut = slices(tube, SLICES)
-            far, fast, hull = point_motion(robot.chain, q, q_radius, cut, n - 1, self.setting.payload_com)
+            far, fast, hull = point_motion(chain, q, q_radius, cut, n - 1, tool)
             tcp, tcp_speed = max(tcp, far), max(tcp_speed, fast)
             box[:, 0], box[:, 1] = np.minimum(box[:, 0], hull[:, 0]), np.maximum(box[:, 1], hull[:, 1])
-            moved = [point_motion(robot.chain, q, q_radius, cut, i, ends[i])[0] for i in range(n)]
-            links = np.maximum(links, moved)
+            links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[0] for i in range(n)])
+            sets.append(point_sets(chain, q, q_radius, cut, n - 1, tool))
+            swept.append(swept_capsules(chain, q, q_radius, tube, robot.tip, SWEEPS))
+        by_energy = any(t.by_energy for t in tubes)
+        R, o = link_frames(chain, q)
+        layer = "ramp" if category in ("1", "2") else "energy" if by_energy else "pieces" if len(tubes) > 1 else "tube"
         return StopBound(
-            category, True, "", time=time,
+            category, True, BY_ENERGY if by_energy else "", time=time,
             forward=np.maximum(np.max([t.d_hi.max(axis=0) for t in tubes], axis=0), 0.0),
             back=np.maximum(-np.min([t.d_lo.min(axis=0) for t in tubes], axis=0), 0.0),
-            speed=np.max([np.maximum(np.abs(t.v_lo), np.abs(t.v_hi)).max(axis=0) for t in tubes], axis=0),
-            tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links, holding_margin=margin, assumptions=assumptions,
+            speed=np.max([_fastest(t) for t in tubes], axis=0),
+            tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links, holding_margin=margin, assumptions=assumptions, layer=layer,
+            motion=PointSets(
+                o[-1] + R[-1] @ tool, self._reach() * float(q_radius.sum()),
+                *(np.concatenate([x[k] for x in sets]) for k in range(4)),
+            ),
+            capsules=np.concatenate(swept),
         )  # fmt: skip
+
+    def _reach(self) -> float:
+        """[m] no point of the axes or the tool is farther from the first joint."""
+        assert self.setting is not None
+        chain = self.model.robot.chain
+        return float(np.linalg.norm(chain.p[1:], axis=1).sum() + np.linalg.norm(self.setting.payload_com))
 
     def _margin(self, q: Array) -> Array:
         """(n,) [N m]: what brakes and dry friction surely leave over when holding the arm at ``q``."""
@@ -243,62 +235,12 @@ class StopBounds:
         out: Array = p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high))
         return out
 
-    def _why(self, tube: Tube, q: Array) -> str:
-        margin = self._margin(q)
-        worst = int(np.argmin(margin))
-        if margin[worst] <= 0:
-            return (
-                f"no stop provable: brake and friction of {self.model.joints[worst]} hold {-margin[worst]:.3g} N m less than "
-                f"gravity and disturbance can ask"
-            )
-        if tube.end == UNBOUNDED:
-            return f"no certificate: the speeds could not be bounded any more {tube.t[-1] * 1e3:.0f} ms after the cut"
-        return f"no certificate: the bound is still moving {tube.t[-1] * 1e3:.0f} ms after the cut"
 
-
-def _state_of(
-    cell: Cell, dq: Array, q_radius: Array, dq_radius: Array, ramp: Ramp
-) -> tuple[tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Displacement (lo, hi) before a cell's power-off, and its box of positions and speeds as (middle, radius)."""
-    (a, b), (s, r) = cell.travel, cell.share
-    lo, hi = np.minimum(a * dq, b * dq) - b * dq_radius, np.maximum(a * dq, b * dq) + b * dq_radius
-    lo, hi = lo - ramp.q_error, hi + ramp.q_error
-    v_lo, v_hi = np.minimum(s * dq, r * dq) - r * dq_radius, np.maximum(s * dq, r * dq) + r * dq_radius
-    v_lo, v_hi = v_lo - ramp.dq_error, v_hi + ramp.dq_error
-    return (
-        (lo, hi), (0.5 * (lo + hi), 0.5 * (hi - lo) + q_radius), (0.5 * (v_lo + v_hi), 0.5 * (v_hi - v_lo)),
-    )  # fmt: skip
-
-
-def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
-    """What the bound of a ramp rests on, in sentences."""
-    unit = "s" if ramp.kind == "time" else "rad/s^2"
-    out = [
-        f"ramp ({ramp.source}): fixed {ramp.kind} {ramp.value.lo.min():.4g} to {ramp.value.hi.max():.4g} {unit}, starts "
-        f"{1e3 * ramp.control.lo.min():.3g} to {1e3 * ramp.control.hi.max():.3g} ms after the request, tracked within "
-        f"{ramp.q_error.max():.3g} rad and {ramp.dq_error.max():.3g} rad/s"
-    ]
-    if category == "1":
-        out.append("the ramp works, and the brakes have engaged before power is taken")
-    if category == "1 guaranteed":
-        when = "when the monitored ramp is left (SS1-r)" if ramp.monitored else f"{ramp.off_after} s after the request (SS1-t)"
-        out.append(
-            f"the ramp fails as a whole: the arm goes on along its motion with 0 to {ramp.share:g} of its speed until power is "
-            f"taken {when}"
-        )
-    if category == "2":
-        out.append(f"the ramp works and the drives hold within {ramp.window:g} rad")
-    return tuple(out)
-
-
-NO_BRAKES = (
-    "no stop provable: the model holds no brake torque, delay and rise for every joint; give them in robot.json or identify "
-    "them from stop0 recordings"
-)
-NO_RAMP = (
-    "no ramp known: the model holds none from stop1 recordings; state its time (--ramp-time) or deceleration "
-    "(--ramp-deceleration)"
-)
+def _fastest(tube: Tube) -> Array:
+    """(n,) [rad/s] largest speed of a tube, between its knots too."""
+    knots = np.maximum(np.abs(tube.v_lo), np.abs(tube.v_hi)).max(axis=0)
+    out: Array = np.maximum(knots, np.maximum(np.abs(tube.e_lo), np.abs(tube.e_hi)).max(axis=0))
+    return out
 
 
 def stop(model: Model, q: ArrayLike, dq: ArrayLike, category: Category = "0") -> StopBound:

@@ -131,40 +131,62 @@ def _longest(start: Array, J: Array, radius: Array, link: int) -> float:
 
 
 @njit(cache=True)
-def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
-    """How far and how fast a point of ``link`` can move from where it was: length [m], speed [m/s], box (3, 2) [m].
+def point_sets(
+    chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Sets that hold a point's displacement and velocity during each slice, as centre + generators [-1, 1] + ball.
 
-    ``q +- q_radius``: the angles at the cut; ``point``: (3,) in the link's frame [m]; the box is in base coordinates.
+    ``q +- q_radius``: the angles at the cut; ``point``: (3,) in the link's frame [m]. Returns displacement (S, 3, n + 1) with
+    the centre first [m] and the balls' radii (S,), and the same for the velocity [m/s]; all in base coordinates.
     """
-    n = q.shape[0]
-    p0, J0, _ = _point(chain, q, link, point)
-    far, fast = 0.0, 0.0
-    box = np.zeros((3, 2))
+    n, S = q.shape[0], parts.d_lo.shape[0]
+    _, J0, _ = _point(chain, q, link, point)
+    p0 = _point(chain, q, link, point)[0]
+    way, pace = np.zeros((S, 3, n + 1)), np.zeros((S, 3, n + 1))
+    way_ball, pace_ball = np.zeros(S), np.zeros(S)
     wide, c, r, vc, vr = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    for s in range(parts.d_lo.shape[0]):
+    for s in range(S):
         for i in range(n):
             c[i], r[i] = 0.5 * (parts.d_lo[s, i] + parts.d_hi[s, i]), 0.5 * (parts.d_hi[s, i] - parts.d_lo[s, i])
             vc[i], vr[i] = 0.5 * (parts.v_lo[s, i] + parts.v_hi[s, i]), 0.5 * (parts.v_hi[s, i] - parts.v_lo[s, i])
             wide[i] = r[i] + q_radius[i]
         p, J, dist = _point(chain, q + c, link, point)
         reach = _reach(dist, wide + np.abs(c), link)  # also on the way from q to q + c
-        ball = 0.5 * _curved(reach, wide, wide, link) + 0.5 * _curved(reach, q_radius, q_radius, link)
-        for i in range(link + 1):
-            ball += q_radius[i] * np.sqrt(np.sum((J[:, i] - J0[:, i]) ** 2))
-        far = max(far, _longest(p - p0, J, r, link) + ball)
+        way_ball[s] = 0.5 * _curved(reach, wide, wide, link) + 0.5 * _curved(reach, q_radius, q_radius, link)
+        pace_ball[s] = _curved(reach, wide, np.abs(vc) + vr, link)
         for x in range(3):
-            half = ball
-            for i in range(link + 1):
-                half += abs(J[x, i]) * r[i]
-            box[x, 0] = min(box[x, 0], p[x] - p0[x] - half)
-            box[x, 1] = max(box[x, 1], p[x] - p0[x] + half)
-        start = np.zeros(3)
+            way[s, x, 0] = p[x] - p0[x]
         for i in range(link + 1):
-            start += J[:, i] * vc[i]
-        fast = max(fast, _longest(start, J, vr, link) + _curved(reach, wide, np.abs(vc) + vr, link))
+            way_ball[s] += q_radius[i] * np.sqrt(np.sum((J[:, i] - J0[:, i]) ** 2))
+            for x in range(3):
+                way[s, x, i + 1], pace[s, x, i + 1] = J[x, i] * r[i], J[x, i] * vr[i]
+                pace[s, x, 0] += J[x, i] * vc[i]
+    return way, way_ball, pace, pace_ball
+
+
+@njit(cache=True)
+def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
+    """How far and how fast a point of ``link`` can move from where it was: length [m], speed [m/s], box (3, 2) [m].
+
+    Arguments as for `point_sets`; the box is in base coordinates.
+    """
+    way, way_ball, pace, pace_ball = point_sets(chain, q, q_radius, parts, link, point)
+    far, fast = 0.0, 0.0
+    box = np.zeros((3, 2))
+    one = np.ones(q.shape[0])
+    for s in range(way.shape[0]):
+        far = max(far, _longest(way[s, :, 0].copy(), way[s, :, 1:].copy(), one, link) + way_ball[s])
+        fast = max(fast, _longest(pace[s, :, 0].copy(), pace[s, :, 1:].copy(), one, link) + pace_ball[s])
+        for x in range(3):
+            half = way_ball[s]
+            for i in range(link + 1):
+                half += abs(way[s, x, i + 1])
+            box[x, 0] = min(box[x, 0], way[s, x, 0] - half)
+            box[x, 1] = max(box[x, 1], way[s, x, 0] + half)
     return far, fast, box
 
 
+@njit(cache=True)
 def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, tip: Array, pieces: int = 4) -> Array:
     """Capsules that contain every link's axis during the stop: (pieces, n, 7): both ends [m], radius [m]; add the link's own.
 
@@ -172,15 +194,15 @@ def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, tip: Arr
     ends' balls around their middle positions.
     """
     cut = slices(tube, pieces)
-    n = q.shape[0]
+    n, here = q.shape[0], np.zeros(3)
     out = np.zeros((cut.d_lo.shape[0], n, 7))
     for s in range(cut.d_lo.shape[0]):
         c, r = 0.5 * (cut.d_lo[s] + cut.d_hi[s]), 0.5 * (cut.d_hi[s] - cut.d_lo[s]) + q_radius
         for link in range(n):
-            ends = (np.zeros(3), chain.p[link + 1] if link + 1 < n else tip)
+            far = chain.p[link + 1].copy() if link + 1 < n else tip
             radius = 0.0
-            for e, point in enumerate(ends):
-                p, J, dist = _point(chain, q + c, link, np.asarray(point, float))
+            for e in range(2):
+                p, J, dist = _point(chain, q + c, link, here if e == 0 else far)
                 out[s, link, 3 * e : 3 * e + 3] = p
                 ball = 0.5 * _curved(_reach(dist, r, link), r, r, link)
                 radius = max(radius, _longest(np.zeros(3), J, r, link) + ball)

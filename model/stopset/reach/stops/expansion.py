@@ -22,11 +22,13 @@ from stopset.robot.rigid import Array, Chain, link_frames
 
 class Curvature(NamedTuple):
     """Bounds over all poses: ``|d2 M_ij/dq_k dq_l|`` (n, n, n, n), ``|d2 g_i/dq_k dq_l|`` (n, n, n), and the slope of the
-    Christoffel symbols ``|d Gamma_ikl/dq_m|`` (n, n, n, n)."""
+    Christoffel symbols ``|d Gamma_ikl/dq_m|`` (n, n, n, n); and of ``M_ii`` without rotor and ``|g_i|`` themselves (n,)."""
 
     M: Array
     g: Array
     Gamma: Array
+    size: Array
+    load: Array
 
 
 class Expansion(NamedTuple):
@@ -77,7 +79,7 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
         for k in range(n):
             for j in range(n):
                 KG[i, k, j] = 0.5 * (KM[i, k, j] + KM[i, j, k] + KM[k, j, i])
-    return Curvature(KM, Kg, KG)
+    return Curvature(KM, Kg, KG, inertia[:n].copy(), weight * moment[:n])
 
 
 @njit(cache=True, inline="always")

@@ -212,7 +212,7 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
         u_lo=sets.U.lo + friction.push.lo - np.maximum(offset, 0.0), u_hi=sets.U.hi + friction.push.hi - np.minimum(offset, 0.0),
         brake_lo=brakes.torque.lo, brake_hi=brakes.torque.hi, delay_lo=brakes.delay.lo, delay_hi=brakes.delay.hi,
         rise_lo=brakes.rise.lo, rise_hi=brakes.rise.hi,
-        curvature=Curvature(a.M + b.M, a.g + b.g, a.Gamma + b.Gamma),
+        curvature=Curvature(*(x + y for x, y in zip(a, b, strict=True))),
     )  # fmt: skip
     assumptions = [
         "serial arm of rigid links; rotor inertia on the link side; no contact, no joint limit on the way",

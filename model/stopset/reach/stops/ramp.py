@@ -1,9 +1,8 @@
 """STOP 1 and STOP 2: a ramp that works (nominal), and what remains if it does not (guaranteed).
 
 Nominal: each joint's speed falls from ``v0`` to rest in a fixed time, or with a fixed deceleration, after the control's
-delay, within tracking errors.  Guaranteed: the ramp fails as a whole; the arm goes on along its motion with a share
-``lambda`` of its speed, 0 to ``share``, until power is taken: after a fixed time (SS1-t), or when the monitored ramp
-is left (SS1-r).  Then it is a STOP 0 from wherever it got to.
+delay, within tracking errors.  Guaranteed: the ramp fails, and power is taken after a fixed time (SS1-t) or when the
+monitored ramp is left (SS1-r); see `failed`.
 
 Source: IEC 61800-5-2 for SS1-t, SS1-r, SS2; stop notes of the project.
 """
@@ -12,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -26,8 +26,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 KEY = "stop1_ramp"  # in a model's provenance
 KNOTS = 60
-CELL = 0.10  # [rad] sum over joints of a cell of positions at power-off
-SHARES = 3  # of the speed at power-off, cells from none to all of it
+POINTS = 40  # of the torque check, from one joint's rest to the next's
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,8 @@ class Ramp:
     happens (SS1-t); ``monitored``: whether the speed is compared with the ramp (SS1-r), and a violation found within
     ``reaction`` [s] at ``tolerance`` (share of the speed at the request) above it. ``window`` [rad] and ``creep`` [rad/s]:
     standstill window of STOP 2 and the speed at which leaving it is noticed. ``share``: largest speed a failed ramp can
-    reach, as a share of the speed at the request.
+    reach, as a share of the speed at the request (above 1: drives may accelerate); ``together``: whether all joints then
+    keep the same share, as when the whole controller fails, else each its own.
     """
 
     kind: Literal["time", "deceleration"]
@@ -52,6 +52,7 @@ class Ramp:
     reaction: float = 0.024
     tolerance: float = 0.1
     share: float = 1.0
+    together: bool = False
     window: float = 0.01
     creep: float = 0.05
     source: str = "stated"
@@ -63,14 +64,15 @@ class Ramp:
             "kind": self.kind, "value": [self.value.lo.tolist(), self.value.hi.tolist()],
             "control": [self.control.lo.tolist(), self.control.hi.tolist()], "q_error": self.q_error.tolist(),
             "dq_error": self.dq_error.tolist(), "off_after": self.off_after, "monitored": self.monitored,
-            "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "window": self.window,
-            "creep": self.creep, "source": self.source, "notes": list(self.notes),
+            "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "together": self.together,
+            "window": self.window, "creep": self.creep, "source": self.source, "notes": list(self.notes),
         }  # fmt: skip
 
     @classmethod
     def from_dict(cls, d: Mapping[str, Any]) -> Ramp:
         """From the model file's provenance."""
         rest = {k: d[k] for k in ("off_after", "monitored", "reaction", "tolerance", "share", "window", "creep", "source")}
+        rest["together"] = d.get("together", False)
         return cls(
             kind=d["kind"], value=Box.of(*d["value"]), control=Box.of(*d["control"]), q_error=np.array(d["q_error"], float),
             dq_error=np.array(d["dq_error"], float), notes=tuple(d["notes"]), **rest,
@@ -79,18 +81,25 @@ class Ramp:
     @classmethod
     def stated(
         cls, n: int, *, time: float | None = None, deceleration: float | None = None, control: float = 0.024,
-        off_after: float | None = None, monitored: bool = False,
+        off_after: float | None = None, monitored: bool = False, share: float = 1.0, together: bool = False,
     ) -> Ramp:  # fmt: skip
-        """A ramp as a data sheet states it: exactly one of ``time`` [s] and ``deceleration`` [rad/s^2], no tracking error."""
+        """A ramp as a data sheet states it: exactly one of ``time`` [s] and ``deceleration`` [rad/s^2], no tracking error.
+
+        ``share``: speed of a failing ramp, of that at the request. Raises `NotCovered` for numbers that are no ramp.
+        """
         given = time if time is not None else deceleration
         if (time is None) == (deceleration is None) or given is None or not np.isfinite(given) or given <= 0:
             raise NotCovered(
                 f"a ramp of time {time} s and deceleration {deceleration} rad/s^2; expected exactly one positive number"
             )
+        for name, x in (("start of the ramp", control), ("SS1-t time", off_after or 0.0), ("speed of a failed ramp", share)):
+            if not 0.0 <= x < np.inf:
+                raise NotCovered(f"a {name} of {x:g}; expected a finite number that is not negative")
         zero = np.zeros(n)
         return cls(
             "time" if time is not None else "deceleration", Box.point(np.full(n, given)),
             Box.of(zero, np.full(n, control)), zero, zero, off_after=off_after, monitored=monitored,
+            share=share, together=together,
         )  # fmt: skip
 
 
@@ -117,7 +126,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     nothing = np.zeros((KNOTS, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
-        nothing, nothing, nothing, nothing, np.full(n, np.nan),
+        nothing, nothing, nothing, nothing, np.full(n, np.nan), 0,
     )  # fmt: skip
 
 
@@ -143,70 +152,31 @@ def infeasible(
     """Whether the drives have the torque for the ramp, checked densely; a sentence if not, None if they have.
 
     ``bodies``: standard parameters at both ends of the payload's range; ``extra``: (n,) friction, viscous and U torque on
-    top [N m]. Between the points checked the torque is taken to change by as much as between its neighbours.
+    top [N m]. Torque is smooth between the times at which a joint comes to rest; between two points checked it is taken to
+    change by as much as between them.
     """
     limit = model.robot.torque_limit
-    worst, where, need = np.inf, 0, 0.0
     lasts = ramp.value.lo if ramp.kind == "time" else np.maximum(np.abs(dq), 1e-9) / ramp.value.hi
-    a = -dq / lasts
-    grid = np.linspace(0.0, 1.0, KNOTS + 1)
-    for pi in bodies:
-        tau = np.empty((len(grid), model.n))
-        for k, s in enumerate(grid):
-            t = s * float(np.max(lasts))
-            u = np.minimum(t / lasts, 1.0)
-            here = q + dq * lasts * (u - 0.5 * u * u)
-            acc = np.where(u < 1.0, a, 0.0)
-            tau[k] = torque(model.robot.chain, pi, here, dq * (1.0 - u), acc) + rotor * acc
-        jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
-        asked = np.abs(tau).max(axis=0) + np.where(jump > 0.2 * limit, 0.0, jump) + extra
-        room = limit - asked
-        if room.min() < worst:
-            worst, where = float(room.min()), int(np.argmin(room))
-            need = float(asked[where])
-    if worst >= 0:
+    asked = np.zeros(model.n)
+    borders = np.unique(np.concatenate([[0.0], lasts[np.abs(dq) > 0]]))
+    for begin, end in pairwise(borders):
+        acc = np.where((lasts > begin) & (np.abs(dq) > 0), -dq / lasts, 0.0)
+        for pi in bodies:
+            tau = np.array([_ramp_torque(model, pi, rotor, q, dq, lasts, t, acc) for t in np.linspace(begin, end, POINTS)])
+            jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
+            asked = np.maximum(asked, np.abs(tau).max(axis=0) + jump + extra)
+    worst = int(np.argmin(limit - asked))
+    if asked[worst] <= limit[worst]:
         return None
     return (
-        f"the ramp asks {need:.3g} N m of {model.joints[where]}, its drive has {limit[where]:.3g} N m: not credible; use a "
+        f"the ramp asks {asked[worst]:.3g} N m of {model.joints[worst]}, its drive has {limit[worst]:.3g} N m: not credible; use a "
         f"gentler ramp or the guaranteed stop"
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """Where a failed ramp can have got to: ``travel`` (lo, hi) in seconds at full speed, ``share`` (lo, hi) of the speed,
-    ``time`` [s] since the request."""
-
-    travel: tuple[float, float]
-    share: tuple[float, float]
-    time: float
-
-
-def failed_cells(ramp: Ramp, dq: Array) -> list[Cell]:
-    """All states in which power can be taken after the ramp failed, as cells small enough to bound one by one."""
-    top = ramp.share
-    speeds = [(top * k / SHARES, top * (k + 1) / SHARES) for k in range(SHARES)]
-    pace = max(float(np.abs(dq).sum()), 1e-9)
-
-    def travels(longest: float) -> list[tuple[float, float]]:
-        count = max(1, int(np.ceil(longest * pace / CELL)))
-        return [(longest * k / count, longest * (k + 1) / count) for k in range(count)]
-
-    if ramp.monitored:
-        lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
-        control = float(np.max(ramp.control.hi))
-        cells = []
-        steps = 8
-        # noticed in slice k: the speed was below the line's value at the slice's start until then
-        for k in range(steps + 1):
-            begin, end = control + lasts * k / steps - lasts / steps, control + lasts * k / steps
-            line = min(top, 1.0 - max(k - 1, 0) / steps + ramp.tolerance)
-            s = min(max(end - control, 0.0) / lasts, 1.0)
-            way = control * top + lasts * (s - 0.5 * s * s) + (ramp.tolerance * s * lasts) + ramp.reaction * line
-            if k == 0:
-                begin = 0.0
-            cells += [Cell(x, (0.0, line), max(begin, 0.0) + lasts / steps + ramp.reaction) for x in travels(way)]
-        return cells
-    if ramp.off_after is None:
-        return []
-    return [Cell(x, s, ramp.off_after) for x in travels(top * ramp.off_after) for s in speeds]
+def _ramp_torque(model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: float, acc: Array) -> Array:
+    """(n,) [N m] of the rigid body with rotors, ``t`` seconds into the ramp."""
+    u = np.minimum(t / lasts, 1.0)
+    here = q + dq * lasts * (u - 0.5 * u * u)
+    out: Array = torque(model.robot.chain, pi, here, dq * (1.0 - u), acc) + rotor * acc
+    return out

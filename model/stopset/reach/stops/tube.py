@@ -16,6 +16,8 @@ The tube is marched through time in steps, so nothing has to be guessed about th
 4. *Step.* Bounds of the speed go on with those rates, and stop at zero unless the joint can start from rest: the largest
    solution of the one-sided comparison (a Skorokhod reflection).  Straight lines between knots bound the speed from
    outside at all times, so trapezoids bound the angle.
+5. *Energy* (on request, for strong coupling).  The kinetic energy caps all speeds of the step beforehand, without claims of
+   accelerations; where these cannot be verified the caps alone bound the step.
 
 Source: stop notes of the project, comparison system with zero crossing; Moreau (1988) for the inclusion;
 Goodnight (1979) for the sweep operator.
@@ -28,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from stopset.reach.stops.energy import by_power, cap_bands, cap_lines, largest, power_excess, start_energy, step_energy
 from stopset.reach.stops.expansion import Curvature, Expansion, Scratch, empty_expansion, expand_into
 from stopset.reach.stops.local import Local, Parts, box_terms, empty_local
 from stopset.reach.stops.momentum import Bands, carry_on, kept_impulse, start_bands, start_momentum, tighten, total
@@ -84,6 +87,7 @@ class Tube(NamedTuple):
     backward_lo: Array
     backward_hi: Array
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
+    by_energy: int  # steps on which only the kinetic energy bounds the speeds
 
 
 @njit(cache=True)
@@ -97,18 +101,19 @@ def _ramp(t: float, delay: float, rise: float) -> float:
 
 @njit(cache=True)
 def _claims(
-    h: float, lo: Array, hi: Array, claim: Array, w_lo: Array, w_hi: Array, plus: Array, minus: Array, zero: Array, a_far: Array
-) -> None:
-    """Speeds on a step under the claimed accelerations, and which signs are possible."""
+    h: float, lo: Array, hi: Array, claim: Array, cap: Array, w_lo: Array, w_hi: Array, plus: Array, minus: Array, zero: Array,
+    a_far: Array,
+) -> None:  # fmt: skip
+    """Speeds on a step under the claimed accelerations and the caps, and which signs are possible."""
     for i in range(lo.shape[0]):
         z = lo[i] + h * min(0.0, claim[0, i] if lo[i] > 0.0 else claim[2, i])
         if lo[i] > 0.0 and z <= 0.0:
             z = h * min(0.0, claim[2, i])
-        w_lo[i] = z
+        w_lo[i] = max(z, -cap[i])
         z = hi[i] + h * max(0.0, claim[3, i] if hi[i] < 0.0 else claim[1, i])
         if hi[i] < 0.0 and z >= 0.0:
             z = h * max(0.0, claim[1, i])
-        w_hi[i] = z
+        w_hi[i] = min(z, cap[i])
         plus[i] = 1.0 if w_hi[i] > 0.0 else 0.0
         minus[i] = 1.0 if w_lo[i] < 0.0 else 0.0
         zero[i] = 1.0 if w_lo[i] <= 0.0 and w_hi[i] >= 0.0 else 0.0
@@ -191,6 +196,13 @@ def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
 
 
 @njit(cache=True)
+def _unknown(out: Array) -> None:
+    """Accelerations of which nothing is known."""
+    for row in range(10):
+        out[row] = -np.inf if row in (0, 2, 5, 7, 9) else np.inf
+
+
+@njit(cache=True)
 def _expand(plant: Plant, q: Array, E: Expansion, scratch: Scratch) -> None:
     """The expansion at ``q``, the rotors' half intervals beside the payload's: both are constant during a stop."""
     expand_into(plant.chain, plant.pi, plant.pi_half, plant.rotor, q, E, scratch)
@@ -200,8 +212,21 @@ def _expand(plant: Plant, q: Array, E: Expansion, scratch: Scratch) -> None:
 
 
 @njit(cache=True)
-def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h: float, steps: int, parts: Parts) -> Tube:
-    """The tube from the box ``[q_lo, q_hi] x [v0_lo, v0_hi]`` at the cut, in steps of ``h`` seconds, at most ``steps``."""
+def march(
+    plant: Plant,
+    q_lo: Array,
+    q_hi: Array,
+    v0_lo: Array,
+    v0_hi: Array,
+    h: float,
+    steps: int,
+    parts: Parts,
+    energetic: bool = False,
+) -> Tube:
+    """The tube from the box ``[q_lo, q_hi] x [v0_lo, v0_hi]`` at the cut, in steps of ``h`` seconds, at most ``steps``.
+
+    ``energetic``: with the kinetic energy's caps, which end the tube whenever brakes and friction surely hold the arm.
+    """
     n = q_lo.shape[0]
     t = np.zeros(steps + 1)
     d_lo, d_hi = np.zeros((steps + 1, n)), np.zeros((steps + 1, n))
@@ -225,6 +250,9 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
     box_terms(E, K, q_lo - E.q, q_hi - E.q, v0_lo, v0_hi, parts, start, work)
     b, end = start_bands(v0_lo, v0_hi), start_bands(v0_lo, v0_hi)
     momentum = start_momentum(start, v0_lo, v0_hi, b)
+    energy = start_energy(start, v0_lo, v0_hi)
+    rotor_lo, rotor_hi = plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half
+    room, excess, by_energy = np.zeros((5, n)), np.zeros(n), 0
     engaged = np.max(plant.delay_hi + plant.rise_hi)
     fastest = 20.0 * max(np.max(np.abs(v0_lo)), np.max(np.abs(v0_hi))) + 20.0
     here = middle.copy()
@@ -243,6 +271,17 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
         for i in range(n):
             B_lo[i] = plant.coulomb_lo[i] + plant.brake_lo[i] * _ramp(early, plant.delay_hi[i], plant.rise_hi[i])
             B_hi[i] = plant.coulomb_hi[i] + plant.brake_hi[i] * _ramp(late, plant.delay_lo[i], plant.rise_lo[i])
+        if energetic:
+            for i in range(n):
+                x_lo[i], x_hi[i] = q_lo[i] + d_lo[k, i] - E.q[i], q_hi[i] + d_hi[k, i] - E.q[i]
+            y = energy.y[0]
+            if not step_energy(
+                energy, E, K, rotor_lo, rotor_hi, x_lo, x_hi, plant.u_lo, plant.u_hi, B_lo, h, parts, at, work, room
+            ):
+                result, made = UNBOUNDED, k
+                break
+            for i in range(n):  # known before any claim: speeds at this knot
+                v_lo[k, i], v_hi[k, i] = max(v_lo[k, i], -energy.cap[i]), min(v_hi[k, i], energy.cap[i])
         _guess(claim, out, last, k)
         # the impulse that ends first excursions during this step is known after it: taken a little less, then checked
         for i in range(n):
@@ -251,7 +290,7 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
             _later_friction(plant, now + h, b, need, B_lo, B_hi, B_later, way)
             verified = False
             for _attempt in range(PASSES):
-                _claims(h, v_lo[k], v_hi[k], claim, w_lo, w_hi, plus, minus, zero, a_far)
+                _claims(h, v_lo[k], v_hi[k], claim, energy.cap, w_lo, w_hi, plus, minus, zero, a_far)
                 for i in range(n):
                     x_lo[i] = q_lo[i] + d_lo[k, i] + h * min(0.0, w_lo[i]) - E.q[i]
                     x_hi[i] = q_hi[i] + d_hi[k, i] + h * max(0.0, w_hi[i]) - E.q[i]
@@ -263,10 +302,20 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
                 if _verified(out, claim, plus, minus, zero):
                     verified = True
                     break
-            if not verified:
+            if not verified and not energetic:
                 break
+            if not verified:
+                for i in range(n):
+                    x_lo[i] = q_lo[i] + d_lo[k, i] - E.q[i] - h * energy.cap[i]
+                    x_hi[i] = q_hi[i] + d_hi[k, i] - E.q[i] + h * energy.cap[i]
+                box_terms(E, K, x_lo, x_hi, -energy.cap, energy.cap, parts, at, work)
+                _unknown(out)
             _advance(b, out, zero, h, end)
+            if not verified:
+                cap_bands(end, energy.cap)
             total(end, e_lo[k], e_hi[k])
+            if energetic:
+                cap_lines(energy.cap, v_lo[k], v_hi[k], e_lo[k], e_hi[k], not verified)
             for i in range(n):
                 x_lo[i], x_hi[i] = min(v_lo[k, i], e_lo[k, i]), max(v_hi[k, i], e_hi[k, i])
             kept_impulse(
@@ -280,9 +329,10 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
                     need[i] = kept[i] - 0.01 * abs(kept[i]) if redo < REDOS - 1 else 0.0
             if enough:
                 break
-        if not verified:
+        if not verified and not energetic:
             result, made = UNBOUNDED, k
             break
+        by_energy += 0 if verified else 1
         for i in range(n):
             hi, lo, new_hi, new_lo = v_hi[k, i], v_lo[k, i], e_hi[k, i], e_lo[k, i]
             # trapezoids: chords lie outside a bound that is convex; where it crosses zero, its larger end does
@@ -300,21 +350,31 @@ def march(plant: Plant, q_lo: Array, q_hi: Array, v0_lo: Array, v0_hi: Array, h:
         for i in range(n):
             drop[i] = max(before[i] - momentum.needed[i], 0.0) if before[i] < np.inf else 0.0
         v_lo[k + 1], v_hi[k + 1] = e_lo[k], e_hi[k]
+        if energetic:
+            if verified:
+                power_excess(energy, plant.u_lo, plant.u_hi, B_lo, x_lo, x_hi, excess)
+                energy.y[0] = min(energy.y[0], by_power(y, excess, x_lo, x_hi, h))
+            cap_bands(end, energy.end)
+            total(end, v_lo[k + 1], v_hi[k + 1])
         tighten(end, momentum, at, start, v0_lo, v0_hi, v_lo[k + 1], v_hi[k + 1], work)
         total(end, v_lo[k + 1], v_hi[k + 1])
+        if energetic:
+            energy.y[0] = min(energy.y[0], largest(at, v_lo[k + 1], v_hi[k + 1]))
         b, end = end, b
         t[k + 1] = now + h
         if not np.max(v_hi[k + 1] - v_lo[k + 1]) < fastest:
             result, made = UNBOUNDED, k + 1
             break
         if now >= engaged and np.all(v_lo[k + 1] == 0.0) and np.all(v_hi[k + 1] == 0.0):
-            for i in range(n):
-                margin[i] = B_lo[i] - max(abs(s_lo[i]), abs(s_hi[i]))
-            result, made = OK, k + 1
-            break
+            for i in range(n):  # at rest gravity and disturbance are all there is to hold
+                up, down = min(-at.h_lo[i], K.load[i]) + plant.u_hi[i], min(at.h_hi[i], K.load[i]) - plant.u_lo[i]
+                margin[i] = B_lo[i] - max(up, down)
+            if np.min(margin) >= 0.0:  # and so it stays: from now on nothing changes any more
+                result, made = OK, k + 1
+                break
     return Tube(
         result, t[: made + 1], d_lo[: made + 1], d_hi[: made + 1], v_lo[: made + 1], v_hi[: made + 1],
-        e_lo[:made], e_hi[:made], rates[:made, 0], rates[:made, 1], rates[:made, 2], rates[:made, 3], margin,
+        e_lo[:made], e_hi[:made], rates[:made, 0], rates[:made, 1], rates[:made, 2], rates[:made, 3], margin, by_energy,
     )  # fmt: skip
 
 

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from stopset.reach.stops.directed import PointSets
 
 Array = NDArray[np.float64]
 Category = Literal["0", "1", "1 guaranteed", "2"]
+LAYERS = ("tube", "pieces", "energy", "ramp")  # one tube; several; one with the help of the kinetic energy; a ramp
 CATEGORIES: tuple[Category, ...] = ("0", "1", "1 guaranteed", "2")
 
 
@@ -22,7 +25,9 @@ class StopBound:
     centre point; ``tcp_speed`` [m/s]; ``tcp_box``: (3, 2) [m] its displacement in base coordinates; ``links``: (n,) [m]
     displacement of each link's outer end; ``holding_margin``: (n,) [N m] brake and friction torque left over when
     holding, negative or nan where the arm is not held; ``certified``: whether the numbers are proved for the stated
-    assumptions; ``why``: one sentence, always filled when not certified.
+    assumptions; ``why``: one sentence, always filled when not certified, and where a looser fall-back was needed;
+    ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction; ``capsules``: (P, n, 7) [m] what
+    each link's axis sweeps, see `stopset.reach.stops.cartesian.swept_capsules`.
     """
 
     category: Category
@@ -38,6 +43,9 @@ class StopBound:
     links: Array | None = None
     holding_margin: Array | None = None
     assumptions: tuple[str, ...] = ()
+    layer: str = ""
+    motion: PointSets | None = None
+    capsules: Array | None = None
 
     @property
     def angle(self) -> Array | None:
@@ -45,3 +53,15 @@ class StopBound:
         if self.forward is None or self.back is None:
             return None
         return np.maximum(self.forward, self.back)
+
+    def directed_speed(self, direction: ArrayLike) -> float | None:
+        """[m/s] how fast the tool centre point can move in a direction of base coordinates during the stop."""
+        return None if self.motion is None else self.motion.speed_along(np.asarray(direction, float))
+
+    def directed_distance(self, direction: ArrayLike) -> float | None:
+        """[m] how far the tool centre point can get in a direction of base coordinates."""
+        return None if self.motion is None else self.motion.distance_along(np.asarray(direction, float))
+
+    def speed_towards(self, place: ArrayLike) -> float | None:
+        """[m/s] how fast the tool centre point can come closer to a place (3,) [m] in base coordinates."""
+        return None if self.motion is None else self.motion.speed_towards(np.asarray(place, float))

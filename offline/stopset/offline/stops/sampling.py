@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.reach.stops.bounds import stopped_after
 from stopset.reach.stops.tube import Plant, Tube
+from stopset.reach.stops.tubes import stopped_after
 from stopset.robot.rigid import Array, link_frames, mass_matrix
 from stopset.simulation.stop import simulate_stop
 

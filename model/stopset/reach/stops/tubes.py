@@ -1,0 +1,60 @@
+"""Tubes of STOP 0 for a measured state: the time step, the cutting into pieces, and when each joint has stopped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.reach.stops.local import ALL_PARTS, Parts
+from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.split import certify
+from stopset.reach.stops.tube import Plant, Tube, march
+from stopset.robot.rigid import Array, gravity_torque
+
+KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
+PATIENCE = 6  # times the expected stop before a tube is called endless
+MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
+
+
+def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
+    """Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration."""
+    engaged = float(np.max(plant.delay_hi + plant.rise_hi))
+    M = plant.rotor + np.maximum(1e-3, np.abs(plant.pi[:, 0]) * 0.1)
+    authority = plant.brake_lo + plant.coulomb_lo - np.abs(gravity_torque(plant.chain, plant.pi, q))
+    authority = np.maximum(authority, 0.2 * plant.brake_lo + 1e-6)
+    return engaged + float(np.min([0.5, np.max(np.abs(speed) * M / authority)]))
+
+
+def march_box(
+    setting: Setting, plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, energetic: bool,
+    parts: Parts = ALL_PARTS,
+) -> Tube:  # fmt: skip
+    """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each)."""
+    h = expected_stop(setting.plant, q, np.abs(dq) + dq_radius) / KNOTS
+    steps = KNOTS * (MORE_PATIENCE if energetic else PATIENCE)
+    tube: Tube = march(plant, q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, h, steps, parts, energetic)
+    return tube
+
+
+def tube_of(setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS) -> Tube:
+    """The STOP 0 tube from a box, as tight as one tube gets; it may not come to rest."""
+    return march_box(setting, setting.plant, q, dq, q_radius, dq_radius, False, parts)
+
+
+def tubes_of(
+    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS
+) -> list[Tube]:
+    """Tubes that together hold all stops from the box, up to ``pieces`` of them; the last is not OK if that failed."""
+    lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
+
+    def one(plant: Plant, energetic: bool) -> Tube:
+        return march_box(setting, plant, q, dq, q_radius, dq_radius, energetic, parts)
+
+    return certify(one, setting.plant, q, lasts, pieces)
+
+
+def stopped_after(tube: Tube) -> Array:
+    """(n,) [s]: the first knot from which each joint's speed bounds are zero."""
+    moving = (tube.v_lo != 0.0) | (tube.v_hi != 0.0)
+    last = np.where(moving.any(axis=0), len(tube.t) - 1 - np.argmax(moving[::-1], axis=0), -1)
+    after: Array = tube.t[np.minimum(last + 1, len(tube.t) - 1)]
+    return after
