@@ -16,7 +16,8 @@ from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.adaptive import from_scratch, load_state, save_state, update
 from stopset.offline.adaptive_file import ENVELOPE
-from stopset.offline.identify import Identification, Kept, Settings, identify
+from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.sums import Kept
 from stopset.recording import Recording
 from synthetic import arm, names, recordings, save_trials
 

@@ -17,8 +17,10 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.adaptive_file import load_state, save_state
-from stopset.offline.identify import STOPS, Identification, Kept, Sums, common_meta, concluded, stopped, sums_of
+from stopset.offline.assembly import STOPS, Identification, concluded, stopped
 from stopset.offline.revise import description, settings_of
+from stopset.offline.sources import common_meta
+from stopset.offline.sums import Kept, Sums, sums_of
 from stopset.offline.survey import POWERED, Survey, Tally
 from stopset.recording import Meta, Recording, stream_recordings
 

@@ -25,9 +25,10 @@ from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.sets import Gathered
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.errors import Figures
-from stopset.offline.identify import Kept, NominalPart, Sums
 from stopset.offline.motions import Suite
+from stopset.offline.nominal_part import NominalPart
 from stopset.offline.revise import settings_of
+from stopset.offline.sums import Kept, Sums
 from stopset.offline.survey import Tally
 from stopset.recording import Meta, Recording
 from stopset.sets import Box

@@ -15,7 +15,7 @@ from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.errors import joint_figures, torque_error
-from stopset.offline.identify import roller
+from stopset.offline.nominal_part import roller
 from stopset.offline.survey import Survey, on_grid, survey
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +22,16 @@ from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError
 from stopset.offline.effect_names import find, parse_effect
-from stopset.offline.identify import Kept, Settings, identify, nominal_figures
+from stopset.offline.held_out import nominal_figures
+from stopset.offline.identify import Settings, identify
 from stopset.offline.survey import survey
 from stopset.reach.stops import stop
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
+
+if TYPE_CHECKING:
+    from stopset.offline.sums import Kept
 
 Tell = Callable[[str], None]
 

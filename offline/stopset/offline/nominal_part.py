@@ -1,0 +1,152 @@
+"""The nominal part of a model: arm, rotors, effects and abstraction, all that must be known before the sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, Model
+from stopset.artifact.inputs import input_map
+from stopset.effects.base import Fitted
+from stopset.errors import EffectError, RecordingError
+from stopset.offline.abstraction.identified import best_order
+from stopset.offline.conform.nonlinear import GRID, coarser
+from stopset.offline.conform.sets import Pairs
+from stopset.offline.effect_names import find, matches, parse_effect
+from stopset.offline.known import described, plain
+from stopset.offline.output_error import fit_joint
+from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
+from stopset.offline.settings import Settings
+from stopset.offline.survey import Source, Survey, on_grid
+from stopset.recording import Meta, Recording, Recordings
+from stopset.robot import Robot
+from stopset.robot.rigid import mass_matrix
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NominalPart:
+    """Everything that must be known before the sets."""
+
+    robot: Robot
+    rotor: Array
+    effects: tuple[Fitted, ...]
+    abstraction: Abstraction
+    notes: tuple[str, ...]
+
+
+def fit_nominal(
+    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...] = ()
+) -> NominalPart:
+    """Everything that must be known before the sets, from all trials of ``source``."""
+    if meta.effort == "compensated_torque":
+        return _compensated(robot, found, settings)
+    return _motor(robot, source, found, settings, known)
+
+
+def known_effects(
+    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = ()
+) -> tuple[Fitted, ...]:
+    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from the motor torque of ``source``.
+
+    ``known`` ones are kept.  Raises `EffectError` for an effect that these recordings show no trace of.
+    """
+    if meta.effort == "compensated_torque":
+        return ()  # fitted with everything else, by output error
+    out = list(known)
+    for name in settings.effects:
+        effect, _ = parse_effect(name, robot)
+        if effect.base or any(matches(f, name) for f in out):
+            continue
+        trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
+        found = find(robot, trials, tuple(out), effect.name, name.partition(":")[2] or None)
+        if found is None:
+            raise EffectError(f"{name}: these recordings show no trace of it, so its numbers cannot be estimated; leave it out")
+        out.append(found)
+    return tuple(out)
+
+
+def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart:
+    """Torque that already is ``u``: one lag per joint with its effects, by output error."""
+    sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
+    batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
+    wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
+    fits = []
+    for joint, batch in zip(robot.joints, batches, strict=True):
+        terms = [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
+        fits.append(fit_joint(batch, joint, terms))
+    inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
+    abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
+    viscous = tuple(Fitted("viscous", j, {"F_v": f.damping}, {"F_v": f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
+    notes = (
+        "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
+        "off before recording and are not known to this model",
+    )
+    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
+
+
+def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
+    """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
+    from stopset.offline.nominal import identify_nominal
+
+    cad = described(robot, known)
+    trials = (plain(r, cad, known, found.warm(r)) for r in source())
+    nominal = identify_nominal(cad, trials, ("coulomb", "viscous"))
+    arm = nominal.robot(cad)
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
+    # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
+    inertia = np.mean([mass_matrix(arm.chain, arm.pi, q) for q in poses], axis=0) + np.diag(nominal.rotor)
+    damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
+    abstraction = Abstraction(
+        1, 1, np.linalg.inv(inertia), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
+    )
+    notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes)
+
+
+def abstracted(nominal: NominalPart, found: Survey, settings: Settings, effort: str) -> NominalPart:
+    """The nominal part with another abstraction; its order, if not asked for, by the error of predictions.
+
+    An order is not fitted, so the motions the nominal model knows may choose it; those held out to judge the sets must not.
+    """
+    if effort == "compensated_torque":
+        raise RecordingError(
+            f"model {settings.model} of order {settings.order or 'any'} needs the arm's inertias, which compensated torque does not "
+            "show; give recordings of motor torque, or take --model 1 --order 1"
+        )
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    every = max(1, round(GRID / found.dt))
+    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: found.sample, found, nominal, effort)()]
+    standstill = nominal.abstraction.standstill
+    chosen = best_order(
+        nominal.robot, nominal.rotor, nominal.effects, settings.model, settings.order, poses, coarser(trials, every),
+        every * found.dt, standstill if standstill.size else None,
+    )  # fmt: skip
+    return replace(nominal, abstraction=chosen.abstraction, notes=(*nominal.notes, chosen.note))
+
+
+def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:
+    """(motion, trial on the grid, input) of the surveyed phase, anew at every call."""
+    to_input = input_map(nominal.robot, nominal.effects, effort, nominal.abstraction)
+
+    def pairs() -> Iterator[tuple[int, Recording, Array]]:
+        for r in source():
+            if r.phase == found.phase and len(r.t) >= 3:
+                g = on_grid(r, found.dt)
+                if len(g.t) < 3:  # samples closer than the grid
+                    continue
+                yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+
+    return pairs
+
+
+def roller(nominal: NominalPart | Model, effort: str, found: Survey) -> RollOut | None:
+    """Open-loop simulation with effects at the simulated state, for compensated torque; None: the linear prediction."""
+    if effort != "compensated_torque" or not nominal.abstraction.decoupled:
+        return None
+    return RollOut(nominal.robot, nominal.abstraction, nominal.effects, found.warm)
