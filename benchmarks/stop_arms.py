@@ -85,10 +85,13 @@ def uncertain_rotors() -> Model:
     return replace(arm, effort="compensated_torque", abstraction=Abstraction(1, 1, seen, viscous))
 
 
-def ur5_like(payload: tuple[float, float] = (0.0, 5.0), top_speed: float = 3.19, rotor_scale: float = 0.25) -> Model:
+def ur5_like(
+    payload: tuple[float, float] = (0.0, 5.0), top_speed: float = 3.19, rotor_scale: float = 0.25,
+    delay: tuple[float, float] = (0.015, 0.025),
+) -> Model:  # fmt: skip
     """UR5: ``rotor_scale`` 1 is the near-diagonal arm of the stop notes, 0.25 the one no earlier bound could do."""
     return model(
         robot_from_text(_ur5_urdf(), {}, "ur5_like"), rotor_scale * np.array([6.0, 6.0, 6.0, 1.0, 1.0, 1.0]),
         np.array([180.0, 180.0, 180.0, 35.0, 35.0, 35.0]), np.array([15.0, 15.0, 10.0, 3.0, 3.0, 2.0]),
-        np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0]), payload, top_speed,
+        np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0]), payload, top_speed, delay=delay,
     )  # fmt: skip

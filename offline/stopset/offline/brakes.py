@@ -22,11 +22,11 @@ from stopset.artifact import Brakes, Guarantee, Model
 from stopset.errors import RecordingError
 from stopset.offline.conform.guarantee import clopper_pearson
 from stopset.offline.stops.measured import trigger_of
-from stopset.reach.stops.bounds import tubes_of
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.ramp import KEY, Ramp, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import Recording
 from stopset.sets import Box
 

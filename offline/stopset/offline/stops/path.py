@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBound
-from stopset.reach.stops.bounds import ramp_assumptions
 from stopset.reach.stops.plant import Setting, setting_of
+from stopset.reach.stops.words import ramp_assumptions
 from stopset.robot.rigid import link_frames, torque
 
 Array = NDArray[np.float64]

@@ -74,6 +74,80 @@ def _shares(kind: int, n: int) -> Any:
     return np.random.random(n)
 
 
+class Draw(NamedTuple):
+    """One arm out of a plant's intervals: constants of a stop, and a disturbance (PIECES, n) [N m]; ``ahead``: (n,) +1 where
+    the joint was drawn to go far, -1 where to stop short, 0 where neither."""
+
+    pi: Array
+    rotor: Array
+    F: Array
+    D: Array
+    B: Array
+    delay: Array
+    rise: Array
+    u: Array
+    ahead: Array
+
+
+@njit(cache=True)
+def draw(plant: Plant, kind: int, sign: Array, W: Array) -> Draw:
+    """Kinds 0: any corner; 1: anywhere inside; 2: all joints slow but one; 3: slow or fast joints; 4: one joint slow or fast,
+    and the rest as the inverse inertia ``W`` says it hurts this one most. ``sign``: (n,) direction of motion."""
+    n = sign.shape[0]
+    load = float(np.random.randint(0, 2)) if kind != 1 else np.random.random()
+    pi = plant.pi + (2.0 * load - 1.0) * plant.pi_half
+    rotor = _pick(plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half, _shares(min(kind, 1), n))
+    u = np.empty((PIECES, n))
+    if kind <= 1:
+        for p in range(PIECES):
+            u[p] = _pick(plant.u_lo, plant.u_hi, _shares(kind, n))
+        return Draw(
+            pi, rotor, _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n)),
+            _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n)), _pick(plant.brake_lo, plant.brake_hi, _shares(kind, n)),
+            _pick(plant.delay_lo, plant.delay_hi, _shares(kind, n)), _pick(plant.rise_lo, plant.rise_hi, _shares(kind, n)),
+            u, np.zeros(n),
+        )  # fmt: skip
+    slow = _shares(0, n)
+    if kind == 2:
+        slow[:] = 1.0
+        slow[np.random.randint(n)] = float(np.random.randint(0, 2))
+    elif kind == 4:
+        j = np.random.randint(n)
+        slow[j] = float(np.random.randint(0, 2))
+        along = slow[j] * 2.0 - 1.0
+        for i in range(n):
+            if i != j:
+                slow[i] = 1.0 if along * W[j, i] * sign[i] * sign[j] > 0.0 else 0.0
+    ahead = sign * (2.0 * slow - 1.0)
+    for p in range(PIECES):
+        u[p] = np.where(ahead > 0.0, plant.u_hi, plant.u_lo)
+    return Draw(
+        pi, rotor, _pick(plant.coulomb_hi, plant.coulomb_lo, slow), _pick(plant.viscous_hi, plant.viscous_lo, slow),
+        _pick(plant.brake_hi, plant.brake_lo, slow), _pick(plant.delay_lo, plant.delay_hi, slow),
+        _pick(plant.rise_lo, plant.rise_hi, slow), u, ahead,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def inverse_inertia(plant: Plant, q: Array) -> Array:
+    """(n, n): of the arm with rotors and the middle payload."""
+    M = mass_matrix(plant.chain, plant.pi, q)
+    for i in range(q.shape[0]):
+        M[i, i] += plant.rotor[i]
+    out: Array = np.linalg.inv(M)
+    return out
+
+
+@njit(cache=True)
+def start_of(d: Draw, kind: int, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> tuple[Array, Array]:
+    """A true state behind the measured one: at its corners, or anywhere for kind 1."""
+    n = q.shape[0]
+    q0 = q + q_radius * (2.0 * _shares(kind if kind <= 1 else 0, n) - 1.0)
+    if kind <= 1:
+        return q0, dq + dq_radius * (2.0 * _shares(kind, n) - 1.0)
+    return q0, dq + dq_radius * d.ahead
+
+
 @njit(cache=True)
 def sample_stops(
     plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, tip: Array, tube: Tube, count: int, seed: int
@@ -86,50 +160,14 @@ def sample_stops(
     dl, dh, vl, vh = tube_at(tube, times)
     forward, back, time = np.zeros(n), np.zeros(n), np.zeros(n)
     tcp, excess, escaped = 0.0, 0.0, 0
-    M = mass_matrix(plant.chain, plant.pi, q)
-    for i in range(n):
-        M[i, i] += plant.rotor[i]
-    W = np.linalg.inv(M)
+    W = inverse_inertia(plant, q)
     sign = np.where(dq >= 0.0, 1.0, -1.0)
     for s in range(count):
         kind = s % 5
-        load = float(np.random.randint(0, 2)) if kind != 1 else np.random.random()
-        pi = plant.pi + (2.0 * load - 1.0) * plant.pi_half
-        rotor = _pick(plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half, _shares(min(kind, 1), n))
-        if kind <= 1:  # 0: any corner; 1: anywhere inside
-            F = _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n))
-            D = _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n))
-            B = _pick(plant.brake_lo, plant.brake_hi, _shares(kind, n))
-            delay = _pick(plant.delay_lo, plant.delay_hi, _shares(kind, n))
-            rise = _pick(plant.rise_lo, plant.rise_hi, _shares(kind, n))
-            q0 = q + q_radius * (2.0 * _shares(kind, n) - 1.0)
-            v0 = dq + dq_radius * (2.0 * _shares(kind, n) - 1.0)
-            u = np.empty((PIECES, n))
-            for p in range(PIECES):
-                u[p] = _pick(plant.u_lo, plant.u_hi, _shares(kind, n))
-        else:
-            slow = _shares(0, n)
-            if kind == 2:
-                slow[:] = 1.0
-                slow[np.random.randint(n)] = float(np.random.randint(0, 2))
-            elif kind == 4:  # one joint, and the rest as it hurts this one most
-                j = np.random.randint(n)
-                slow[j] = float(np.random.randint(0, 2))
-                along = slow[j] * 2.0 - 1.0
-                for i in range(n):
-                    if i != j:
-                        slow[i] = 1.0 if along * W[j, i] * sign[i] * sign[j] > 0.0 else 0.0
-            F, B = _pick(plant.coulomb_hi, plant.coulomb_lo, slow), _pick(plant.brake_hi, plant.brake_lo, slow)
-            D = _pick(plant.viscous_hi, plant.viscous_lo, slow)
-            delay, rise = _pick(plant.delay_lo, plant.delay_hi, slow), _pick(plant.rise_lo, plant.rise_hi, slow)
-            ahead = sign * (2.0 * slow - 1.0)
-            q0 = q + q_radius * (2.0 * _shares(0, n) - 1.0)
-            v0 = dq + dq_radius * ahead
-            u = np.empty((PIECES, n))
-            for p in range(PIECES):
-                u[p] = np.where(ahead > 0.0, plant.u_hi, plant.u_lo)
+        x = draw(plant, kind, sign, W)
+        q0, v0 = start_of(x, kind, q, dq, q_radius, dq_radius)
         qs, vs = simulate_stop(
-            plant.chain, pi, rotor, F, D, B, delay, rise, q0, v0, DT, steps, u
+            plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u
         )  # fmt: skip
         out = False
         R, o = link_frames(plant.chain, q0)
