@@ -47,7 +47,7 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
             side = path.with_suffix(".json")
             meta = {b"recording": side.read_bytes()} if side.exists() else None
             return reader.schema.with_metadata(meta), iter(reader)
-        file = pq.ParquetFile(path)
+        file = pq.ParquetFile(path, pre_buffer=False)  # else all of the file is read ahead, and memory grows with it
         return file.schema_arrow, file.iter_batches(batch_size=BATCH_ROWS)
     except (pa.ArrowInvalid, pa.ArrowException, OSError) as e:
         first = str(e).splitlines()[0]
@@ -263,7 +263,7 @@ def _trial(
     trigger = columns.get("stop_trigger")
     temp = table("temp")
     return Recording(
-        *key, place, np.asarray(columns["t"], dtype=np.float64), q, dq, tau,
+        *key, place, np.array(columns["t"], dtype=np.float64), q, dq, tau,  # a copy: a view keeps the whole batch alive
         temp=None if temp is None or np.isnan(temp).all() else temp,
         current=current,
         stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
