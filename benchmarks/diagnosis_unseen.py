@@ -1,0 +1,160 @@
+"""How often the diagnosis is right on data sets of an independent simulator that nothing was set on.
+
+ARMS holds folders with ``robot.urdf`` and ``robot.json``: templates of which every set gets a random relative, often of other
+size or with a joint more.  Every effect of `independent_effects` is hidden, easy (residual of its joint threefold) and hard
+(1.4-fold), beside healthy sets, causes outside the catalogue and pairs.  ``--seed`` decides everything.
+
+    python benchmarks/diagnosis_unseen.py make ARMS SETS --seed 20000 --rounds 1 --healthy 8 --outside 8 --pairs 5
+    python benchmarks/diagnosis_unseen.py ask SETS --out ANSWERS
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnosis_labelled import right
+from independent_arm import Arm, read_arm
+from independent_effects import EFFECTS, OUTSIDE, RATIO, hide
+from independent_sets import Truth, random_truth, write_set
+from scipy.stats import beta
+
+from stopset.offline.diagnose import diagnose
+from stopset.recording import read_recordings
+from stopset.robot import load_robot
+
+ENOUGH = {"easy": 2.0, "hard": 1.25}  # ratio below which another joint is drawn: there the effect can't be made that large
+CHANCES = 5
+OTHER_ARM = 0.4  # share of sets whose arm is no near relative of a template
+
+
+def templates(folder: Path) -> list[Arm]:
+    """One arm of each name in ``folder``."""
+    arms = {a.name: a for f in sorted(folder.iterdir()) if (f / "robot.urdf").exists() for a in [read_arm(f)]}
+    return list(arms.values())
+
+
+def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, folder: Path) -> dict[str, Any]:
+    """One set with the ``wanted`` (effect, level) hidden in one arm; its label."""
+    rng = np.random.default_rng([seed, 0])
+    weights = np.array([3.0 if a.n > 2 else 1.0 for a in arms])
+    healthy = random_truth(arms[rng.choice(len(arms), p=weights / weights.sum())], seed, bool(rng.random() < OTHER_ARM))
+    truth, effects, free = healthy, [], list(range(healthy.arm.n))
+    for name, level in wanted:
+        kind = (EFFECTS | OUTSIDE)[name]
+        count = 2 if not kind.whole_arm and not kind.pair and len(wanted) == 1 and name in EFFECTS and rng.random() < 0.25 else 1
+        for _ in range(count):
+            best: tuple[float, float, int, Truth] | None = None
+            for _chance in range(CHANCES):
+                joint = int(rng.choice([j for j in free if not kind.pair or j + 1 in free] or free))
+                joint = min(joint, healthy.arm.n - 2) if kind.pair else joint
+                made, size, ratio = hide(truth, name, joint, level, rng.random(4))
+                if best is None or ratio > best[0]:
+                    best = (ratio, size, joint, made)
+                if ratio > ENOUGH[level]:
+                    break
+            assert best is not None
+            ratio, size, joint, truth = best
+            at = [joint, joint + 1] if kind.pair else [joint]
+            free = [j for j in free if j not in at]
+            names = [] if kind.whole_arm else [healthy.arm.joints[j] for j in at]
+            effects.append({"effect": name, "joints": names, "level": level, "size": size, "ratio": ratio})
+    write_set(truth, folder)
+    outside = any(e["effect"] in OUTSIDE for e in effects)
+    merged: list[dict[str, Any]] = []
+    for e in effects:
+        same = [m for m in merged if m["effect"] == e["effect"]]
+        if same:
+            same[0]["joints"] += e["joints"]
+            same[0]["ratio"] = min(same[0]["ratio"], e["ratio"])
+        else:
+            merged.append(e)
+    return {
+        "verdict": "unknown" if outside else "missing" if effects else "none", "effects": merged, "seed": seed,
+        "arm": healthy.arm.name, "exact": healthy.told is healthy.arm,
+    }  # fmt: skip
+
+
+def cases(rounds: int, healthy: int, outside: int, pairs: int, seed: int) -> list[list[tuple[str, str]]]:
+    """What each set hides."""
+    rng = np.random.default_rng([seed, 9])
+    out = [[(name, level)] for _ in range(rounds) for level in RATIO for name in EFFECTS]
+    out += [[] for _ in range(healthy)]
+    out += [[(list(OUTSIDE)[k % len(OUTSIDE)], "easy")] for k in range(outside)]
+    for _ in range(pairs):
+        a, b = rng.choice(list(EFFECTS), 2, replace=False)
+        out.append([(str(a), "easy"), (str(b), "easy")])
+    return out
+
+
+def interval(good: int, of: int) -> tuple[float, float]:
+    """Clopper and Pearson's 95 % interval of a rate."""
+    lo = float(beta.ppf(0.025, good, of - good + 1)) if good else 0.0
+    return lo, float(beta.ppf(0.975, good + 1, of - good)) if good < of else 1.0
+
+
+def kind_of(label: dict[str, Any]) -> str:
+    """What a set counts as in the table."""
+    if label["verdict"] != "missing":
+        return {"none": "healthy", "unknown": "outside the catalogue"}[label["verdict"]]
+    return "pair" if len(label["effects"]) > 1 else str(label["effects"][0]["level"])
+
+
+def ask(folder: Path, out: Path | None, only: Sequence[str]) -> None:
+    """Diagnose every set of ``folder`` and print the rates."""
+    labels = json.loads((folder / "labels.json").read_text())
+    count: dict[str, list[bool]] = {}
+    for name, label in sorted(labels.items()):
+        if only and name not in only:
+            continue
+        robot = load_robot(folder / name / "robot.urdf")
+        start = time.process_time()
+        found = diagnose(robot, read_recordings(folder / name / "recording.parquet", robot))
+        ok = right(label, found.verdict, [(r.effect, r.joints) for r in found.ranked])
+        count.setdefault(kind_of(label), []).append(ok)
+        true = " ".join(f"{e['effect']}:{'+'.join(e['joints'])} {e['level']} x{e['ratio']:.2f}" for e in label["effects"])
+        words = ", ".join(f"{r.label} {r.score:.0f}" for r in (found.ranked or found.claims)) or "-"
+        print(
+            f"{name} {'right' if ok else 'WRONG'} [{true}] {found.verdict}: {words} {list(found.depends_on)} "
+            f"{time.process_time() - start:.1f} s", flush=True,
+        )  # fmt: skip
+        if out:
+            out.mkdir(parents=True, exist_ok=True)
+            (out / f"{name}.json").write_text(json.dumps(found.as_json()))
+    for kind, answers in sorted(count.items()):
+        lo, hi = interval(sum(answers), len(answers))
+        print(f"{kind}: {sum(answers)} of {len(answers)} right (95 % interval {lo:.2f} to {hi:.2f})")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    m = commands.add_parser("make")
+    m.add_argument("arms", type=Path)
+    m.add_argument("sets", type=Path)
+    m.add_argument("--seed", type=int, default=10000)
+    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5)):
+        m.add_argument(f"--{name}", type=int, default=default)
+    a = commands.add_parser("ask")
+    a.add_argument("sets", type=Path)
+    a.add_argument("--out", type=Path)
+    a.add_argument("--only", default="", help="comma-separated names of sets")
+    args = parser.parse_args()
+    if args.command == "ask":
+        return ask(args.sets, args.out, [x for x in args.only.split(",") if x])
+    arms, labels = templates(args.arms), {}
+    for k, wanted in enumerate(cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed)):
+        name, start = f"s{k:03d}", time.process_time()
+        labels[name] = make(arms, wanted, args.seed + k, args.sets / name)
+        print(name, labels[name], f"{time.process_time() - start:.1f} s", flush=True)
+        (args.sets / "labels.json").write_text(json.dumps(labels, indent=1))
+    return None
+
+
+if __name__ == "__main__":
+    main()
