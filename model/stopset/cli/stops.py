@@ -16,23 +16,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", help="model file from `stopset identify`")
     parser.add_argument("--at", metavar="Q1,Q2,..", help="one pose [rad] instead of the table, all axes at once")
     parser.add_argument("--speed", metavar="V1,V2,..", help="with --at: speeds [rad/s], or one percentage like 100%%")
-    parser.add_argument("--payload", type=float, metavar="KG", help="payload [kg] instead of 33/66/100 %% of the model's range")
+    parser.add_argument("--payload", type=float, metavar="KG", help="payload [kg] instead of 33/66/100 %% of the largest")
+    parser.add_argument("--rated-payload", type=float, metavar="KG", help="what 100 %% payload means; default the model's domain")
+    parser.add_argument("--extrapolate-payload", action="store_true", help="compute payloads no recording carried, and mark them")
     parser.add_argument("--payload-at", metavar="X,Y,Z", help="its centre in the last link [m]; default the flange")
     parser.add_argument("--category", action="append", choices=("0", "1", "1 guaranteed", "2"), help="only this one; repeatable")
     parser.add_argument("--ramp-time", type=float, metavar="S", help="STOP 1 and 2: every speed to rest in this time [s]")
     parser.add_argument("--ramp-deceleration", type=float, metavar="A", help="or: with this deceleration [rad/s^2]")
     parser.add_argument("--off-after", type=float, metavar="S", help="SS1-t: power is taken this long after the request [s]")
     parser.add_argument("--monitored", action="store_true", help="SS1-r: the ramp is monitored")
+    parser.add_argument(
+        "--failed-speed", type=float, default=100.0, metavar="PERCENT",
+        help="of the speed at the request that a failed ramp can reach; above 100 if drives may accelerate (default 100)",
+    )  # fmt: skip
+    parser.add_argument("--fail-together", action="store_true", help="failed ramps keep the path, as when the controller fails")
     parser.add_argument("--data", nargs="+", metavar="REC", help="recordings whose measured stops are drawn into the pictures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows as CSV")
     parser.add_argument("--pdf", type=Path, metavar="FILE", help="write tables and pictures as PDF")
     group = parser.add_argument_group("separation distance (ISO/TS 15066 and ISO 13855); every term must be given")
-    group.add_argument("--separation", action="store_true", help="compute it for the longest stop of the rows")
+    group.add_argument("--separation", action="store_true", help="compute it for the worst stop of each category")
     group.add_argument("--v-human", type=float, metavar="M/S")
     group.add_argument("--reaction", type=float, metavar="S", help="from detection of the person to the stop request")
     group.add_argument("--intrusion", type=float, metavar="M", help="C")
     group.add_argument("--person-uncertainty", type=float, metavar="M", help="Z_d")
     group.add_argument("--robot-uncertainty", type=float, metavar="M", help="Z_r")
+    group.add_argument("--device-distance", type=float, metavar="M", help="D_DS of ISO 13855:2024, with --supplement")
+    group.add_argument("--supplement", type=float, metavar="M", help="Z of ISO 13855:2024")
     add_output_options(parser)
 
 
@@ -57,13 +66,13 @@ def run(args: argparse.Namespace) -> int:
         measured = []
         if args.data:
             recordings = read_recordings(args.data, model.robot)
-            kg = loads(model, question.payload)[0][1]
+            kg = loads(model, question)[-1][1]
             measured = measured_stops(prepared(model, kg, question), recordings)
         if args.report:
             build_page(model, rows, assumptions, measured, separations).save(args.report)
         if args.pdf:
             write_bytes(args.pdf, build_pdf(model, rows, assumptions, measured, separations))
-    _print(rows, assumptions, separations, say)
+    _print(model, rows, assumptions, separations, say)
     return 0 if any(r.certified for r in rows) else 1
 
 
@@ -77,13 +86,13 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     if args.ramp_time is not None or args.ramp_deceleration is not None:
         ramp = Ramp.stated(
             model.n, time=args.ramp_time, deceleration=args.ramp_deceleration, off_after=args.off_after,
-            monitored=args.monitored,
+            monitored=args.monitored, share=args.failed_speed / 100.0, together=args.fail_together,
         )  # fmt: skip
     elif args.off_after is not None or args.monitored:
         raise NotCovered("--off-after and --monitored describe a ramp; add --ramp-time or --ramp-deceleration")
     com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
     categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
-    question = Question(ramp, categories, args.payload, com)
+    question = Question(ramp, categories, args.payload, com, args.rated_payload, args.extrapolate_payload)
     if args.at is None:
         if args.speed is not None:
             raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
@@ -120,38 +129,53 @@ def _numbers(text: str, count: int, option: str) -> Any:
 
 
 def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
+    from dataclasses import replace
+
     from stopset.errors import NotCovered
-    from stopset.offline.stops.separation import approach_distance, protective_separation
+    from stopset.offline.stops.separation import approach_distance, approach_distance_2024, protective_separation
 
     given = {
         "v_h": args.v_human, "T_r": args.reaction, "C": args.intrusion, "Z_d": args.person_uncertainty,
-        "Z_r": args.robot_uncertainty,
+        "Z_r": args.robot_uncertainty, "D_DS": args.device_distance, "Z": args.supplement,
     }  # fmt: skip
     if not args.separation:
         if any(v is not None for v in given.values()):
             raise NotCovered("terms of a separation distance were given without --separation; add it")
         return []
-    proved = [r for r in rows if r.certified]
-    if not proved:
-        raise NotCovered("no stop of these rows is proved, so there is no separation distance; see their reasons")
-    time, way = max(r.time_s for r in proved), max(r.tcp_m for r in proved)
-    speed = max(r.tcp_speed for r in proved)
-    return [protective_separation(time, way, speed, given), approach_distance(time, given)]
+    out = []
+    for category in dict.fromkeys(r.category for r in rows):
+        mine = [r for r in rows if r.category == category]
+        if not all(r.certified for r in mine):
+            continue  # the worst of them has no number
+        time, way, speed = max(r.time_s for r in mine), max(r.far_m for r in mine), max(r.far_speed for r in mine)
+        found = [protective_separation(time, way, speed, given), approach_distance(time, given)]
+        if given["D_DS"] is not None or given["Z"] is not None:
+            found.append(approach_distance_2024(time, given))
+        out += [replace(s, standard=f"{s.standard}, STOP {category}") for s in found]
+    if not out:
+        raise NotCovered(
+            "in no category all stops of these rows are proved, so there is no separation distance; see their reasons"
+        )
+    return out
 
 
-def _print(rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
+def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
+    from stopset.offline.stops.table import holding
+
     say(f"{'category':<13}{'axis':<16}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
     for r in rows:
         axis = r.joint if len(r.joint) < 16 else f"{r.joint.count('+') + 1} axes at once"
         head = f"{r.category:<13}{axis:<16}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
         if r.certified:
-            say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}")
+            say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}{'  ' + r.why if r.why else ''}")
         else:
             say(f"{head}  {r.why}")
     for s in separations:
         say(f"separation distance, {s.standard}: {s.distance:.3f} m")
         for symbol, value, unit, what in s.terms:
             say(f"  {symbol:<4} {value:9.4f} {unit:<4} {what}")
+    for sentence in holding(model, rows):
+        say(sentence)
     for a in assumptions:
         say(f"- {a}")
     say("Monitoring aid, not a safety function: stop distances for a risk assessment must be measured.")

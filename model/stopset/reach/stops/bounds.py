@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slic
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.failed import CELLS, Cell, cover, failed_cells
 from stopset.reach.stops.fast import Certificate
-from stopset.reach.stops.plant import Setting, setting_of
+from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import march_box, stopped_after, tube_of, tubes_of
@@ -41,13 +41,13 @@ class StopBounds:
     @classmethod
     def of(
         cls, model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None,
-        ramp: Ramp | None = None, pieces: int = 1,
+        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False,
     ) -> StopBounds:  # fmt: skip
-        """Prepare the bounds; ``payload`` [kg] range and ``payload_com`` (3,) [m] as in `setting_of`.
+        """Prepare the bounds; ``payload`` [kg] range, ``payload_com`` (3,) [m] and ``extrapolate`` as in `setting_of`.
 
         ``ramp``: default what the model holds from stop1 recordings.
         """
-        return cls(model, setting_of(model, payload, payload_com), ramp or ramp_of(model), pieces)
+        return cls(model, setting_of(model, payload, payload_com, extrapolate), ramp or ramp_of(model), pieces)
 
     def bound(self, q: ArrayLike, dq: ArrayLike, category: Category = "0") -> StopBound:
         """The stop from the measured state ``q`` [rad], ``dq`` [rad/s], (n,) each.
@@ -62,12 +62,15 @@ class StopBounds:
         if category != "0" and self.ramp is None:
             return StopBound(category, False, NO_RAMP, assumptions=self.setting.assumptions)
         n, noise = self.model.n, self.setting.noise
-        q, dq = q - noise.centre[:n], dq - noise.centre[n:]
+        beyond = beyond_domain(self.model, q, dq)
+        box = q - noise.centre[:n], dq - noise.centre[n:], noise.radius[:n], noise.radius[n:]
         if category == "0":
-            return self._power_off(q, dq, noise.radius[:n], noise.radius[n:])
-        if category == "1 guaranteed":
-            return self._failed_ramp(q, dq, noise.radius[:n], noise.radius[n:])
-        return self._working_ramp(q, dq, noise.radius[:n], noise.radius[n:], category)
+            bound = self._power_off(*box)
+        elif category == "1 guaranteed":
+            bound = self._failed_ramp(*box)
+        else:
+            bound = self._working_ramp(*box, category)
+        return bound if beyond is None else replace(bound, assumptions=(*bound.assumptions, beyond))
 
     def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
         """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
@@ -194,14 +197,14 @@ class StopBounds:
         robot, n = self.model.robot, self.model.n
         chain, tool = robot.chain, self.setting.payload_com
         ends = [chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]
-        tcp, tcp_speed, box, links = 0.0, 0.0, np.zeros((3, 2)), np.zeros(n)
+        tcp, tcp_speed, box, links = 0.0, 0.0, np.zeros((3, 2)), np.zeros((n, 2))
         sets, swept = [], []
         for tube in tubes:
             cut = slices(tube, SLICES)
             far, fast, hull = point_motion(chain, q, q_radius, cut, n - 1, tool)
             tcp, tcp_speed = max(tcp, far), max(tcp_speed, fast)
             box[:, 0], box[:, 1] = np.minimum(box[:, 0], hull[:, 0]), np.maximum(box[:, 1], hull[:, 1])
-            links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[0] for i in range(n)])
+            links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[:2] for i in range(n)])
             sets.append(point_sets(chain, q, q_radius, cut, n - 1, tool))
             swept.append(swept_capsules(chain, q, q_radius, tube, robot.tip, SWEEPS))
         by_energy = any(t.by_energy for t in tubes)
@@ -212,7 +215,8 @@ class StopBounds:
             forward=np.maximum(np.max([t.d_hi.max(axis=0) for t in tubes], axis=0), 0.0),
             back=np.maximum(-np.min([t.d_lo.min(axis=0) for t in tubes], axis=0), 0.0),
             speed=np.max([_fastest(t) for t in tubes], axis=0),
-            tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links, holding_margin=margin, assumptions=assumptions, layer=layer,
+            tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links[:, 0], link_speed=links[:, 1],
+            holding_margin=margin, assumptions=assumptions, layer=layer,
             motion=PointSets(
                 o[-1] + R[-1] @ tool, self._reach() * float(q_radius.sum()),
                 *(np.concatenate([x[k] for x in sets]) for k in range(4)),

@@ -12,7 +12,6 @@ from stopset.effects.base import REFERENCE_TEMPERATURE, Fitted
 from stopset.errors import NotCovered
 from stopset.reach.stops.expansion import Curvature, curvature
 from stopset.reach.stops.tube import Plant
-from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -21,6 +20,7 @@ Array = NDArray[np.float64]
 SIGMAS = 3.0  # identified parameters enter with this many standard deviations
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
 STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
+OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
 BRAKE_TOLERANCE = 0.30  # relative half-width of a data sheet's brake torque where it states none
 
 
@@ -62,9 +62,15 @@ def _interval(f: Fitted, symbol: str) -> tuple[float, float]:
     return value - spread, value + spread
 
 
-def friction_of(model: Model) -> Friction:
-    """Friction of all joints from the identified effects; what is not known is taken as none (lower) and counted in U."""
+def friction_of(model: Model, payload: float | None = None, lever: float | None = None) -> Friction:
+    """Friction of all joints from the identified effects; what is not known is taken as none (lower) and counted in U.
+
+    ``payload`` [kg] at most, default the domain's, ``lever`` [m] of its centre in the last link, default the flange's: they
+    load the gears, as the brakes do, and friction that grows with the load is between none of it and all of it.
+    """
     n = model.n
+    heavy = model.domain.payload[1] if payload is None else payload
+    load = _largest_load(model, heavy, float(np.linalg.norm(model.robot.tip)) if lever is None else lever)
     F, D, P = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
     fast = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     q_far = np.stack([model.domain.q.lo, model.domain.q.hi], axis=1)
@@ -95,8 +101,9 @@ def friction_of(model: Model) -> Friction:
         elif f.effect == "hysteresis":
             F[i, 0] -= 2.0 * max(_interval(f, "F_h")[1], 0.0)
         elif f.effect == "load_coulomb":
-            share = max(_interval(f, "k_lift")[1], _interval(f, "k_lower")[1], 0.0)
-            F[i, 1] += share * _largest_gravity(model.robot)[i]
+            # which quadrant holds cannot be told from gravity while the brakes work (trap P23): the hull of both, at any load
+            ends = (*_interval(f, "k_lift"), *_interval(f, "k_lower"), 0.0)
+            F[i] += (min(ends) * load[i], max(ends) * load[i])
         elif f.effect == "warm_up":
             for array, symbol in ((F, "k_c"), (D, "k_v")):
                 lo, hi = _interval(f, symbol)
@@ -141,17 +148,19 @@ def rotor_of(model: Model) -> Box:
     return Box(np.minimum(stated, seen), np.maximum(stated, seen))
 
 
-def _largest_gravity(robot: Robot) -> Array:
-    """(n,) no pose loads joint i with more than this [N m]: weight times the largest first moment beyond it."""
+def _largest_load(model: Model, payload: float, lever: float) -> Array:
+    """(n,) the gear of joint i carries no more than this [N m]: gravity in any pose, payload included, and its own brake."""
+    robot = model.robot
     n = robot.n
     out = np.zeros(n)
-    mass = moment = 0.0
+    mass, moment = payload, payload * lever
     for i in range(n - 1, -1, -1):
         p = float(np.linalg.norm(robot.chain.p[i + 1])) if i + 1 < n else 0.0
-        moment += float(np.linalg.norm(robot.pi[i, 1:4])) + mass * p
+        moment += float(np.linalg.norm(robot.pi[i, 1:4])) + (mass * p if i + 1 < n else 0.0)
         mass += abs(float(robot.pi[i, 0]))
         out[i] = moment * float(np.linalg.norm(robot.chain.gravity))
-    return out
+    brakes = brakes_of(model)
+    return out if brakes is None else out + brakes.torque.hi
 
 
 def _carried(model: Model) -> Array:
@@ -176,27 +185,30 @@ class Setting:
     assumptions: tuple[str, ...]
 
 
-def setting_of(model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None) -> Setting | None:
+def setting_of(
+    model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None, extrapolate: bool = False
+) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
     ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the
-    last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain.
+    last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain, unless it is to be
+    ``extrapolate``-d: then the rigid body carries it, and an assumption says that no recording did.
     """
     n = model.n
     lo, hi = model.domain.payload if payload is None else payload
     seen = model.domain.payload
-    if not (seen[0] - 1e-9 <= lo <= hi <= seen[1] + 1e-9):
-        raise NotCovered(
-            f"a payload of {lo:g} to {hi:g} kg lies outside the model's domain of {seen[0]:g} to {seen[1]:g} kg; "
-            f"identify with recordings that carry it"
-        )
+    if not (0.0 <= lo <= hi < np.inf or seen[0] <= lo <= hi <= seen[1]):
+        raise NotCovered(f"a payload of {lo:g} to {hi:g} kg; expected a range of finite masses from 0 kg on")
+    inside = seen[0] - 1e-9 <= lo and hi <= seen[1] + 1e-9
+    if not inside and not extrapolate:
+        raise NotCovered(beyond_payload(lo, hi, seen))
     brakes = brakes_of(model)
     if brakes is None:
         return None
-    friction = friction_of(model)
+    com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
+    friction = friction_of(model, hi, float(np.linalg.norm(com)))
     regime = "stop0" if "stop0" in model.sets else "powered"
     sets = model.sets[regime]
-    com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
     pi = _carried(model)
     per_kg = np.zeros_like(pi)
     per_kg[-1] = standard_parameters(1.0, com, np.zeros((3, 3)))
@@ -223,6 +235,11 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
+    if not inside:
+        assumptions.append(
+            f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg; beyond that the rigid body is computed, and "
+            f"friction and U are taken not to change"
+        )
     if np.any(rotor.width > 0):
         assumptions.append(f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2")
     if friction.left_out:
@@ -234,6 +251,28 @@ def setting_of(model: Model, payload: tuple[float, float] | None = None, payload
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
     return Setting(model, plant, noise, (lo, hi), com, tuple(assumptions))
+
+
+def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:
+    """Refusal of a payload outside the domain ``seen`` [kg]."""
+    what = f"{hi:g} kg" if lo == hi else f"{lo:g} to {hi:g} kg"
+    return (
+        f"a payload of {what} lies outside the model's domain of {seen[0]:g} to {seen[1]:g} kg; identify with recordings that "
+        f"carry it, or accept a marked extrapolation (--extrapolate-payload)"
+    )
+
+
+def beyond_domain(model: Model, q: Array, dq: Array) -> str | None:
+    """One sentence where a state lies outside the angles or speeds that identification has seen (trap P25), else None."""
+    parts = []
+    for name, x, box in (("rad", q, model.domain.q), ("rad/s", dq, model.domain.dq)):
+        out = (x < box.lo - 1e-9) | (x > box.hi + 1e-9)
+        parts += [
+            f"{model.joints[i]} at {x[i]:.3g} {name}, seen [{box.lo[i]:.3g}, {box.hi[i]:.3g}]" for i in np.nonzero(out)[0]
+        ]  # fmt: skip
+    if not parts:
+        return None
+    return f"{OUTSIDE}: {'; '.join(parts)}"
 
 
 def _noise(model: Model, V: Box, regime: str) -> Box:

@@ -23,7 +23,7 @@ class StopBound:
     ``time``: (n,) [s] until joint i rests for good; ``forward``, ``back``: (n,) [rad] largest displacement in + and -
     direction, both >= 0; ``speed``: (n,) [rad/s] largest speed on the way; ``tcp``: [m] largest displacement of the tool
     centre point; ``tcp_speed`` [m/s]; ``tcp_box``: (3, 2) [m] its displacement in base coordinates; ``links``: (n,) [m]
-    displacement of each link's outer end; ``holding_margin``: (n,) [N m] brake and friction torque left over when
+    displacement and ``link_speed`` (n,) [m/s] speed of each link's outer end; ``holding_margin``: (n,) [N m] brake and friction torque left over when
     holding, negative or nan where the arm is not held; ``certified``: whether the numbers are proved for the stated
     assumptions; ``why``: one sentence, always filled when not certified, and where a looser fall-back was needed;
     ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction; ``capsules``: (P, n, 7) [m] what
@@ -41,6 +41,7 @@ class StopBound:
     tcp_speed: float | None = None
     tcp_box: Array | None = None
     links: Array | None = None
+    link_speed: Array | None = None
     holding_margin: Array | None = None
     assumptions: tuple[str, ...] = ()
     layer: str = ""

@@ -47,7 +47,7 @@ def _shares(ramp: Ramp, dq: Array, rng: np.random.Generator) -> Array:
         wild[:] = wild[:, :1]
     shares = wild[np.minimum(np.arange(count) * CHANGES // count, CHANGES - 1)]
     if not ramp.monitored:
-        return top * shares
+        return np.asarray(top * shares)
     t = (np.arange(count) + 1.0) * DT  # the line at the end of each piece, where it is lowest
     line = np.minimum(top, 1.0 - np.clip((np.minimum(t, left) - control) / lasts, 0.0, 1.0) + ramp.tolerance)
     shares = shares * line[:, None]

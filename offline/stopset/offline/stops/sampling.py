@@ -134,8 +134,8 @@ def inverse_inertia(plant: Plant, q: Array) -> Array:
     M = mass_matrix(plant.chain, plant.pi, q)
     for i in range(q.shape[0]):
         M[i, i] += plant.rotor[i]
-    out: Array = np.linalg.inv(M)
-    return out
+    W: Array = np.linalg.inv(M).astype(np.float64)
+    return W
 
 
 @njit(cache=True)

@@ -2,6 +2,7 @@
 
 ISO/TS 15066:2016, 5.5.4:  S = S_h + S_r + S_s + C + Z_d + Z_r,  S_h = v_h (T_r + T_s),  S_r = v_r T_r.
 ISO 13855:2010:            S = K T + C,  T = t1 + t2.
+ISO 13855:2024:            S = K T + D_DS + Z,  T the overall response time.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ ASKED = {
     "C": "intrusion distance of the protective device, C [m]",
     "Z_d": "position uncertainty of the person, Z_d [m]",
     "Z_r": "position uncertainty of the robot, Z_r [m]",
+    "D_DS": "reach over, through or round the protective device, D_DS [m]",
+    "Z": "supplemental distance, Z [m]",
 }
 
 
@@ -34,9 +37,9 @@ def _complete(given: Mapping[str, float | None], needed: tuple[str, ...]) -> dic
     if missing:
         raise NotCovered(f"a separation distance needs every term; missing: {'; '.join(missing)}")
     values = {k: float(given[k]) for k in needed}  # type: ignore[arg-type]
-    bad = [k for k, v in values.items() if not v >= 0.0]
+    bad = [k for k, v in values.items() if not 0.0 <= v < float("inf")]
     if bad:
-        raise NotCovered(f"{bad[0]} = {values[bad[0]]}; expected a number of at least 0 in SI units")
+        raise NotCovered(f"{bad[0]} = {values[bad[0]]}; expected a finite number of at least 0 in SI units")
     return values
 
 
@@ -51,10 +54,10 @@ def protective_separation(
         ("v_h", g["v_h"], "m/s", "speed of the person, given"),
         ("T_r", g["T_r"], "s", "reaction time, given"),
         ("T_s", stop_time, "s", "stopping time, bound"),
-        ("v_r", robot_speed, "m/s", "largest speed of the tool centre point during the stop, bound"),
+        ("v_r", robot_speed, "m/s", "largest speed of tool or link ends during the stop, bound"),
         ("S_h", S_h, "m", "v_h (T_r + T_s)"),
         ("S_r", S_r, "m", "v_r T_r"),
-        ("S_s", stop_distance, "m", "stopping distance of the tool centre point, bound"),
+        ("S_s", stop_distance, "m", "stopping distance of tool or link ends, bound"),
         ("C", g["C"], "m", "intrusion distance, given"),
         ("Z_d", g["Z_d"], "m", "position uncertainty of the person, given"),
         ("Z_r", g["Z_r"], "m", "position uncertainty of the robot, given"),
@@ -73,3 +76,16 @@ def approach_distance(stop_time: float, given: Mapping[str, float | None]) -> Se
         ("C", g["C"], "m", "intrusion distance, given"),
     )
     return Separation("ISO 13855:2010", g["v_h"] * total + g["C"], terms)
+
+
+def approach_distance_2024(stop_time: float, given: Mapping[str, float | None]) -> Separation:
+    """ISO 13855:2024, S = K T + D_DS + Z, with K = v_h and T = T_r given + our stopping time. Raises `NotCovered` as above."""
+    g = _complete(given, ("v_h", "T_r", "D_DS", "Z"))
+    terms = (
+        ("K", g["v_h"], "m/s", "approach speed, given"),
+        ("T_r", g["T_r"], "s", "response time of the protective device and controls, given"),
+        ("T_s", stop_time, "s", "stopping time of the robot, bound"),
+        ("D_DS", g["D_DS"], "m", "distance of the protective device, given"),
+        ("Z", g["Z"], "m", "supplemental distance, given"),
+    )
+    return Separation("ISO 13855:2024", g["v_h"] * (g["T_r"] + stop_time) + g["D_DS"] + g["Z"], terms)

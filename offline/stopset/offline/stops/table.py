@@ -11,6 +11,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
+from stopset.reach.stops.plant import OUTSIDE, beyond_payload
 
 Array = NDArray[np.float64]
 SHARES = (33, 66, 100)
@@ -44,6 +46,10 @@ class Row:
     tcp_speed: float | None
     certified: bool
     why: str
+    pose: tuple[float, ...] = ()  # [rad] all joints at the stop request
+    far_m: float | None = None  # [m] displacement of whichever goes farthest, the tool or the end of a link
+    far_speed: float | None = None  # [m/s] the fastest of them
+    margin: tuple[float, ...] = ()  # [N m] holding margin of each joint
 
     def as_json(self) -> dict[str, Any]:
         """With the keys that others rely on."""
@@ -60,8 +66,10 @@ class Question:
 
     ramp: Ramp | None = None
     categories: tuple[Category, ...] = CATEGORIES
-    payload: float | None = None  # [kg] instead of 33/66/100 % of the model's range
+    payload: float | None = None  # [kg] instead of 33/66/100 % of the largest
     payload_com: Array | None = None
+    rated: float | None = None  # [kg] what 100 % payload means, default the largest of the model's domain
+    extrapolate: bool = False  # payloads beyond the domain are computed and marked, else refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,26 +88,35 @@ def top_speed(model: Model) -> Array:
     return np.minimum(model.robot.dq_limit, np.where(seen > 0, seen, np.inf))
 
 
-def loads(model: Model, payload: float | None) -> list[tuple[float, float]]:
-    """(percent, kg) of the payloads of a table. Raises `NotCovered` beyond the model's domain."""
+def loads(model: Model, question: Question) -> list[tuple[float, float]]:
+    """(percent, kg) of the payloads of a table. Raises `NotCovered` beyond the model's domain, unless extrapolated."""
     lo, hi = model.domain.payload
-    if payload is not None:
-        if not lo - 1e-9 <= payload <= hi + 1e-9:
-            raise NotCovered(
-                f"a payload of {payload:g} kg lies outside the model's domain of {lo:g} to {hi:g} kg; identify with "
-                f"recordings that carry it"
-            )
-        return [(100.0 * payload / hi if hi > 0 else 0.0, payload)]
-    if hi <= 0:
-        return [(0.0, 0.0)]
-    return [(float(s), max(lo, hi * s / 100.0)) for s in SHARES]
+    top = hi if question.rated is None else question.rated
+    if question.payload is not None:
+        chosen = [(100.0 * question.payload / top if top > 0 else 100.0 * (question.payload > 0), question.payload)]
+    elif top <= 0:
+        chosen = [(0.0, 0.0)]
+    else:
+        chosen = [(float(s), max(lo, top * s / 100.0)) for s in SHARES]
+    for _, kg in chosen:
+        if not 0.0 <= kg < np.inf:
+            raise NotCovered(f"a payload of {kg:g} kg; expected a finite mass of at least 0 kg")
+        if not (question.extrapolate or lo - 1e-9 <= kg <= hi + 1e-9):
+            raise NotCovered(beyond_payload(kg, kg, (lo, hi)))
+    return chosen
 
 
 def prepared(model: Model, kg: float, question: Question) -> StopBounds:
     """Bounds for one payload, known within `LOAD_TOLERANCE`."""
     lo, hi = model.domain.payload
-    slack = LOAD_TOLERANCE * hi
-    return StopBounds.of(model, (max(lo, kg - slack), min(hi, kg + slack)), question.payload_com, question.ramp, pieces=PIECES)
+    if lo - 1e-9 <= kg <= hi + 1e-9:
+        slack = LOAD_TOLERANCE * hi
+        between = max(lo, kg - slack), min(hi, kg + slack)
+    else:
+        between = kg * (1.0 - LOAD_TOLERANCE), kg * (1.0 + LOAD_TOLERANCE)
+    return StopBounds.of(
+        model, between, question.payload_com, question.ramp, pieces=PIECES, extrapolate=question.extrapolate
+    )  # fmt: skip
 
 
 def three_axes(model: Model, poses: Poses, speed: Array) -> list[int]:
@@ -133,44 +150,50 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
     assumptions: tuple[str, ...] = ()
     cases = [
         (percent, kg, extension, group)
-        for percent, kg in loads(model, question.payload)
+        for percent, kg in loads(model, question)
         for extension in SHARES
         for group in [*([j] for j in axes), axes]
         if len(group) == 1 or extension == 100
     ]
     ready: dict[float, StopBounds] = {}
+    outside: set[str] = set()
     for percent, kg, extension, group in progress(cases, "stop bounds"):
         bounds = ready.setdefault(kg, prepared(model, kg, question))
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
+        outside |= {model.joints[j] for j in np.nonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))[0]}
         for share in SHARES:
-            told = _both_ways(bounds, q, group, speed * share / 100.0, question.categories)
+            told = _worst_direction(bounds, q, group, speed * share / 100.0, question.categories)
             for bound, dq in told:
-                rows.append(_row(model, bound, group, dq, share, percent, kg, extension))
-                assumptions = bound.assumptions or assumptions
+                rows.append(_row(model, bound, group, q, dq, share, percent, kg, extension))
+                stated = tuple(a for a in bound.assumptions if not a.startswith(OUTSIDE))
+                assumptions += tuple(a for a in stated if a not in assumptions)
     order = {c: i for i, c in enumerate(CATEGORIES)}
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
     limits = ", ".join(f"{j} {v:.3g}" for j, v in zip(model.joints, speed, strict=True))
-    stated = (*assumptions, f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}")
-    return Table(tuple(rows), stated, speed, poses.reach)
+    assumptions += (f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}",)
+    if outside:
+        assumptions += (
+            f"EXTRAPOLATED POSES: {', '.join(sorted(outside))} lie outside the angles of the recordings in some test poses; there the "
+            f"rigid body is computed, and friction and U are taken not to change",
+        )
+    return Table(tuple(rows), assumptions, speed, poses.reach)
 
 
-def _both_ways(
+def _worst_direction(
     bounds: StopBounds, q: Array, group: Sequence[int], speed: Array, categories: Sequence[Category]
 ) -> list[tuple[StopBound, Array]]:
-    """The worse of both directions, for each category."""
-    out: list[tuple[StopBound, Array]] = []
+    """For each category the worst of all directions: both of one axis, every combination of several."""
     worst: dict[Category, tuple[StopBound, Array]] = {}
-    for sign in (1.0, -1.0):
+    for signs in product((1.0, -1.0), repeat=len(group)):
         dq = np.zeros(len(q))
-        dq[list(group)] = sign * speed[list(group)]
+        dq[list(group)] = np.array(signs) * speed[list(group)]
         for c in categories:
             bound = bounds.bound(q, dq, c)
             known = worst.get(c)
             if known is None or _badness(bound, group) > _badness(known[0], group):
                 worst[c] = (bound, dq)
-    out.extend(worst[c] for c in categories)
-    return out
+    return [worst[c] for c in categories]
 
 
 def _badness(bound: StopBound, group: Sequence[int]) -> float:
@@ -179,16 +202,26 @@ def _badness(bound: StopBound, group: Sequence[int]) -> float:
 
 
 def _row(
-    model: Model, bound: StopBound, group: Sequence[int], dq: Array, share: float, percent: float, kg: float, extension: float
-) -> Row:
+    model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Array, share: float, percent: float, kg: float,
+    extension: float,
+) -> Row:  # fmt: skip
     angle = bound.angle
+    lo, hi = model.domain.payload
+    why = bound.why
+    if bound.certified and not lo - 1e-9 <= kg <= hi + 1e-9:
+        why = "; ".join(x for x in (why, f"payload extrapolated beyond the identified {lo:g} to {hi:g} kg") if x)
+    far = bound.tcp if bound.tcp is None or bound.links is None else max(bound.tcp, float(bound.links.max()))
+    fast = bound.tcp_speed
+    if fast is not None and bound.link_speed is not None:
+        fast = max(fast, float(bound.link_speed.max()))
     return Row(
         category=bound.category, joint="+".join(model.joints[j] for j in group), speed_percent=float(share),
         payload_percent=percent, extension_percent=float(extension), speed=float(dq[group[0]]), payload=kg,
         time_s=None if bound.time is None else _up(float(bound.time.max())),
         angle_rad=None if angle is None else _up(float(angle[list(group)].max())),
         tcp_m=None if bound.tcp is None else _up(bound.tcp), tcp_speed=bound.tcp_speed, certified=bound.certified,
-        why=bound.why,
+        why=why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
+        margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)),
     )  # fmt: skip
 
 
@@ -202,24 +235,34 @@ def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list
 
     Raises `NotCovered` for a pose beyond the limits or a payload outside the domain.
     """
-    limit = model.robot.dq_limit
+    limit = top_speed(model)
     if np.any(np.abs(dq) > limit * (1 + 1e-9)):
         j = int(np.argmax(np.abs(dq) / limit))
-        raise NotCovered(
-            f"{model.joints[j]} at {dq[j]:.4g} rad/s is beyond its limit of {limit[j]:.4g} rad/s; give a speed within it"
-        )
+        sheet = limit[j] >= model.robot.dq_limit[j]
+        what = "its limit of" if sheet else "what its recordings have seen (not covered by the model),"
+        raise NotCovered(f"{model.joints[j]} at {dq[j]:.4g} rad/s is beyond {what} {limit[j]:.4g} rad/s; give a speed within it")
     tip = model.robot.tip if question.payload_com is None else question.payload_com
-    percent, kg = loads(model, question.payload if question.payload is not None else model.domain.payload[1])[0]
+    percent, kg = loads(model, question)[-1]
     bounds = prepared(model, kg, question)
     told = {c: bounds.bound(q, dq, c) for c in question.categories}
     extension = 100.0 * Poses.of(model.robot, tip).extension_of(q)
     rows = []
     for bound in told.values():
         for j in range(model.n):
-            row = _row(model, bound, [j], dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension)
+            row = _row(model, bound, [j], q, dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension)
             own = None if bound.time is None else _up(float(bound.time[j]))
             rows.append(replace(row, speed=float(dq[j]), time_s=own))
     return rows, told
+
+
+def holding(model: Model, rows: Sequence[Row]) -> list[str]:
+    """Holding margins in words, for each payload the least of all poses: how much more than it must each joint surely holds."""
+    out = []
+    for kg in sorted({r.payload for r in rows if r.margin}):
+        least = np.min([r.margin for r in rows if r.payload == kg and r.margin], axis=0)
+        each = ", ".join(f"{j} {m:.1f}" for j, m in zip(model.joints, least, strict=True))
+        out.append(f"holding margin of brakes and dry friction with {kg:g} kg, least of all rows [N m]: {each}")
+    return out
 
 
 def as_csv(rows: Sequence[Row]) -> str:
@@ -228,11 +271,12 @@ def as_csv(rows: Sequence[Row]) -> str:
     out = csv.writer(text, lineterminator="\n")
     out.writerow(
         ["category", "joint", "speed [%]", "speed [rad/s]", "payload [%]", "payload [kg]", "extension [%]", "time [s]",
-         "angle [rad]", "TCP [m]", "certified", "why"]
+         "angle [rad]", "TCP [m]", "TCP speed [m/s]", "certified", "why", "pose [rad]", "holding margin [N m]"]
     )  # fmt: skip
     for r in rows:
         out.writerow(
             [r.category, r.joint, r.speed_percent, r.speed, r.payload_percent, r.payload, r.extension_percent, r.time_s,
-             r.angle_rad, r.tcp_m, r.certified, r.why]
+             r.angle_rad, r.tcp_m, r.tcp_speed, r.certified, r.why, " ".join(f"{x:.4f}" for x in r.pose),
+             " ".join(f"{x:.2f}" for x in r.margin)]
         )  # fmt: skip
     return text.getvalue()
