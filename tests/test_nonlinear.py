@@ -17,10 +17,11 @@ from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
 from stopset.offline.compare import compare
 from stopset.offline.conform import cooperative as co
+from stopset.offline.conform import nonlinear, nonlinear_sets
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear import fit_sets
 from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
-from stopset.offline.conform.nonlinear_sets import conform_nonlinear
+from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.sets import Options, Pairs
 from stopset.offline.identify import Settings, identify
 from stopset.reach.flowpipe import responses
@@ -306,11 +307,36 @@ def test_sets_margin_and_guarantee_of_a_regime(kind: int) -> None:
     got = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.1), 16)
     assert got.guarantee.motions == 2 and got.guarantee.calibration_motions == 6
     assert 0.7 < got.guarantee.upper_bound <= 1.0  # two motions prove next to nothing
-    assert ("every sample" if kind == 1 else "160 starts") in got.guarantee.text
+    assert ("every sample" if kind == 1 else "starts spread over the recordings") in got.guarantee.text
     assert enclosed(fitted, got.sets, data, every=13 if kind == 1 else 11)
     assert got.other.conform == "position"
     tight = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.0), 16)
     assert np.all(tight.sets.U.width <= got.sets.U.width * 1.001)  # factors are found to 1e-4
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_trials_beyond_those_in_memory_are_enclosed_and_what_fixes_the_sets_is_named(
+    kind: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four of sixteen trials are kept; one that is not was pushed three times as hard as any other."""
+    model = planar(2, 5)
+    fitted = model if kind == 2 else Abstraction(1, 3, np.diag([0.8, 1.2]), PLANAR_FRICTION)
+    data = planar_trials(model, 15) + planar_trials(model, 1, Box(3.0 * PUSH.lo, 3.0 * PUSH.hi))
+    monkeypatch.setattr(nonlinear_sets, "KEEP", 4)
+    monkeypatch.setattr(nonlinear_sets, "TOGETHER", 3)
+    monkeypatch.setattr(nonlinear, "WINDOWS", 200)
+    got = conform_nonlinear(motions(data, 8), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.0), 16)
+    assert not any(worst_excess(fitted, got.sets, data))
+    assert any("found on 4 of 16 trials" in x for x in got.notes) and "All 16 recorded trials" in got.guarantee.text
+    assert any("all trials, held-out ones too, are enclosed" in x for x in got.notes)
+    few = got.table["all"]  # fitted to what was kept, it does not hold the last one: the check is what encloses it
+    small = UncertaintySets(few.X0, few.U, few.V, 0.02, 0.6)
+    assert worst_excess(fitted, small, data)[-1] is not None
+    # what fixes U, and what it would be without one of the two motions
+    sides = {x.bound for x in got.sets.active}
+    assert {"U[a].lo", "U[a].hi", "U[b].lo", "U[b].hi"} <= sides
+    assert all(x.recording.startswith("open_loop suite") and 0.0 < x.age_s <= 0.6 for x in got.sets.active)
+    assert set(got.influence) == {0, 1} and np.any(np.abs(list(got.influence.values())) > 1e-3)
 
 
 def test_the_margin_is_calibrated_on_repetitions_where_motions_are_few() -> None:

@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from stopset.artifact import Abstraction
+from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.linear import Fit
 from stopset.offline.conform.program import STOP_TIME, age_weights
@@ -305,21 +305,38 @@ def problems(
 
 def fit_cooperative(
     trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: int,
-    conform: str = "all", windows: str = "sliding",
+    conform: str = "all", windows: str = "sliding", labels: Sequence[str] = (),
 ) -> tuple[Fit, Array]:  # fmt: skip
     """Sets of a decoupled model 1 with any friction curve, and the scaling each joint needed in the final check (n,).
 
-    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``noise``: symmetric box (2n,); ``horizon`` in steps.
-    Raises `NotConformant`.
+    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``noise``: symmetric box (2n,); ``horizon`` in steps;
+    ``labels`` of the trials: to say what fixes each bound.  Raises `NotConformant`.
     """
     n = abstraction.n
     z = np.empty((n, 8))
     factor = np.ones(n)
+    active: list[ActiveBound] = []
     cost = 0.0
     for j, problem in enumerate(problems(trials, abstraction, joints, noise, dt, horizon, conform, windows)):
         z[j], factor[j] = verified(problem, search(problem))
         cost += float(problem.cost @ z[j]) + 2.0 * float(problem.noise[0])
-    return packed(z, noise, cost, conform), factor
+        if labels:
+            active += touched(problem, z[j], labels)
+    return replace(packed(z, noise, cost, conform), active=tuple(active)), factor
+
+
+def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[ActiveBound]:
+    """The reading nearest to each side of the tube: it fixes that bound of U, with what the start and the noise leave."""
+    every = [problem.starts(len(x), 1) for x in problem.x]
+    out = []
+    for sign, side in ((-1.0, "lo"), (1.0, "hi")):
+        best, at, _ = problem.excess(z, sign, every)
+        over = np.where(np.isneginf(best), -np.inf, best - problem.room(z, sign))
+        age, state = np.unravel_index(int(np.argmax(over[1:])), over[1:].shape)
+        trial, start = at[age + 1, state]
+        name = f"{'dq' if state else 'q'}_{problem.name}"
+        out.append(ActiveBound(f"U[{problem.name}].{side}", labels[trial], start * problem.dt, (age + 1) * problem.dt, name))
+    return out
 
 
 def needed_factor(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound, TorqueZonotope
 from stopset.offline.conform.envelope import Envelope, state_names
-from stopset.offline.conform.program import SOLVER_SLACK, STOP_TIME, Bounds, age_weights, cheapest, price, sides
+from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
@@ -170,12 +170,9 @@ def _active(block: _Block, z: Array, env: Envelope, names: Sequence[str], joints
     states = state_names(joints, n)
     inputs = [f"U[{joints[j]}]" if j < n else f"U generator {j - n + 1}" for j in block.us]
     labels = [f"V[{states[i]}].{s}" for s in ("lo", "hi") for i in block.xs] + [f"{u}.{s}" for s in ("lo", "hi") for u in inputs]
-    slack = (block.G @ z - block.h) / np.maximum(np.abs(block.G).max(axis=1), 1e-12)
-    tight = np.flatnonzero(slack <= 20 * SOLVER_SLACK)
-    out: list[ActiveBound] = []
-    for v, label in zip(range(2 * m, 4 * m + 2 * k), labels, strict=True):
-        takes_part = tight[np.abs(block.G[tight, v]) > 0]
-        if len(takes_part):
-            r = takes_part[np.argmax(np.abs(block.G[takes_part, v]))]
-            out.append(env.where(label, int(block.age[r]), int(block.state[r]), "hi" if block.upper[r] else "lo", names))
-    return out
+    rows = tight(block.G, block.h, z, block.bounds)
+    return [
+        env.where(label, int(block.age[r]), int(block.state[r]), "hi" if block.upper[r] else "lo", names)
+        for v, label in zip(range(2 * m, 4 * m + 2 * k), labels, strict=True)
+        if (r := rows.get(v)) is not None
+    ]

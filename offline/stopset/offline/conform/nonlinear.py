@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.artifact import Abstraction, UncertaintySets
+from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform.cooperative import Trial, fit_cooperative
 from stopset.offline.conform.linear import Fit
-from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides
+from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal
 from stopset.sets import Box
@@ -58,13 +58,22 @@ def coarser(trials: Sequence[Trial], every: int) -> list[Trial]:
 
 
 def starts(trials: Sequence[Trial], windows: str, number: int) -> list[tuple[int, int]]:
-    """(trial, start sample), about ``number`` of them evenly over all samples; or every trial's first."""
+    """(trial, start sample), about ``number`` of them evenly over all samples and one in every trial; or every trial's first."""
+    stride = stride_of(sum(len(x) - 1 for x, _ in trials), number)
+    return [(k, s) for k, (x, _) in enumerate(trials) for s in starts_in(k, len(x), windows, stride)]
+
+
+def stride_of(steps: int, number: int) -> int:
+    """Distance of window starts, about ``number`` of them over so many steps of all trials."""
+    return max(1, steps // number)
+
+
+def starts_in(place: int, samples: int, windows: str, stride: int) -> range:
+    """Window starts in one trial, by its place among all."""
     if windows == "start":
-        return [(k, 0) for k in range(len(trials))]
-    total = sum(len(x) - 1 for x, _ in trials)
-    stride = max(1, total // number)
+        return range(1)
     # trials begin at different places of the stride, so that all ages of a motion are met
-    return [(k, s) for k, (x, _) in enumerate(trials) for s in range((k * 7) % stride, len(x) - 1, stride)]
+    return range((place * 7) % max(1, min(stride, samples - 1)), samples - 1, stride)
 
 
 def windows_of(
@@ -119,24 +128,37 @@ def needed(w: Window, fit: Fit) -> float:
     return float(max(above.max(initial=0.0), below.max(initial=0.0)))
 
 
-def fit_windows(seen: Sequence[Window], noise: Box, dt: float, conform: str = "all", every: int = 2) -> tuple[Fit, float]:
+def fit_windows(
+    seen: Sequence[Window], noise: Box, dt: float, conform: str = "all", every: int = 2, names: Sequence[str] = (),
+    labels: Sequence[str] = (),
+) -> tuple[Fit, float]:  # fmt: skip
     """Cheapest sets that enclose these windows, and the common scaling that the final check over all of them asked for.
 
-    ``every``: the program itself sees one window in so many.  Raises `NotConformant`.
+    ``every``: the program itself sees one window in so many; ``names`` of the joints and ``labels`` of the trials: to say
+    what fixes each bound.  Raises `NotConformant`.
     """
     m = noise.dim
     n = m // 2
     states = m if conform == "all" else n
-    G, h, cost = [], [], np.zeros(5 * m)
-    for w in seen[::every]:
-        rows, rhs = _rows(w, np.unique(np.geomspace(1, len(w.d) - 1, AGES).astype(int)), states)
-        G.append(rows)
-        h.append(rhs)
-        cost += _cost(w, dt, states, n)
+    chosen = seen[::every]
+    ages = [np.unique(np.geomspace(1, len(w.d) - 1, AGES).astype(int)) for w in chosen]
+    pairs = [_rows(w, a, states) for w, a in zip(chosen, ages, strict=True)]
+    cost = np.sum([_cost(w, dt, states, n) for w in chosen], axis=0)
+    G, h = np.vstack([rows for rows, _ in pairs]), np.concatenate([rhs for _, rhs in pairs])
     bounds = Bounds(noise, n, widen=conform == "all")
-    z = bounds.tidy(cheapest(np.vstack(G), np.concatenate(h), cost / len(G), bounds, "this model"))
+    z = bounds.tidy(cheapest(G, h, cost / len(chosen), bounds, "this model"))
     x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = bounds.split(z)
-    fit = Fit(Box(x_lo, x_hi), Box(u_lo, u_hi), Box(v_lo, v_hi), float(cost @ z / len(G)), (), conform)
+    active = []
+    if names:
+        origin = [(w, int(age), i) for w, a in zip(chosen, ages, strict=True) for _ in "hl" for age in a for i in range(states)]
+        title = [f"{x}_{j}" for x in ("q", "dq") for j in names]
+        inputs = [f"V[{x}]" for x in title] * 2 + [f"U[{j}]" for j in names] * 2
+        side = ["lo"] * m + ["hi"] * m + ["lo"] * n + ["hi"] * n
+        for v, r in tight(G, h, z, bounds).items():
+            w, age, i = origin[r]
+            bound = f"{inputs[v - 2 * m]}.{side[v - 2 * m]}"
+            active.append(ActiveBound(bound, labels[w.trial], w.start * dt, age * dt, title[i]))
+    fit = Fit(Box(x_lo, x_hi), Box(u_lo, u_hi), Box(v_lo, v_hi), float(cost @ z / len(chosen)), tuple(active), conform)
     factor = max(1.0, *(needed(w, fit) for w in seen))
     if not np.isfinite(factor):
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")

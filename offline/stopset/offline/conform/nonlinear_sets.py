@@ -1,13 +1,14 @@
 """From trials to the sets of one regime for a nonlinear abstraction: fit, margin, guarantee, in the manner of
 `sets.conform`.
 
-The windows of a nonlinear model cannot be folded into one envelope, so trials are kept in memory: at most `KEEP`,
-evenly over the campaign, and every motion among them.
+The windows of a nonlinear model cannot be folded into one envelope.  So sets and margin are found on trials kept in
+memory, at most `KEEP`, evenly over the campaign and every motion among them; then all trials pass by once more, a few at a
+time, held-out motions are judged, and the sets grow until every window that was looked at is enclosed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -19,13 +20,15 @@ from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
 from stopset.offline.conform.cooperative import Trial, fit_cooperative, needed_factor
 from stopset.offline.conform.linear import Fit
-from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions
+from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions, influence
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 KEEP = 400
+TOGETHER = 64  # trials in memory at a time in the check of all
+MOST_LEFT_OUT = 8  # motions: each that is left out costs a fit of its own
 # factors are found to this; what lies within it of being enclosed is rounding
 TOLERANCE = 1e-3
 
@@ -40,22 +43,32 @@ class Algorithm:
     dt: float
     steps: int
     windows: str
+    labels: dict[int, str]  # of the trials by the identity of their states
     remembered: dict[tuple[int, ...], list[along.Window]] = field(default_factory=dict)
 
     def fit(self, trials: Sequence[Trial], conform: str) -> Fit:
-        """Cheapest sets that enclose these trials."""
+        """Cheapest sets that enclose these trials, with what fixes them."""
+        titles = [self.labels[id(x)] for x, _ in trials]
         if self.abstraction.decoupled:
-            return fit_cooperative(trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, conform, self.windows)[
-                0
-            ]
+            known = (self.abstraction, self.joints, self.noise, self.dt, self.steps)
+            return fit_cooperative(trials, *known, conform, self.windows, titles)[0]
         every = 2 if self.windows == "sliding" else 1
-        return along.fit_windows(self._windows(trials), self.noise, self.dt, conform, every)[0]
+        return along.fit_windows(self._windows(trials), self.noise, self.dt, conform, every, self.joints, titles)[0]
 
     def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
         """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
         if self.abstraction.decoupled:
             return needed_factor(fit, trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, self.windows)
         return max(1.0, *(along.needed(w, fit) for w in self._windows(trials)))
+
+    def checked(self, fits: Sequence[Fit], trials: Sequence[Trial], where: Sequence[tuple[int, int]]) -> Array:
+        """The same of several sets at once, in constant memory, from the starts ``where`` (all of them for decoupled joints)."""
+        if self.abstraction.decoupled:
+            return np.array([self.needed(fit, trials) for fit in fits])
+        worst = np.ones(len(fits))
+        for w in along.windows_of(trials, self.abstraction, where, self.dt, self.steps):
+            worst = np.maximum(worst, [along.needed(w, fit) for fit in fits])
+        return worst
 
     def _windows(self, trials: Sequence[Trial]) -> list[along.Window]:
         """Windows of these trials; the latest two sets of trials are remembered, for they are asked for again and again."""
@@ -77,62 +90,109 @@ def conform_nonlinear(
 
     Raises `NotConformant`.
     """
-    kept = _kept(pairs, trials)
+    kept, lengths = _kept(pairs, trials)
     every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
-    data = {m: along.coarser(rows, every) for m, rows in kept.items()}
+    data = {m: along.coarser([t for t, _ in rows], every) for m, rows in kept.items()}
+    labels = {id(x): name for m, rows in kept.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
     longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
     steps = min(round(horizon / (dt * every)), longest)
-    algorithm = Algorithm(abstraction, joints, noise, dt * every, steps, options.windows)
+    algorithm = Algorithm(abstraction, joints, noise, dt * every, steps, options.windows, labels)
     division = g.split(list(data))
     used = [t for m in division.used for t in data[m]]
-    fit = algorithm.fit(used, options.conform)
+    other = "position" if options.conform == "all" else "all"
+    fit, second = algorithm.fit(used, options.conform), algorithm.fit(used, other)
     margin, how, notes = _margin(algorithm, data, division.used, options)
     chosen = options.margin if options.margin is not None else margin
-    grown = fit.inflated(chosen)
-    violated = sum(algorithm.needed(grown, data[m]) > 1.0 + TOLERANCE for m in division.held)
-    everything = [t for rows in data.values() for t in rows]
-    extra = algorithm.needed(grown, everything)
+    grown, companion = fit.inflated(chosen), second.inflated(chosen)
+    seen, stride = len(lengths), along.stride_of(sum((N - 1) // every for N in lengths), along.WINDOWS)
+    left, starts = _left(pairs, algorithm, (grown, companion), every, stride, division.held)
+    violated = sum(bool(left[m][0] > 1.0 + TOLERANCE) for m in division.held)
+    extra, more = np.max(list(left.values()), axis=0)
     # a held-out motion may lie outside by the tolerance and not be counted: the sets that are promised include it
-    final = grown.inflated(max(extra * (1.0 + 1e-9), 1.0 + TOLERANCE if division.held else 1.0))
+    final = grown.inflated(max(float(extra) * (1.0 + 1e-9), 1.0 + TOLERANCE if division.held else 1.0))
     if extra > 1.0 + TOLERANCE:
-        notes.append(f"grown by another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
-    if len(everything) < trials:
-        notes.append(f"sets of model {abstraction.kind} rest on {len(everything)} of {trials} trials, evenly over the campaign")
+        notes.append(f"grown by another {extra - 1:.1%} after the check so that all trials, held-out ones too, are enclosed")
+    if (few := sum(map(len, data.values()))) < seen:
+        notes.append(
+            f"sets of model {abstraction.kind} and their margin were found on {few} of {seen} trials, evenly over the campaign; all "
+            "trials were checked against them"
+        )
     promise = Guarantee(
         motions=len(division.held), violated=violated, upper_bound=g.clopper_pearson(violated, len(division.held)),
         confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used), scenario_bound=None,
     )  # fmt: skip
     what = "in position and velocity" if options.conform == "all" else "in position"
-    scope = f"{what} up to {steps * dt * every:.2f} s ahead of {_scope(abstraction, options)}"
-    promise = replace(promise, text=g.words(promise, len(everything), len(data), float(chosen), how, scope))
+    scope = f"{what} up to {steps * dt * every:.2f} s ahead of {_scope(abstraction, options, starts)}"
+    promise = replace(promise, text=g.words(promise, seen, len(data), float(chosen), how, scope))
 
     def packed(f: Fit) -> UncertaintySets:
-        return UncertaintySets(f.X0, f.U, f.V, dt * every, steps * dt * every, f.conform, options.windows, float(chosen))
+        grid = dt * every
+        return UncertaintySets(f.X0, f.U, f.V, grid, steps * grid, f.conform, options.windows, float(chosen), f.active)
 
-    other = "position" if options.conform == "all" else "all"
-    second = algorithm.fit(used, other)
-    companion = second.inflated(chosen)
-    companion = companion.inflated(algorithm.needed(companion, everything) * (1.0 + 1e-9))
+    def refitted(rest: list[list[Trial]]) -> Fit:
+        return algorithm.fit([t for rows in rest for t in rows], options.conform)
+
+    alone = influence({m: data[m] for m in division.used}, refitted, fit, MOST_LEFT_OUT)
     return Conformance(
-        packed(final), packed(companion), promise, np.full(len(joints), margin), {options.conform: fit, other: second}, {},
-        fit.cost, tuple(notes),
+        packed(final), packed(companion.inflated(float(more) * (1.0 + 1e-9))), promise, np.full(len(joints), margin),
+        {options.conform: fit, other: second}, alone, fit.cost, tuple(notes),
     )  # fmt: skip
 
 
-def _scope(abstraction: Abstraction, options: Options) -> str:
+def _left(
+    pairs: Pairs, algorithm: Algorithm, fits: Sequence[Fit], every: int, stride: int, held: Collection[int]
+) -> tuple[dict[int, Array], int]:
+    """What encloses each motion still asks of the sets, one factor each; and of how many window starts.
+
+    All trials pass by, at most `TOGETHER` in memory.  The starts are those that `worst_excess` looks at, and many more in
+    the motions held out.
+    """
+    out: dict[int, Array] = {}
+    waiting: dict[int, list[tuple[int, Trial]]] = {}
+
+    def settle() -> int:
+        count = 0
+        for m, rows in waiting.items():
+            data = along.coarser([t for _, t in rows], every)
+            where = [
+                (k, s)
+                for k, ((place, _), (x, _)) in enumerate(zip(rows, data, strict=True))
+                for s in along.starts_in(place, len(x), algorithm.windows, stride)
+            ]
+            if m in held:
+                where = sorted({*where, *along.starts(data, algorithm.windows, along.WINDOWS)})
+            out[m] = np.maximum(out.get(m, 1.0), algorithm.checked(fits, data, where))
+            count += len(where)
+        waiting.clear()
+        return count
+
+    starts = 0
+    for place, (motion, r, u) in enumerate(pairs()):
+        waiting.setdefault(motion, []).append((place, (np.hstack([r.q, r.dq]), np.asarray(u))))
+        if place % TOGETHER == TOGETHER - 1:
+            starts += settle()
+    return out, starts + settle()
+
+
+def _scope(abstraction: Abstraction, options: Options, starts: int) -> str:
     if options.windows == "start":
         return "each trial's start only"
-    return "every sample" if abstraction.decoupled else f"about {along.WINDOWS} starts spread over the recordings"
+    return "every sample" if abstraction.decoupled else f"{starts} starts spread over the recordings"
 
 
-def _kept(pairs: Pairs, trials: int) -> dict[int, list[Trial]]:
-    """Trials by motion, thinned evenly to about `KEEP`; the first of every motion stays."""
+def _kept(pairs: Pairs, trials: int) -> tuple[dict[int, list[tuple[Trial, str]]], list[int]]:
+    """Trials with their labels by motion, thinned evenly to about `KEEP`; the first of every motion stays.
+
+    And the number of samples of every trial.
+    """
     stride = max(1, -(-trials // KEEP))
-    out: dict[int, list[Trial]] = {}
+    out: dict[int, list[tuple[Trial, str]]] = {}
+    lengths = []
     for k, (motion, r, u) in enumerate(pairs()):
+        lengths.append(len(r.t))
         if motion not in out or k % stride == 0:
-            out.setdefault(motion, []).append((np.hstack([r.q, r.dq]), np.asarray(u)))
-    return dict(sorted(out.items()))
+            out.setdefault(motion, []).append(((np.hstack([r.q, r.dq]), np.asarray(u)), r.label))
+    return dict(sorted(out.items())), lengths
 
 
 def _margin(

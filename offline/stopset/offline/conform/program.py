@@ -160,3 +160,11 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
             break
         chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
     return z
+
+
+def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:
+    """Per unknown of V and U (place in ``z``), the tight row of ``G z >= h`` in which it counts most; not those in none."""
+    slack = (G @ z - h) / np.maximum(np.abs(G).max(axis=1), 1e-12)
+    rows = np.flatnonzero(slack <= 20 * SOLVER_SLACK)
+    weight = np.abs(G[rows])
+    return {v: int(rows[weight[:, v].argmax()]) for v in range(2 * bounds.m, len(z)) if len(rows) and weight[:, v].max() > 0}

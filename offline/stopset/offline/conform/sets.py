@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (motion, trial on the grid, its input u), anew per call
 
 
@@ -194,7 +196,7 @@ def conform(
         )
     grown = second.inflated(chosen)
     companion = packed(enclosing(grown, R, everything, alone))
-    return Conformance(packed(final), companion, promise, factors, table, _influence(used, fitted, fit), fit.cost, tuple(notes))
+    return Conformance(packed(final), companion, promise, factors, table, influence(used, fitted, fit), fit.cost, tuple(notes))
 
 
 def seen_by(abstraction: Abstraction, dt: float, steps: int, template: Template | None) -> Responses:
@@ -274,12 +276,12 @@ def _variants(start: Envelope, abstraction: Abstraction, joints: tuple[str, ...]
     }
 
 
-def _influence(used: dict[int, Envelope], fitted: Callable[[Sequence[Envelope]], Fit], fit: Fit) -> dict[int, tuple[float, ...]]:
-    """Leave one motion out: relative change of each joint's U width."""
-    if not 2 <= len(used) <= 64:
+def influence(used: Mapping[int, T], fitted: Callable[[list[T]], Fit], fit: Fit, most: int = 64) -> dict[int, tuple[float, ...]]:
+    """Leave one motion out: relative change of each joint's U width; nothing where there are more than ``most``."""
+    if not 2 <= len(used) <= most:
         return {}
     out = {}
     for m in used:
-        rest = fitted([env for k, env in used.items() if k != m])
+        rest = fitted([data for k, data in used.items() if k != m])
         out[m] = tuple((rest.U.width / np.maximum(fit.U.width, 1e-12) - 1.0).tolist())
     return out
