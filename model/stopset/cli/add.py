@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:
-            for line in _changes(j.before, j.after):
+            for line in (*_changes(j.before, j.after), *_there(j.name.partition(":")[2], j.before, j.after)):
                 say(f"  {line}")
     if done.model is not None:
         say(f"before -> after, errors judged on {done.judged_on}")
@@ -85,6 +85,12 @@ def run(args: argparse.Namespace) -> int:
 def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
     """One line per figure that both sides have."""
     return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in SHOWN if key in before and key in after]
+
+
+def _there(joint: str, before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """The position error at the effect's own joint: over the arm, worse joints may hide what it does there."""
+    key = f"held_out_position_rmse:{joint}"
+    return [_line(f"  of it at {joint} [rad]", before[key], after[key])] if key in before and key in after else []
 
 
 def _widths(before: Model, after: Model) -> list[str]:

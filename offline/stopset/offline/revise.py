@@ -8,7 +8,7 @@ does not help is refused, with the numbers, unless forced.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -35,8 +35,9 @@ if TYPE_CHECKING:
 
 Tell = Callable[[str], None]
 
-# an effect helps if one error falls by this share on held-out data while the other does not rise by as much
-HELPS = 0.02
+# an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
+# (a single joint's error scatters more), while no error rises by the smaller share
+HELPS, HELPS_THERE = 0.02, 0.05
 HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
 
@@ -96,7 +97,8 @@ def add(
         more, with_it = replace(settings, effects=(*settings.effects, name)), (*known, *found)
         after = judge.errors(more, with_it)
         kind = get(name.partition(":")[0])
-        helps = _helps(errors, after, kind.enters in SHIFTS)
+        joints = parse_effect(name, robot)[1]
+        helps = _helps(errors, after, joints, kind.enters in SHIFTS)
         why = "" if helps or force else "it does not lower the error on held-out data"
         judged.append(Judged(name, errors, after, helps, entry(kind), why))
         if not why:
@@ -129,7 +131,7 @@ class _Judge:
     def errors(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
         """Held-out RMS errors over the joints."""
         figures = nominal_figures(self.robot, self.paths, settings, lambda r: not self.held(r), self.held, known)
-        return _sums(figures, "held_out_")
+        return _flat(figures)
 
     def estimate(self, name: str, known: tuple[Fitted, ...]) -> tuple[Fitted, ...] | None:
         """Numbers of an effect in motor torque, None where there is no trace of it.
@@ -171,8 +173,8 @@ def _judged_before(model: Model, paths: Sequence[str | Path]) -> dict[str, float
     same = set(dict(model.provenance.get("data", {})).values()) == {sha for p in paths for _, sha in read_meta(p).sources}
     tool = model.provenance.get("tool") == f"stopset {version('stopset')}"
     last = dict(model.revisions[-1].after) if model.revisions else {}
-    found = {k: last[k] for k in HELD_OUT if k in last}
-    return found if same and tool and len(found) == len(HELD_OUT) else None
+    found = {k: v for k, v in last.items() if k.partition(":")[0] in HELD_OUT}
+    return found if same and tool and len(found) == len(HELD_OUT) * (model.n + 1) else None
 
 
 def _note(taken: Sequence[Judged], judged_on: str) -> str:
@@ -225,17 +227,29 @@ def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Record
     return (lambda r: r.trial % 2 == 1), "every other repetition"
 
 
-def _sums(figures: dict[str, dict[str, float]], prefix: str) -> dict[str, float]:
-    """RMS over joints for torque [N m], velocity [rad/s] and position [rad]."""
-    keys = [k.removeprefix(prefix) for k in HELD_OUT]
-    return {prefix + k: float(np.sqrt(np.mean([row[k] ** 2 for row in figures.values()]))) for k in keys}
+def _flat(figures: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Torque [N m], velocity [rad/s] and position [rad]: RMS over the joints, and of each joint after a colon."""
+    out: dict[str, float] = {}
+    for key in HELD_OUT:
+        each = {j: float(row[key.removeprefix("held_out_")]) for j, row in figures.items()}
+        out |= {key: _rms(each.values())} | {f"{key}:{j}": e for j, e in each.items()}
+    return out
 
 
-def _helps(before: dict[str, float], after: dict[str, float], shift: bool) -> bool:
-    """Whether held-out errors fall; a ``shift`` need only not raise them.
+def _rms(errors: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(errors)))))
+
+
+def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
+    """Whether held-out errors fall, over the arm or at the effect's own ``joints``; a ``shift`` need only not raise them.
 
     A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:
     the evidence for it is the description it contradicts, which the diagnosis has weighed before it gave any numbers.
     """
-    change = [after[k] / before[k] - 1.0 for k in ("held_out_torque_rmse", "held_out_position_rmse")]
-    return max(change) < HELPS and (shift or min(change) <= -HELPS)
+    everywhere, there = [], []
+    for key in ("held_out_torque_rmse", "held_out_position_rmse"):
+        everywhere.append(after[key] / before[key] - 1.0)
+        own = [_rms(errors[f"{key}:{j}"] for j in joints) for errors in (before, after)]
+        there.append(own[1] / own[0] - 1.0)
+    falls = min(everywhere) <= -HELPS or min(there) <= -HELPS_THERE
+    return max(everywhere + there) < HELPS and (shift or falls)
