@@ -6,6 +6,7 @@ size or with a joint more.  Every effect of `independent_effects` is hidden, eas
 
     python benchmarks/diagnosis_unseen.py make ARMS SETS --seed 20000 --rounds 1 --healthy 8 --outside 8 --pairs 5
     python benchmarks/diagnosis_unseen.py ask SETS --out ANSWERS
+    python benchmarks/diagnosis_unseen.py wander SETS     (what healthy joints leave in half-second sums)
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from independent_sets import Truth, random_truth, write_set
 from scipy.stats import beta
 
 from stopset.offline.diagnose import diagnose
+from stopset.offline.diagnose.engine import Engine
+from stopset.offline.diagnose.residual import slow_excess
 from stopset.recording import read_recordings
 from stopset.robot import load_robot
 
@@ -80,7 +83,7 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
     }  # fmt: skip
 
 
-def cases(rounds: int, healthy: int, outside: int, pairs: int, seed: int) -> list[list[tuple[str, str]]]:
+def cases(rounds: int, healthy: int, outside: int, pairs: int, seed: int, walks: int = 0) -> list[list[tuple[str, str]]]:
     """What each set hides."""
     rng = np.random.default_rng([seed, 9])
     out = [[(name, level)] for _ in range(rounds) for level in RATIO for name in EFFECTS]
@@ -89,7 +92,7 @@ def cases(rounds: int, healthy: int, outside: int, pairs: int, seed: int) -> lis
     for _ in range(pairs):
         a, b = rng.choice(list(EFFECTS), 2, replace=False)
         out.append([(str(a), "easy"), (str(b), "easy")])
-    return out
+    return out + [[("walk", "hard")]] * walks
 
 
 def interval(good: int, of: int) -> tuple[float, float]:
@@ -131,6 +134,23 @@ def ask(folder: Path, out: Path | None, only: Sequence[str]) -> None:
         print(f"{kind}: {sum(answers)} of {len(answers)} right (95 % interval {lo:.2f} to {hi:.2f})")
 
 
+def wander(folder: Path) -> None:
+    """Leftover variance, and that of its half-second sums, at every joint of the healthy sets and of those with a walk."""
+    labels = json.loads((folder / "labels.json").read_text())
+    for name, label in sorted(labels.items()):
+        walks = [e for e in label["effects"] if e["effect"] == "walk"]
+        if label["effects"] and not walks:
+            continue
+        robot = load_robot(folder / name / "robot.urdf")
+        engine = Engine.build(robot, read_recordings(folder / name / "recording.parquet", robot))
+        hyper, p = engine.fit()
+        joints = range(engine.data.n)
+        slow = [round(slow_excess(engine, p.theta, hyper, j), 2) for j in joints]
+        rows = [round(engine.excess(j, p.theta, hyper.sigma[j], 1.0), 2) for j in joints]
+        true = " ".join(f"walk at {'+'.join(e['joints'])} {e['level']} x{e['ratio']:.2f}" for e in walks) or "healthy"
+        print(f"{name} {label['arm']} {true}: half-second sums {slow}, rows {rows}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -138,17 +158,21 @@ def main() -> None:
     m.add_argument("arms", type=Path)
     m.add_argument("sets", type=Path)
     m.add_argument("--seed", type=int, default=10000)
-    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5)):
+    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5), ("walks", 0)):
         m.add_argument(f"--{name}", type=int, default=default)
     a = commands.add_parser("ask")
     a.add_argument("sets", type=Path)
     a.add_argument("--out", type=Path)
     a.add_argument("--only", default="", help="comma-separated names of sets")
+    w = commands.add_parser("wander")
+    w.add_argument("sets", type=Path)
     args = parser.parse_args()
+    if args.command == "wander":
+        return wander(args.sets)
     if args.command == "ask":
         return ask(args.sets, args.out, [x for x in args.only.split(",") if x])
     arms, labels = templates(args.arms), {}
-    for k, wanted in enumerate(cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed)):
+    for k, wanted in enumerate(cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks)):
         name, start = f"s{k:03d}", time.process_time()
         labels[name] = make(arms, wanted, args.seed + k, args.sets / name)
         print(name, labels[name], f"{time.process_time() - start:.1f} s", flush=True)

@@ -14,7 +14,7 @@ from stopset.offline.diagnose.candidate import Candidate, Scored
 from stopset.offline.diagnose.columns import columns
 from stopset.offline.diagnose.evidence import SIGMAS, JointGram, Projection, project
 from stopset.offline.diagnose.prepare import Array, Index, Mask, Prepared, prepare
-from stopset.offline.diagnose.priors import SCALES, Known, Tolerance, link_tolerance
+from stopset.offline.diagnose.priors import ROTOR_SCALES, SCALES, Known, Tolerance, link_tolerance
 from stopset.offline.diagnose.rows import JointRows
 from stopset.offline.diagnose.source import Source
 from stopset.recording import Recordings
@@ -29,11 +29,13 @@ KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
 
 @dataclass(frozen=True, slots=True)
 class Hyper:
-    """What evidence chooses: friction scale ``sigma`` and noise variance ``kappa`` per joint, CAD error ``scale``."""
+    """What evidence chooses: friction scale ``sigma`` and noise variance ``kappa`` per joint; ``scale``, ``rotor``: how far the
+    description's links and the data sheet's inertias are off, in units of their tolerance."""
 
     sigma: tuple[float, ...]
     kappa: tuple[float, ...]
     scale: float
+    rotor: float = 1.0
 
 
 @dataclass(slots=True)
@@ -52,6 +54,7 @@ class Engine:
     rotors: Index  # and those whose prior is the data sheet
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...] = SCALES
+    rotor_scales: tuple[float, ...] = ROTOR_SCALES
     active: list[Candidate] = field(default_factory=list)
     _level: dict[int, float] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
@@ -101,6 +104,7 @@ class Engine:
             own[:, 0].astype(np.intp),
             1 + 15 * n,
             scales,
+            (1.0,) if known else ROTOR_SCALES,
         )
 
     def add(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> Candidate | None:
@@ -175,11 +179,11 @@ class Engine:
         base = np.arange(1, len(self.prior_sd))
         return np.concatenate([base, *(c.cols for c in self.active)]).astype(np.intp)
 
-    def precision(self, scale: float) -> Array:
-        """Prior precision of `nuisance`; ``scale`` widens what the robot description gives."""
+    def precision(self, h: Hyper) -> Array:
+        """Prior precision of `nuisance`; ``h`` says how well description and data sheet hold."""
         sd = self.prior_sd.copy()
-        sd[self.cad] *= scale
-        sd[self.rotors] *= max(1.0, scale)  # smoothing itself moves a rotor inertia by a per cent or two
+        sd[self.cad] *= h.scale
+        sd[self.rotors] *= h.rotor
         return 1.0 / np.concatenate([sd[1:], *(c.sd for c in self.active)]) ** 2
 
     def total(self, hyper: Hyper, folds: Mask | None = None) -> tuple[Array, float]:
@@ -191,9 +195,9 @@ class Engine:
             logdet += ld
         return G, logdet
 
-    def criterion(self, p: Projection, scale: float, logdet: float) -> float:
+    def criterion(self, p: Projection, h: Hyper, logdet: float) -> float:
         """Twice the log evidence of the model without candidate, up to a constant of the data."""
-        precision = self.precision(scale)
+        precision = self.precision(h)
         return -(p.rss + p.logdet - float(np.log(precision[precision > 0]).sum()) + logdet)
 
     def fit(self, start: Hyper | None = None) -> tuple[Hyper, Projection]:
@@ -206,18 +210,24 @@ class Engine:
             for j in range(n):
                 h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
             h = view._best(h, [replace(h, scale=s) for s in self.scales])
+            h = view._best(h, [replace(h, rotor=s) for s in self.rotor_scales])
             p = view._project(h)[0]
             h = replace(h, kappa=tuple(view.kappa(j, p.theta, h.sigma[j]) for j in range(n)))
             if h == before:
                 break
         return h, view._project(h)[0]
 
+    def descriptions(self, h: Hyper) -> list[Hyper]:
+        """``h`` with the description or the data sheet holding better or worse."""
+        links = [replace(h, scale=s) for s in self.scales if s != h.scale]
+        return links + [replace(h, rotor=s) for s in self.rotor_scales if s != h.rotor]
+
     def evidence(self, h: Hyper) -> float:
         """Twice the log evidence of the current model at ``h``, comparable between models of the same data."""
         view = self.view()
         p, logdet = view._project(h)
         spread = sum(r.size * float(np.log(k)) for r, k in zip(self.rows, h.kappa, strict=True))
-        return view.criterion(p, h.scale, logdet) - spread
+        return view.criterion(p, h, logdet) - spread
 
     def view(self) -> Engine:
         """This engine with only the columns of y and the current model: small and quick to refit; the last one is kept."""
@@ -236,14 +246,14 @@ class Engine:
 
     def _project(self, h: Hyper) -> tuple[Projection, float]:
         G, logdet = self.total(h)
-        return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h.scale)), logdet
+        return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h)), logdet
 
     def _best(self, now: Hyper, choices: Sequence[Hyper]) -> Hyper:
         """The choice of highest evidence."""
         values = []
         for h in choices:
             p, logdet = self._project(h)
-            values.append(self.criterion(p, h.scale, logdet))
+            values.append(self.criterion(p, h, logdet))
         return choices[int(np.argmax(values))] if values else now
 
     def kappa(self, joint: int, theta: Array, sigma: float) -> float:

@@ -112,7 +112,7 @@ def _shown(
     place = np.full(engine.size, -1)
     place[rest] = np.arange(len(rest))
     G, _ = engine.total(hyper)
-    p = project(G, 0, engine.nuisance, rest, engine.precision(hyper.scale))
+    p = project(G, 0, engine.nuisance, rest, engine.precision(hyper))
     out: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {}
     for c in candidates:
         ix = place[c.cols]

@@ -10,6 +10,7 @@ from stopset.offline.diagnose.prepare import Array
 from stopset.robot import Robot
 
 SCALES = (0.3, 1.0, 3.0, 10.0, 30.0)  # how far the CAD may be off, in units of its tolerance; found by evidence
+ROTOR_SCALES = (0.25, 0.5, 1.0)  # likewise of data-sheet inertias, but not beyond: more than the tolerance is a finding
 
 
 @dataclass(frozen=True, slots=True)

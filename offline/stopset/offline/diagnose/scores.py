@@ -46,15 +46,14 @@ def scores(engine: Engine, candidates: Sequence[Candidate], hyper: Hyper, quick:
     best, nuisance = _Best(candidates), engine.nuisance
     rest = np.unique(np.concatenate([c.cols for c in candidates]))
     G, logdet = engine.total(hyper)
-    p = project(G, 0, nuisance, rest, engine.precision(hyper.scale))
-    reference = engine.criterion(p, hyper.scale, logdet)
+    p = project(G, 0, nuisance, rest, engine.precision(hyper))
+    reference = engine.criterion(p, hyper, logdet)
     best.consider(p, rest, 0.0, everyone)
     if quick:
         return best.ranked()
-    for scale in engine.scales:
-        if scale != hyper.scale:
-            p = project(G, 0, nuisance, rest, engine.precision(scale))
-            best.consider(p, rest, engine.criterion(p, scale, logdet) - reference, everyone)
+    for other in engine.descriptions(hyper):
+        p = project(G, 0, nuisance, rest, engine.precision(other))
+        best.consider(p, rest, engine.criterion(p, other, logdet) - reference, everyone)
     for j in range(engine.data.n):
         touching = [k for k in everyone if j in candidates[k].joints]
         if touching:
@@ -80,8 +79,8 @@ def _other_scatter(
         there, ld2 = gram.at(float(s), hyper.kappa[joint])
         changed = few.copy()
         changed[at] += there - here
-        p = project(changed, 0, number[nuisance], number[rest], engine.precision(hyper.scale))
-        best.consider(p, rest, engine.criterion(p, hyper.scale, logdet + ld2 - ld) - reference, touching)
+        p = project(changed, 0, number[nuisance], number[rest], engine.precision(hyper))
+        best.consider(p, rest, engine.criterion(p, hyper, logdet + ld2 - ld) - reference, touching)
 
 
 def score_new(
