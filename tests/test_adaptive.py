@@ -14,11 +14,13 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
+from stopset.offline import drift
 from stopset.offline.adaptive import from_scratch, load_state, save_state, update
 from stopset.offline.adaptive_file import ENVELOPE
 from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.nominal import identify_nominal, solve_nominal
 from stopset.offline.sums import Kept
-from stopset.recording import Recording
+from stopset.recording import Recording, stream_recordings
 from synthetic import arm, names, recordings, save_trials
 
 JOINTS = names(2)
@@ -207,6 +209,54 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
         assert f"({count // 2} stops were used" in line[0] and f"({10 // 2} stops were used" not in line[0]
         assert added.kept is not None and len(added.kept.stops) == count
         assert f"{count - 10} stops added to 10" in added.model.revisions[-1].note
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    folder = tmp_path_factory.mktemp("motor")
+    old = save_trials(folder / "old.parquet", recordings(J, v, 6, seconds=2.0, bias=0.0, seed=81), JOINTS, effort="motor_torque")
+    found = identify(ROBOT, [old], keep=True)
+    model = save_model(found.model, folder / "m.json")
+    assert found.kept is not None
+    save_state(folder / "s.state", found.kept, model)
+    return Campaign(folder, old, model, folder / "s.state")
+
+
+def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign) -> None:
+    """Solved again they are the nominal model of all recordings read together, so the difference that is told is the true one."""
+    new = save_trials(
+        motor.folder / "more.parquet", recordings(J, v, 3, seconds=2.0, bias=0.0, seed=82), JOINTS, effort="motor_torque"
+    )
+    kept = motor.kept()
+    assert kept.nominal.data is not None
+    # of what was kept alone it is the model's own nominal model
+    assert np.all(drift.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
+    added = update(motor.model, kept, [new])
+    assert added.kept is not None and added.kept.nominal.data is not None
+    held = added.survey.held_out
+    read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.motion not in held]
+    whole = identify_nominal(ROBOT, read)
+    again = solve_nominal(ROBOT, added.kept.nominal.data)
+    spread = np.sqrt(np.diag(whole.covariance))
+    assert np.all(np.abs(whole.theta - again.theta) <= 1e-6 * spread + 1e-9)
+    assert added.kept.nominal.data.recordings == kept.nominal.data.recordings + len(read) - 24
+
+
+@pytest.mark.parametrize(("friction", "due"), [((4.0, 2.0), False), ((6.0, 3.0), True)])
+def test_an_update_says_when_the_nominal_model_is_out_of_date(motor: Campaign, friction: tuple[float, float], due: bool) -> None:
+    trials = recordings(J, friction, 4, seconds=2.0, bias=0.0, seed=83)
+    new = save_trials(motor.folder / f"drift_{due}.parquet", trials, JOINTS, effort="motor_torque")
+    note = update(motor.model, motor.kept(), [new]).model.revisions[-1].note
+    assert "a nominal model of all recordings would differ by" in note
+    assert (drift.DUE in note) == due, note
+
+
+def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None:
+    for friction, due in ((v, False), ((6.0, 3.0), True)):
+        new = nine.write(f"drift_{due}.parquet", recordings(J, friction, 2, seed=84))
+        note = update(nine.model, nine.kept(), [new]).model.revisions[-1].note
+        assert "times that on the old ones" in note and "a nominal model of all" not in note
+        assert (drift.DUE in note) == due, note
 
 
 def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,8 +2,9 @@
 
 For a given nominal model the envelopes by motion, the figures by trial and the survey's counts are all that the sets,
 margin and guarantee are made from.  They are maxima, minima and rows summed in campaign order, so the result equals that
-of all recordings read together (`from_scratch`) to the last bit.  The nominal model stays as it is, and so do the settings
-(trap P18); motions it was fitted to are never held out to judge it.
+of all recordings read together (`from_scratch`) to the last bit.  Recorded stops are kept whole, and brakes and ramps
+identified from old and new ones.  The nominal model stays as it is, and so do the settings (trap P18); motions it was fitted
+to are never held out to judge it.  `drift` says when it is time for a new one.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
+from stopset.offline import drift
 from stopset.offline.adaptive_file import load_state, save_state
 from stopset.offline.assembly import STOPS, Identification, concluded, stopped
 from stopset.offline.revise import description, settings_of
@@ -59,16 +61,23 @@ def update(
     numbers = _numbers(kept, found)
     new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(kept.tally.steps)
     tell(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")
-    later = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
+    nominal, difference = kept.nominal, None
+    if nominal.data is not None:
+        nominal = replace(nominal, data=drift.folded(nominal.data, robot, model, source(), found))
+        assert nominal.data is not None
+        difference = drift.apart(nominal.data, robot, model)
+    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
-    fresh = concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
+    fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
     assert fresh.kept is not None
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
         f"{UPDATED}{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
         f"{', '.join(dict.fromkeys(name for name, _ in kept.meta.sources[: kept.fitted_files]))}"
     )
+    if trials:
+        note += "; " + drift.note(model, kept.sums.figures, later.figures, difference)
     if len(stops) > len(kept.stops):
         note += f"; {len(stops) - len(kept.stops)} stops added to {len(kept.stops)}"
     fresh = stopped(replace(fresh, kept=replace(fresh.kept, fitted_files=kept.fitted_files)), stops, tell)

@@ -26,8 +26,9 @@ from stopset.offline.conform.sets import Gathered
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.errors import Figures
 from stopset.offline.motions import Suite
+from stopset.offline.nominal.sums import load_sums, sums_bytes
 from stopset.offline.nominal_part import NominalPart
-from stopset.offline.revise import settings_of
+from stopset.offline.revise import description, settings_of
 from stopset.offline.sums import Kept, Sums
 from stopset.offline.survey import Tally
 from stopset.recording import Meta, Recording
@@ -65,6 +66,8 @@ def save_state(path: str | Path, kept: Kept, model: Model) -> None:
         arrays["reference"] = _edges(kept.bands.reference)
     if kept.template is not None:
         arrays["generators"], arrays["directions"] = kept.template.generators, kept.template.directions
+    if kept.nominal.data is not None:
+        arrays["nominal"] = np.frombuffer(sums_bytes(kept.nominal.data), np.uint8)
     buffer = BytesIO()
     arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
@@ -109,7 +112,8 @@ def load_state(path: str | Path, model: Model) -> Kept:
 
 
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
-    nominal = NominalPart(model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]))
+    data = load_sums(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
+    nominal = NominalPart(model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data)
     m = head["meta"]
     constant = m["torque_constant"]
     meta = Meta(

@@ -17,6 +17,7 @@ from stopset.offline.conform.nonlinear import GRID, coarser
 from stopset.offline.conform.sets import Pairs
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.known import described, plain
+from stopset.offline.nominal.gram import NormalEquations
 from stopset.offline.output_error import fit_joint
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.settings import Settings
@@ -30,13 +31,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class NominalPart:
-    """Everything that must be known before the sets."""
+    """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was."""
 
     robot: Robot
     rotor: Array
     effects: tuple[Fitted, ...]
     abstraction: Abstraction
     notes: tuple[str, ...]
+    data: NormalEquations | None = None
 
 
 def fit_nominal(
@@ -106,7 +108,7 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
         1, 1, np.linalg.inv(inertia), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
     )
     notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
-    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes)
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data)
 
 
 def abstracted(nominal: NominalPart, found: Survey, settings: Settings, effort: str) -> NominalPart:

@@ -25,6 +25,11 @@ def save_sums(path: str | Path, data: NormalEquations) -> None:
 
     Raises `OutputError` when the place cannot be written.
     """
+    write_bytes(path, sums_bytes(data))
+
+
+def sums_bytes(data: NormalEquations) -> bytes:
+    """The sums as a file's content."""
     upper = np.triu_indices(data.moving.shape[-1])
     used = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
     head = {
@@ -50,10 +55,10 @@ def save_sums(path: str | Path, data: NormalEquations) -> None:
         still=data.still[..., upper[0], upper[1]],
         **{name: getattr(data, name) for name in ARRAYS},
     )
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
-def load_sums(path: str | Path, robot: Robot) -> NormalEquations:
+def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
     """Read sums back for ``robot``; add those of new recordings and solve.
 
     Raises `ModelFileError` for a file that is damaged, of another version, or of another robot.
@@ -86,7 +91,7 @@ def load_sums(path: str | Path, robot: Robot) -> NormalEquations:
     return out
 
 
-def _check(head: dict[str, object], robot: Robot, path: str | Path) -> None:
+def _check(head: dict[str, object], robot: Robot, path: str | Path | BytesIO) -> None:
     if head["schema"] != SCHEMA or head["delays"] != DELAYS.tolist():
         raise ModelFileError(f"{path} is of version {head['schema']}, expected {SCHEMA}; identify from the recordings again")
     if head["joints"] != list(robot.joints):
