@@ -14,6 +14,7 @@ from stopset.offline.compare import answer, compare
 from stopset.offline.conform.guarantee import scenario_bound
 from stopset.offline.errors import torque_error
 from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.survey import on_grid
 from stopset.reach.nonlinear import nominal
 from stopset.recording import Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
@@ -259,3 +260,14 @@ def test_torque_error_of_a_model_on_its_own_motion_is_zero(kind: int) -> None:
     if kind == 2:
         bare = np.abs(torque_error(replace(a, coriolis=(), kind=1), h, q, dq, u)).max(axis=0)
         assert bare[0] > 3 * step[0]
+
+
+def test_a_clock_four_percent_off_is_put_on_the_grid() -> None:
+    """Its stamps are even, but taken for the grid its speed would not be the derivative of its position."""
+    t = 1.04 * DT * np.arange(300)
+    q = np.sin(2 * t)[:, None]
+    r = on_grid(Recording("open_loop", 0, 0, 0, t, q, 2 * np.cos(2 * t)[:, None], 0 * q), DT)
+    np.testing.assert_allclose(np.diff(r.t), DT, rtol=1e-9)
+    np.testing.assert_allclose(r.q[:, 0], np.sin(2 * r.t), atol=4 * (1.04 * DT) ** 2 / 8)  # curvature between samples
+    exact = dataclasses.replace(r, t=DT * np.arange(len(r.t)))
+    assert on_grid(exact, DT) is exact

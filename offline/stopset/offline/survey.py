@@ -18,6 +18,8 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
 
+JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even
+DRIFT = 0.5  # steps: a clock that has run off the grid by more is resampled, however even its stamps are
 KEEP = 256  # trials kept for fits that need them in memory
 REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
 # which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
@@ -71,7 +73,7 @@ class Survey:
 
 def on_grid(r: Recording, dt: float) -> Recording:
     """The recording on the grid ``k dt``, linearly interpolated; itself if it is there already."""
-    if np.abs(np.diff(r.t) - dt).max() <= 0.05 * dt:
+    if np.abs(np.diff(r.t) - dt).max() <= JITTER * dt and np.abs(r.t - r.t[0] - dt * np.arange(len(r.t))).max() <= DRIFT * dt:
         return r
     t = np.arange(r.t[0], r.t[-1] + 1e-9, dt)
 
@@ -126,7 +128,7 @@ class Tally:
             if len(self.kept) > KEEP:
                 self.kept, self.stride = self.kept[::2], 2 * self.stride
         self.steps.append(float(np.median(np.diff(r.t))))
-        self.irregular |= bool(np.abs(np.diff(r.t) - self.steps[-1]).max() > 0.05 * self.steps[-1])
+        self.irregular |= on_grid(r, self.steps[-1]) is not r
         self.samples += len(r.t)
         self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
 

@@ -26,6 +26,7 @@ AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a rati
 CORRELATED = 0.9  # below it dq does not follow q at all
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 SAME = 3  # trials in which a signal stops at the very same value below its largest
+OFF_RATE = 0.01  # relative: rates further off than this are told
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 
 
@@ -77,15 +78,32 @@ def clock(t: Tally, meta: Meta) -> list[Finding]:
                     f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
                     "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
         )  # fmt: skip
-    if np.isfinite(meta.rate_hz) and abs(period * meta.rate_hz - 1) > 0.2:
-        out.append(
-            Finding("rate", "warning", None, f"stamps come at {1 / period:.4g} Hz", f"{meta.rate_hz:.4g} Hz as the metadata says",
-                    "correct t (is it in ms?) or the metadata", 1 / period)
-        )  # fmt: skip
+    out += _rate(t, meta)
     if meta.clock == "assumed":
         out.append(
             Finding("clock_assumed", "note", None, "the stamps are assumed, not recorded", "recorded stamps",
                     "jitter and lost samples can only be seen in the motion itself")
+        )  # fmt: skip
+    return out
+
+
+def _rate(t: Tally, meta: Meta) -> list[Finding]:
+    """A rate on average that is not the stated one, or not the same in all trials."""
+    out = []
+    mean = np.array(t.mean_period or t.period)
+    usual = float(np.median(mean))
+    if np.isfinite(meta.rate_hz) and abs(usual * meta.rate_hz - 1) > OFF_RATE:
+        why = "is t in ms? correct it" if abs(np.log10(usual * meta.rate_hz)) > 1 else "correct t"
+        out.append(
+            Finding("rate", "warning", None, f"stamps come at {1 / usual:.4g} Hz on average",
+                    f"{meta.rate_hz:.4g} Hz as the metadata says", f"{why}, or the metadata", 1 / usual)
+        )  # fmt: skip
+    spread = float(mean.max() / mean.min() - 1)
+    if spread > OFF_RATE and np.max(t.jitter) <= JITTER:  # an irregular clock has been told already
+        out.append(
+            Finding("clock_drift", "warning", None,
+                    f"trials come at {1 / mean.max():.4g} to {1 / mean.min():.4g} Hz, {100 * spread:.1f} % apart",
+                    f"one rate to {100 * OFF_RATE:.0f} %", "identification resamples them to one grid; look for two clocks", spread)
         )  # fmt: skip
     return out
 

@@ -14,6 +14,7 @@ from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.needs import Need, needs
 from stopset.offline.inspect.tally import MOVING, Tally
+from stopset.offline.inspect.units import Sample, degrees
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Tolerance, prior_of
@@ -70,9 +71,11 @@ class _Campaign:
     suites: dict[tuple[str, int], int] = field(default_factory=dict)
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
+    sample: Sample = field(default_factory=Sample)
 
     def add(self, r: Recording) -> None:
         self.tally.add(r)
+        self.sample.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
         self.suites[r.motion] = self.suites.get(r.motion, 0) + 1
@@ -125,11 +128,14 @@ def _inspect(path: Path, robot: Robot | None) -> Inspection:
                 pass
     except RecordingError as e:
         refused = " ".join(str(e).split())
-    found = _findings(campaign.tally, joints, meta, robot, data)
+    found = _findings(campaign, joints, meta, robot, data)
     return Inspection(str(path), _offers(campaign, meta, joints), tuple(_missing(campaign, meta, robot)), tuple(found), refused)
 
 
-def _findings(t: Tally, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None) -> list[Finding]:
+def _findings(
+    campaign: _Campaign, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None
+) -> list[Finding]:
+    t = campaign.tally
     out = [*detect.clock(t, meta), *detect.velocity(t, joints, meta), *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
@@ -137,6 +143,9 @@ def _findings(t: Tally, joints: Sequence[str], meta: Meta, robot: Robot | None, 
     if robot is not None:
         out += detect.torque_limits(t, joints, robot.torque_limit)
     if robot is not None and data is not None and meta.effort != "compensated_torque":
+        in_degrees = degrees(campaign.sample, robot)
+        if in_degrees:  # nothing else that rests on positions can be told
+            return out + in_degrees
         scale, std = torque_scales(robot, data)
         gear = np.array([d.gear_ratio for d in robot.drives])
         constant = _constants(meta, joints)

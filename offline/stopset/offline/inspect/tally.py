@@ -13,6 +13,7 @@ GAP = 1.6  # periods between stamps from which on a sample is missing
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
 LAGS = 6  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
+LONG = 50  # samples from which on a trial's mean period is known to a per cent
 PLATEAU = 5  # equal samples in a row at a signal's largest value
 
 
@@ -30,7 +31,8 @@ class Tally:
     repeated: int = 0  # samples that repeat all signals in the middle of a motion
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
-    period: list[float] = field(default_factory=list)
+    period: list[float] = field(default_factory=list)  # per trial: the usual one
+    mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
     way: Array = field(init=False)  # (3, n) sums of a^2, a b, b^2: way of q, integral of dq
     lagged: Array = field(init=False)  # (2 LAGS + 1, n) squared difference of dq, shifted, to the derivative of q
     speed2: Array = field(init=False)
@@ -81,6 +83,8 @@ class Tally:
         h = float(np.median(dt))
         gap = dt > GAP * h
         self.period.append(h)
+        if len(r.t) >= LONG:
+            self.mean_period.append(float(np.mean(dt[~gap])))
         self.jitter.append(float(np.std(dt[~gap]) / h) if (~gap).any() else 0.0)
         self.gaps += int(gap.sum())
         self.missing += int(np.round(dt[gap] / h - 1).sum())
