@@ -104,12 +104,17 @@ class UncertaintySets:
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s]."""
+    """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s].
+
+    ``apart`` [s]: within one stop every joint's delay lies at the same place of its interval, up to this much, as when one
+    power stage cuts all brakes; None where nothing is known of it.
+    """
 
     torque: Box
     delay: Box
     rise: Box
     source: str = "assumed"  # "assumed" | "data sheet" | "identified from ..."
+    apart: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

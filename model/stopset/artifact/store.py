@@ -71,14 +71,19 @@ def _digest(body: Mapping[str, Any]) -> str:
 def model_text(model: Model) -> str:
     """The model file's text; its ``sha256`` covers everything else in it.
 
-    It is of the oldest schema that can hold the model: a file without zonotopes is what it was before there were any.
+    It is of the oldest schema that can hold the model: a file without zonotopes, or brakes cut by one stage, is what it was
+    before there were any.
     """
-    schema = SCHEMA_VERSION if any(s.zonotope is not None for s in model.sets.values()) else FIRST_SCHEMA
+    brakes = model.brakes
+    newer = any(s.zonotope is not None for s in model.sets.values()) or (brakes is not None and brakes.apart is not None)
+    schema = SCHEMA_VERSION if newer else FIRST_SCHEMA
     body: dict[str, Any] = {"format": FORMAT, "schema": schema, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
     body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
     if schema == FIRST_SCHEMA:
         for sets in body["sets"].values():
             del sets["zonotope"]
+        if body["brakes"] is not None:
+            del body["brakes"]["apart"]
     body["sha256"] = _digest(body)
     return _text(body)
 

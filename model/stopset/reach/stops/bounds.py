@@ -61,9 +61,9 @@ class StopBounds:
             return StopBound(category, False, NO_BRAKES)
         if category != "0" and self.ramp is None:
             return StopBound(category, False, NO_RAMP, assumptions=self.setting.assumptions)
-        n, noise = self.model.n, self.setting.noise
+        n, start = self.model.n, self.setting.start if category in ("0", "1 guaranteed") else self.setting.truth
         beyond = beyond_domain(self.model, q, dq)
-        box = q - noise.centre[:n], dq - noise.centre[n:], noise.radius[:n], noise.radius[n:]
+        box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n], start.radius[n:]
         if category == "0":
             bound = self._power_off(*box)
         elif category == "1 guaranteed":
@@ -80,13 +80,13 @@ class StopBounds:
         if self.setting is None:
             return None
         q, dq = self._checked(q, dq)
-        n, noise = self.model.n, self.setting.noise
-        q, dq = q - noise.centre[:n], dq - noise.centre[n:]
-        q_radius, dq_radius = q_radius + noise.radius[:n], dq_radius + noise.radius[n:]
+        n, start = self.model.n, self.setting.start
+        q, dq = q + start.centre[:n], dq + start.centre[n:]
+        q_radius, dq_radius = q_radius + start.radius[:n], dq_radius + start.radius[n:]
         tube = tube_of(self.setting, q, dq, q_radius, dq_radius)
         if tube.end != OK:
             return None
-        return Certificate(tube, q, dq, q_radius, dq_radius, noise.radius[:n], noise.radius[n:])
+        return Certificate(tube, q, dq, q_radius, dq_radius, start.radius[:n], start.radius[n:])
 
     def _checked(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
         robot, n = self.model.robot, self.model.n

@@ -180,9 +180,16 @@ class Setting:
     model: Model
     plant: Plant
     noise: Box  # (2n,) error of a measured state (q, dq)
+    start: Box  # (2n,) what a power-off stop starts from, less the measured state: its error, and what the drive still gives
+    apart: float | None  # [s] see `Brakes`
     payload: tuple[float, float]
     payload_com: Array
     assumptions: tuple[str, ...]
+
+    @property
+    def truth(self) -> Box:
+        """(2n,) the true state less the measured one."""
+        return Box(-self.noise.hi, -self.noise.lo)
 
 
 def setting_of(
@@ -250,7 +257,15 @@ def setting_of(
     assumptions.append(
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
-    return Setting(model, plant, noise, (lo, hi), com, tuple(assumptions))
+    start = sets.X0 if regime == "stop0" else Box(-noise.hi, -noise.lo)
+    if not noise.encloses(Box(-start.hi, -start.lo)):
+        assumptions.append(
+            f"what the drives still give while their power goes changes the speeds by no more than "
+            f"{_range(start.take(slice(n, 2 * n)))} rad/s, measurement error included"
+        )
+    if brakes.apart is not None:
+        assumptions.append(f"within one stop the brakes' delays lie apart by no more than {1e3 * brakes.apart:.3g} ms")
+    return Setting(model, plant, noise, start, brakes.apart, (lo, hi), com, tuple(assumptions))
 
 
 def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, Literal
 
 import numpy as np
@@ -39,7 +39,8 @@ class Ramp:
     ``reaction`` [s] at ``tolerance`` (share of the speed at the request) above it. ``window`` [rad] and ``creep`` [rad/s]:
     standstill window of STOP 2 and the speed at which leaving it is noticed. ``share``: largest speed a failed ramp can
     reach, as a share of the speed at the request (above 1: drives may accelerate); ``together``: whether all joints then
-    keep the same share, as when the whole controller fails, else each its own.
+    keep the same share, as when the whole controller fails, else each its own. ``pace`` (lo, hi) [1/s]: the ramp slows
+    down the programmed motion, which may itself be changing its speeds at the request, by this share per second of motion.
     """
 
     kind: Literal["time", "deceleration"]
@@ -55,6 +56,7 @@ class Ramp:
     together: bool = False
     window: float = 0.01
     creep: float = 0.05
+    pace: tuple[float, float] = (0.0, 0.0)
     source: str = "stated"
     notes: tuple[str, ...] = field(default=())
 
@@ -65,7 +67,7 @@ class Ramp:
             "control": [self.control.lo.tolist(), self.control.hi.tolist()], "q_error": self.q_error.tolist(),
             "dq_error": self.dq_error.tolist(), "off_after": self.off_after, "monitored": self.monitored,
             "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "together": self.together,
-            "window": self.window, "creep": self.creep, "source": self.source, "notes": list(self.notes),
+            "window": self.window, "creep": self.creep, "pace": list(self.pace), "source": self.source, "notes": list(self.notes),
         }  # fmt: skip
 
     @classmethod
@@ -73,6 +75,7 @@ class Ramp:
         """From the model file's provenance."""
         rest = {k: d[k] for k in ("off_after", "monitored", "reaction", "tolerance", "share", "window", "creep", "source")}
         rest["together"] = d.get("together", False)
+        rest["pace"] = tuple(d.get("pace", (0.0, 0.0)))
         return cls(
             kind=d["kind"], value=Box.of(*d["value"]), control=Box.of(*d["control"]), q_error=np.array(d["q_error"], float),
             dq_error=np.array(d["dq_error"], float), notes=tuple(d["notes"]), **rest,
@@ -116,13 +119,15 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     lasts = ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo
     end = float(np.max(ramp.control.hi + lasts))
     t = np.linspace(0.0, end, KNOTS + 1)
-    curves = [_curve(ramp, v, t, slow) for v in (v_lo, v_hi) for slow in (True, False)]
+    curves = [_curve(ramp, v, t, slow, pace) for v in (v_lo, v_hi) for slow in (True, False) for pace in ramp.pace]
     d = np.array([c[0] for c in curves])
     v = np.array([c[1] for c in curves])
     # tracking errors exist from the request on; the first knot is exact
     after = (t > 0)[:, None]
+    # between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared
+    bend = fast * max(map(abs, ramp.pace)) * 3.0 / np.maximum(_shortest(ramp, fast), 1e-3) * t[1] ** 2 / 8.0
     d_lo, d_hi = d.min(axis=0) - after * ramp.q_error, d.max(axis=0) + after * ramp.q_error
-    w_lo, w_hi = v.min(axis=0) - ramp.dq_error, v.max(axis=0) + ramp.dq_error
+    w_lo, w_hi = v.min(axis=0) - ramp.dq_error - bend, v.max(axis=0) + ramp.dq_error + bend
     nothing = np.zeros((KNOTS, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
@@ -130,14 +135,20 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     )  # fmt: skip
 
 
-def _curve(ramp: Ramp, v: Array, t: Array, slow: bool) -> tuple[Array, Array]:
+def _shortest(ramp: Ramp, fast: Array) -> Array:
+    return ramp.value.lo if ramp.kind == "time" else fast / ramp.value.hi
+
+
+def _curve(ramp: Ramp, v: Array, t: Array, slow: bool, pace: float) -> tuple[Array, Array]:
     """Displacement and speed (T, n) of one corner: latest start and gentlest ramp, or the opposite."""
     begin = ramp.control.hi if slow else ramp.control.lo
     gentle = ramp.value.hi if slow == (ramp.kind == "time") else ramp.value.lo
     lasts = gentle if ramp.kind == "time" else np.abs(v) / gentle
     s = np.clip((t[:, None] - begin) / np.maximum(lasts, 1e-12), 0.0, 1.0)
     held = np.minimum(t[:, None], begin)
-    return v * (held + lasts * (s - 0.5 * s * s)), v * (1.0 - s)
+    way = held + lasts * (s - 0.5 * s * s)  # [s] of the programmed motion that were run through
+    share = 1.0 + pace * way
+    return v * np.where(share > 0.0, way + 0.5 * pace * way * way, -0.5 / min(pace, -1e-12)), v * (1.0 - s) * np.maximum(share, 0.0)
 
 
 def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array:
@@ -160,9 +171,10 @@ def infeasible(
     asked = np.zeros(model.n)
     borders = np.unique(np.concatenate([[0.0], lasts[np.abs(dq) > 0]]))
     for begin, end in pairwise(borders):
-        acc = np.where((lasts > begin) & (np.abs(dq) > 0), -dq / lasts, 0.0)
-        for pi in bodies:
-            tau = np.array([_ramp_torque(model, pi, rotor, q, dq, lasts, t, acc) for t in np.linspace(begin, end, POINTS)])
+        moving = (lasts > begin) & (np.abs(dq) > 0)
+        for pi, pace in product(bodies, sorted({0.0, *ramp.pace})):
+            times = np.linspace(begin, end, POINTS)
+            tau = np.array([_ramp_torque(model, pi, rotor, q, dq, lasts, t, moving, pace) for t in times])
             jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
             asked = np.maximum(asked, np.abs(tau).max(axis=0) + jump + extra)
     worst = int(np.argmin(limit - asked))
@@ -174,9 +186,13 @@ def infeasible(
     )
 
 
-def _ramp_torque(model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: float, acc: Array) -> Array:
-    """(n,) [N m] of the rigid body with rotors, ``t`` seconds into the ramp."""
+def _ramp_torque(
+    model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: float, moving: NDArray[np.bool_], pace: float
+) -> Array:
+    """(n,) [N m] of the rigid body with rotors, ``t`` seconds into the ramp of the joints ``moving``."""
     u = np.minimum(t / lasts, 1.0)
-    here = q + dq * lasts * (u - 0.5 * u * u)
-    out: Array = torque(model.robot.chain, pi, here, dq * (1.0 - u), acc) + rotor * acc
+    way = lasts * (u - 0.5 * u * u)
+    here, speed = q + dq * (way + 0.5 * pace * way * way), dq * (1.0 - u) * (1.0 + pace * way)
+    acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * way) / lasts), 0.0)
+    out: Array = torque(model.robot.chain, pi, here, speed, acc) + rotor * acc
     return out

@@ -7,7 +7,8 @@ import numpy as np
 from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.split import certify
-from stopset.reach.stops.tube import Plant, Tube, march
+from stopset.reach.stops.tube import OK, Plant, Tube, march
+from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import Array, gravity_torque
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
@@ -43,13 +44,22 @@ def tube_of(setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: A
 def tubes_of(
     setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS
 ) -> list[Tube]:
-    """Tubes that together hold all stops from the box, up to ``pieces`` of them; the last is not OK if that failed."""
+    """Tubes that together hold all stops from the box; the last is not OK if that failed.
+
+    Up to ``pieces`` of them, for every window of the brakes' common delay; with one piece the delays are taken as independent.
+    """
     lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
 
     def one(plant: Plant, energetic: bool) -> Tube:
         return march_box(setting, plant, q, dq, q_radius, dq_radius, energetic, parts)
 
-    return certify(one, setting.plant, q, lasts, pieces)
+    out: list[Tube] = []
+    # the latest brakes are the hardest: what cannot be proved is known at once
+    for plant in reversed(windows(setting.plant, setting.apart if pieces > 1 else None)):
+        out += certify(one, plant, q, lasts, pieces)
+        if out[-1].end != OK:
+            break
+    return out
 
 
 def stopped_after(tube: Tube) -> Array:

@@ -32,6 +32,11 @@ def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
         f"{1e3 * ramp.control.lo.min():.3g} to {1e3 * ramp.control.hi.max():.3g} ms after the request, tracked within "
         f"{ramp.q_error.max():.3g} rad and {ramp.dq_error.max():.3g} rad/s"
     ]
+    if any(ramp.pace):
+        lo, hi = ramp.pace
+        out.append(f"at the request the programmed motion changes its speeds by {lo:.2g} to {hi:.2g} of themselves per second")
+    else:
+        out.append("at the request the programmed motion keeps its speeds")
     if category == "1":
         out.append("the ramp works, and the brakes have engaged before power is taken")
     if category == "1 guaranteed":
