@@ -92,7 +92,7 @@ def coverage(model: Model, payload: tuple[float, float], top: float, pieces: int
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)
         tubes = tubes_of(s, q, dq, s.noise.radius[:n], s.noise.radius[n:], pieces)
         good += tubes[-1].end == OK
-        tight += tubes[-1].end == OK and not any(t.by_energy for t in tubes)
+        tight += tubes[-1].end == OK and not any(t.energetic for t in tubes)
     return tight / states, good / states
 
 

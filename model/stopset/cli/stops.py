@@ -50,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
     from stopset.cli.common import check_outputs, say, write_json
     from stopset.files import write_bytes, write_text
     from stopset.offline.stops.measured import measured_stops
-    from stopset.offline.stops.page import build_page, build_pdf
+    from stopset.offline.stops.page import build_page
+    from stopset.offline.stops.safety_file import build_pdf
     from stopset.offline.stops.table import as_csv, loads, prepared
     from stopset.recording import read_recordings
 
@@ -151,7 +152,7 @@ def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
         found = [protective_separation(time, way, speed, given), approach_distance(time, given)]
         if given["D_DS"] is not None or given["Z"] is not None:
             found.append(approach_distance_2024(time, given))
-        out += [replace(s, standard=f"{s.standard}, STOP {category}") for s in found]
+        out += [replace(s, category=category) for s in found]
     if not out:
         raise NotCovered(
             "in no category all stops of these rows are proved, so there is no separation distance; see their reasons"
@@ -160,6 +161,7 @@ def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
 
 
 def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
+    from stopset.offline.stops.shown import up
     from stopset.offline.stops.table import holding
 
     say(f"{'category':<13}{'axis':<16}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
@@ -171,7 +173,7 @@ def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separati
         else:
             say(f"{head}  {r.why}")
     for s in separations:
-        say(f"separation distance, {s.standard}: {s.distance:.3f} m")
+        say(f"separation distance, {s.standard}, STOP {s.category}: {up(s.distance, 3)} m")
         for symbol, value, unit, what in s.terms:
             say(f"  {symbol:<4} {value:9.4f} {unit:<4} {what}")
     for sentence in holding(model, rows):

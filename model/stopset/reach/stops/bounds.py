@@ -11,7 +11,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
-from stopset.reach.stops.failed import CELLS, Cell, cover, failed_cells
+from stopset.reach.stops.failed import CELLS, NARROW, Cell, cover, failed_cells
 from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
@@ -131,34 +131,32 @@ class StopBounds:
         if refusal:
             return self._refused(category, refusal, q)
         tube = ramp_tube(ramp, dq - dq_radius, dq + dq_radius)
+        fallback = None
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
             tube = tube._replace(d_lo=tube.d_lo - after, d_hi=tube.d_hi + after)
-            assumptions = (*assumptions, self._fallback(q, tube))
+            fallback = self._fallback(q, tube)
+            then = "what that adds is told beside" if fallback else "for which no bound is proved here"
+            assumptions = (*assumptions, f"if the window is left, noticed below {ramp.creep:g} rad/s, a STOP 0 follows, {then}")
         else:
             end = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1])
             margin = np.minimum(margin, self._margin(q + end))
             if margin.min() <= 0:
                 return self._refused(category, no_certificate(self.model.joints, margin, self._reach()), q)
-        return self._told(
-            category, [tube], ramp_time(ramp, dq - dq_radius, dq + dq_radius), q, q_radius, margin, assumptions
-        )  # fmt: skip
+        time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
+        return replace(self._told(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
 
-    def _fallback(self, q: Array, tube: Tube) -> str:
-        """What follows if the standstill window of a STOP 2 is left: a STOP 0 from the creeping speed."""
+    def _fallback(self, q: Array, tube: Tube) -> tuple[float, float] | None:
+        """Angle [rad] and time [s] that a STOP 0 from the creeping speed adds when the standstill window of a STOP 2 is left."""
         assert self.setting is not None and self.ramp is not None
         n = self.model.n
         middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
         radius = radius + self.setting.noise.radius[:n]
         tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), self.pieces)
         if tubes[-1].end != OK:
-            return "if the standstill window is left: STOP 0, for which no bound is proved here"
+            return None
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)
-        time = max(float(stopped_after(t).max()) for t in tubes)
-        return (
-            f"if the standstill window is left, noticed below {self.ramp.creep:g} rad/s: STOP 0, which adds at most "
-            f"{angle:.4g} rad and {time:.4g} s"
-        )
+        return angle, max(float(stopped_after(t).max()) for t in tubes)
 
     def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None and self.ramp is not None
@@ -170,7 +168,9 @@ class StopBounds:
         def tubes_in(cell: Cell, energetic: bool) -> list[Tube]:
             lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
             box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
-            return [march_box(setting, setting.plant, *box, energetic)]
+            if energetic or self.pieces == 1 or cell.width(dq) > NARROW:
+                return [march_box(setting, setting.plant, *box, energetic)]
+            return tubes_of(setting, *box, self.pieces, last_resort=False)
 
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
@@ -207,7 +207,7 @@ class StopBounds:
             links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[:2] for i in range(n)])
             sets.append(point_sets(chain, q, q_radius, cut, n - 1, tool))
             swept.append(swept_capsules(chain, q, q_radius, tube, robot.tip, SWEEPS))
-        by_energy = any(t.by_energy for t in tubes)
+        by_energy = any(t.energetic for t in tubes)
         R, o = link_frames(chain, q)
         layer = "ramp" if category in ("1", "2") else "energy" if by_energy else "pieces" if len(tubes) > 1 else "tube"
         return StopBound(

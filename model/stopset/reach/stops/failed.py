@@ -21,6 +21,7 @@ from stopset.reach.stops.tube import OK, Tube
 from stopset.robot.rigid import Array
 
 SLICES = 8  # of the monitored ramp, by when it is left
+NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
 CELLS = 16  # a box is cut into at most this many for each piece a power-off stop may be cut into
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 
@@ -40,6 +41,11 @@ class Cell:
         lo, hi = np.minimum(a * dq, b * dq) - b * dq_radius, np.maximum(a * dq, b * dq) + b * dq_radius
         v_lo, v_hi = np.minimum(s * dq, r * dq) - r * dq_radius, np.maximum(s * dq, r * dq) + r * dq_radius
         return lo - ramp.q_error, hi + ramp.q_error, v_lo - ramp.dq_error, v_hi + ramp.dq_error
+
+    def width(self, dq: Array) -> float:
+        """[rad/s] the harm of the widest side."""
+        pace = np.abs(dq)
+        return float(max((ANGLE_WEIGHT * pace * np.ptp(self.travel, axis=1)).max(), (pace * np.ptp(self.share, axis=1)).max()))
 
     def halves(self, dq: Array, together: bool) -> tuple[Cell, Cell]:
         """Cut across the side that matters most; all joints at once if they fail ``together``."""
@@ -87,7 +93,8 @@ def cover(
     """
     out: list[tuple[Cell, list[Tube]]] = []
     for root in cells:
-        todo, done = [root], []
+        todo: list[Cell] = [root]
+        done: list[tuple[Cell, list[Tube]]] = []
         while todo:
             part = todo.pop()
             found = tubes(part, False)

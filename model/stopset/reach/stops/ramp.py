@@ -131,7 +131,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     nothing = np.zeros((KNOTS, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
-        nothing, nothing, nothing, nothing, np.full(n, np.nan), 0,
+        nothing, nothing, nothing, nothing, np.full(n, np.nan), False,
     )  # fmt: skip
 
 
@@ -148,7 +148,8 @@ def _curve(ramp: Ramp, v: Array, t: Array, slow: bool, pace: float) -> tuple[Arr
     held = np.minimum(t[:, None], begin)
     way = held + lasts * (s - 0.5 * s * s)  # [s] of the programmed motion that were run through
     share = 1.0 + pace * way
-    return v * np.where(share > 0.0, way + 0.5 * pace * way * way, -0.5 / min(pace, -1e-12)), v * (1.0 - s) * np.maximum(share, 0.0)
+    moved = np.where(share > 0.0, way + 0.5 * pace * way * way, -0.5 / min(pace, -1e-12))
+    return v * moved, v * (1.0 - s) * np.maximum(share, 0.0)
 
 
 def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array:

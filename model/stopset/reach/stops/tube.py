@@ -87,7 +87,7 @@ class Tube(NamedTuple):
     backward_lo: Array
     backward_hi: Array
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
-    by_energy: int  # steps on which only the kinetic energy bounds the speeds
+    energetic: bool  # whether the kinetic energy had to help
 
 
 @njit(cache=True)
@@ -252,7 +252,7 @@ def march(
     momentum = start_momentum(start, v0_lo, v0_hi, b)
     energy = start_energy(start, v0_lo, v0_hi)
     rotor_lo, rotor_hi = plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half
-    room, excess, by_energy = np.zeros((5, n)), np.zeros(n), 0
+    room, excess = np.zeros((5, n)), np.zeros(n)
     engaged = np.max(plant.delay_hi + plant.rise_hi)
     fastest = 20.0 * max(np.max(np.abs(v0_lo)), np.max(np.abs(v0_hi))) + 20.0
     here = middle.copy()
@@ -332,7 +332,6 @@ def march(
         if not verified and not energetic:
             result, made = UNBOUNDED, k
             break
-        by_energy += 0 if verified else 1
         for i in range(n):
             hi, lo, new_hi, new_lo = v_hi[k, i], v_lo[k, i], e_hi[k, i], e_lo[k, i]
             # trapezoids: chords lie outside a bound that is convex; where it crosses zero, its larger end does
@@ -374,7 +373,7 @@ def march(
                 break
     return Tube(
         result, t[: made + 1], d_lo[: made + 1], d_hi[: made + 1], v_lo[: made + 1], v_hi[: made + 1],
-        e_lo[:made], e_hi[:made], rates[:made, 0], rates[:made, 1], rates[:made, 2], rates[:made, 3], margin, by_energy,
+        e_lo[:made], e_hi[:made], rates[:made, 0], rates[:made, 1], rates[:made, 2], rates[:made, 3], margin, energetic,
     )  # fmt: skip
 
 

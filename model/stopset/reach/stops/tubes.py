@@ -42,11 +42,13 @@ def tube_of(setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: A
 
 
 def tubes_of(
-    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS
-) -> list[Tube]:
+    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS,
+    last_resort: bool = True,
+) -> list[Tube]:  # fmt: skip
     """Tubes that together hold all stops from the box; the last is not OK if that failed.
 
     Up to ``pieces`` of them, for every window of the brakes' common delay; with one piece the delays are taken as independent.
+    ``last_resort``: whether the kinetic energy may have to bound it.
     """
     lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
 
@@ -56,7 +58,7 @@ def tubes_of(
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once
     for plant in reversed(windows(setting.plant, setting.apart if pieces > 1 else None)):
-        out += certify(one, plant, q, lasts, pieces)
+        out += certify(one, plant, q, lasts, pieces, last_resort)
         if out[-1].end != OK:
             break
     return out

@@ -26,6 +26,7 @@ class StopBound:
     displacement and ``link_speed`` (n,) [m/s] speed of each link's outer end; ``holding_margin``: (n,) [N m] brake and friction torque left over when
     holding, negative or nan where the arm is not held; ``certified``: whether the numbers are proved for the stated
     assumptions; ``why``: one sentence, always filled when not certified, and where a looser fall-back was needed;
+    ``fallback``: STOP 2: what a STOP 0 adds if the standstill window is left, (rad, s), None where that is not proved;
     ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction; ``capsules``: (P, n, 7) [m] what
     each link's axis sweeps, see `stopset.reach.stops.cartesian.swept_capsules`.
     """
@@ -45,6 +46,7 @@ class StopBound:
     holding_margin: Array | None = None
     assumptions: tuple[str, ...] = ()
     layer: str = ""
+    fallback: tuple[float, float] | None = None
     motion: PointSets | None = None
     capsules: Array | None = None
 

@@ -2,10 +2,33 @@
 
 from __future__ import annotations
 
+import math
+import textwrap
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 WIDTH, HEIGHT, MARGIN = 595.0, 842.0, 42.0  # [pt] A4
+INKS = ("0 0.45 0.7", "0.84 0.37 0", "0 0.62 0.45", "0.8 0.47 0.65")
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Curves (name, x, y) and measured points (x, y), both axes from zero."""
+
+    title: str
+    curves: Sequence[tuple[str, Sequence[float], Sequence[float]]]
+    points: tuple[Sequence[float], Sequence[float]]
+    x_name: str
+    y_name: str
+
+
+def _step(top: float) -> float:
+    """A round distance of grid lines, four to eight of them up to ``top``."""
+    if not 0.0 < top < math.inf:
+        return 0.25
+    base = 10.0 ** math.floor(math.log10(top / 4.0))
+    return base * next(f for f in (1.0, 2.0, 2.5, 5.0, 10.0) if top / (f * base) <= 8.0)
 
 
 class Document:
@@ -52,52 +75,70 @@ class Document:
                 line = f"{line} {word}".strip()
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[float], size: float = 7.0) -> None:
-        """``widths``: shares of the text width."""
+        """``widths``: shares of the text width. A long last cell goes on below; every page repeats the head."""
         scale = (WIDTH - 2 * MARGIN) / sum(widths)
-        for k, row in enumerate([head, *rows]):
-            if self._y - 1.4 * size < MARGIN:
+        self._room(4.2 * size)
+        self._line(head, widths, scale, size, True)
+        for row in rows:
+            letters = max(8, int(widths[-1] * scale / (0.46 * size)))
+            last = textwrap.wrap(row[-1], letters) or [""]
+            if self._y - 1.4 * size * len(last) < MARGIN:
                 self._new_page()
-                k = 0
                 self._line(head, widths, scale, size, True)
-            self._line(row, widths, scale, size, k == 0)
+            for k, part in enumerate(last):
+                cells = [*row[:-1], part] if k == 0 else [""] * (len(row) - 1) + [part]
+                self._line(cells, widths, scale, size, False, rule=k == len(last) - 1)
+        self._y -= size
 
-    def _line(self, row: Sequence[str], widths: Sequence[float], scale: float, size: float, bold: bool) -> None:
+    def _line(
+        self, row: Sequence[str], widths: Sequence[float], scale: float, size: float, bold: bool, rule: bool = True
+    ) -> None:
         self._y -= 1.4 * size
         x = MARGIN
         for cell, w in zip(row, widths, strict=True):
             self._put(x, self._y, cell[: max(1, int(w * scale / (0.46 * size)))], size, bold)
             x += w * scale
-        self._pages[-1].append(f"0.8 G 0.3 w {MARGIN:.1f} {self._y - 2:.2f} m {WIDTH - MARGIN:.1f} {self._y - 2:.2f} l S 0 G")
+        if rule:
+            self._pages[-1].append(f"0.8 G 0.3 w {MARGIN:.1f} {self._y - 2:.2f} m {WIDTH - MARGIN:.1f} {self._y - 2:.2f} l S 0 G")
 
-    def plot(
-        self, curves: Sequence[tuple[str, Sequence[float], Sequence[float]]], points: tuple[Sequence[float], Sequence[float]],
-        x_name: str, y_name: str, height: float = 150.0,
-    ) -> None:  # fmt: skip
-        """Curves (name, x, y) from the origin's corner, and measured points as crosses."""
-        self._room(height + 30)
-        x0, y0, w = MARGIN + 40, self._y - height, WIDTH - 2 * MARGIN - 160
-        xs = [v for c in curves for v in c[1]] + list(points[0])
-        ys = [v for c in curves for v in c[2]] + list(points[1])
-        x1, y1 = max(xs, default=1.0) or 1.0, max(ys, default=1.0) or 1.0
+    def plots(self, plots: Sequence[Plot], height: float = 118.0) -> None:
+        """Pictures side by side."""
+        self._room(height + 52)
+        width = (WIDTH - 2 * MARGIN) / len(plots)
+        for k, plot in enumerate(plots):
+            self._plot(plot, MARGIN + k * width, width - 14.0, height)
+        self._y -= height + 52
+
+    def _plot(self, p: Plot, left: float, width: float, height: float) -> None:
+        x0, y0, w = left + 34.0, self._y - 18.0 - height, width - 34.0
+        xs = [v for c in p.curves for v in c[1]] + list(p.points[0])
+        ys = [v for c in p.curves for v in c[2]] + list(p.points[1])
+        steps = _step(max(xs, default=1.0)), _step(max(ys, default=1.0))
+        x1, y1 = (step * math.ceil(max(v, default=1.0) / step - 1e-9) for step, v in zip(steps, (xs, ys), strict=True))
         page = self._pages[-1]
-        page.append(f"0.5 w {x0:.1f} {y0:.1f} m {x0:.1f} {y0 + height:.1f} l S {x0:.1f} {y0:.1f} m {x0 + w:.1f} {y0:.1f} l S")
-        self._put(x0 + w - 60, y0 - 10, f"{x_name}, to {x1:.3g}", 6.5)
-        self._put(MARGIN - 10, y0 + height + 4, f"{y_name}, to {y1:.3g}", 6.5)
-        colours = ("0 0.45 0.7", "0.84 0.37 0", "0 0.62 0.45", "0.8 0.47 0.65")
-        for k, (name, cx, cy) in enumerate(curves):
+        self._put(left, self._y - 10, f"{p.title}: {p.y_name}", 7.5, bold=True)
+        for k in range(round(x1 / steps[0]) + 1):
+            x = x0 + w * k * steps[0] / x1
+            page.append(f"0.88 G 0.4 w {x:.1f} {y0:.1f} m {x:.1f} {y0 + height:.1f} l S 0 G")
+            self._put(x - 4, y0 - 9, f"{k * steps[0]:.4g}", 6.0)
+        for k in range(round(y1 / steps[1]) + 1):
+            y = y0 + height * k * steps[1] / y1
+            page.append(f"0.88 G 0.4 w {x0:.1f} {y:.1f} m {x0 + w:.1f} {y:.1f} l S 0 G")
+            self._put(x0 - 24, y - 2, f"{k * steps[1]:.4g}", 6.0)
+        self._put(x0 + w - 40, y0 - 18, p.x_name, 6.5)
+        page.append(f"0.6 w {x0:.1f} {y0 + height:.1f} m {x0:.1f} {y0:.1f} l {x0 + w:.1f} {y0:.1f} l S")
+        for k, (name, cx, cy) in enumerate(p.curves):
             path = " ".join(
                 f"{x0 + w * a / x1:.2f} {y0 + height * b / y1:.2f} {'m' if i == 0 else 'l'}"
                 for i, (a, b) in enumerate(zip(cx, cy, strict=True))
             )
-            page.append(f"{colours[k % 4]} RG 1.2 w {path} S 0 G")
-            page.append(f"{colours[k % 4]} rg")
-            self._put(x0 + w + 8, y0 + height - 10 * (k + 1), name, 6.5)
+            page.append(f"{INKS[k % len(INKS)]} RG 1.2 w {path} S 0 G {INKS[k % len(INKS)]} rg")
+            self._put(x0 + 6 + 52 * k, y0 - 18, name, 6.5)
             page.append("0 g")
-        for a, b in zip(*points, strict=True):
+        for a, b in zip(*p.points, strict=True):
             x, y = x0 + w * a / x1, y0 + height * b / y1
             arms = ((-1.5, -1.5, "m"), (1.5, 1.5, "l"), (-1.5, 1.5, "m"), (1.5, -1.5, "l"))
             page.append("0.6 w " + " ".join(f"{x + dx:.2f} {y + dy:.2f} {op}" for dx, dy, op in arms) + " S")
-        self._y = y0 - 22
 
     def bytes(self) -> bytes:
         """The PDF file."""

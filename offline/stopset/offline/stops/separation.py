@@ -25,11 +25,12 @@ ASKED = {
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """A distance [m] and the terms it is the sum of: (symbol, value, unit, what it is)."""
+    """A distance [m] and the terms it is the sum of: (symbol, value, unit, what it is); ``category``: of the stop."""
 
     standard: str
     distance: float
     terms: tuple[tuple[str, float, str, str], ...]
+    category: str = ""
 
 
 def _complete(given: Mapping[str, float | None], needed: tuple[str, ...]) -> dict[str, float]:

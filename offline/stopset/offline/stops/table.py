@@ -50,6 +50,7 @@ class Row:
     far_m: float | None = None  # [m] displacement of whichever goes farthest, the tool or the end of a link
     far_speed: float | None = None  # [m/s] the fastest of them
     margin: tuple[float, ...] = ()  # [N m] holding margin of each joint
+    fallback: tuple[float, float] | None = None  # STOP 2: (rad, s) that a STOP 0 adds if the standstill window is left
 
     def as_json(self) -> dict[str, Any]:
         """With the keys that others rely on."""
@@ -221,7 +222,7 @@ def _row(
         angle_rad=None if angle is None else _up(float(angle[list(group)].max())),
         tcp_m=None if bound.tcp is None else _up(bound.tcp), tcp_speed=bound.tcp_speed, certified=bound.certified,
         why=why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
-        margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)),
+        margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)), fallback=bound.fallback,
     )  # fmt: skip
 
 
@@ -262,6 +263,12 @@ def holding(model: Model, rows: Sequence[Row]) -> list[str]:
         least = np.min([r.margin for r in rows if r.payload == kg and r.margin], axis=0)
         each = ", ".join(f"{j} {m:.1f}" for j, m in zip(model.joints, least, strict=True))
         out.append(f"holding margin of brakes and dry friction with {kg:g} kg, least of all rows [N m]: {each}")
+    left = [r.fallback for r in rows if r.fallback is not None]
+    if left:
+        out.append(
+            f"STOP 2, standstill window left: the STOP 0 that follows adds at most {_up(max(x[0] for x in left)):g} rad and "
+            f"{_up(max(x[1] for x in left)):g} s, worst of all rows"
+        )
     return out
 
 

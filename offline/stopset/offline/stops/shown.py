@@ -1,0 +1,99 @@
+"""What the page and the PDF of stop tables show, drawn from the rows: curves, worst stops, terms, test poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.offline.stops.measured import Measured
+from stopset.offline.stops.separation import Separation
+from stopset.offline.stops.table import Row
+from stopset.reach.stops import Category
+
+NAMES: dict[Category, str] = {
+    "0": "STOP 0: power off, brakes close",
+    "1": "STOP 1, nominal: the ramp works, then power off",
+    "1 guaranteed": "STOP 1, guaranteed: the ramp fails, then power off",
+    "2": "STOP 2: the ramp works, power stays on",
+}
+QUANTITIES = (("time_s", "time [s]"), ("angle_rad", "angle [rad]"))
+Curve = tuple[str, list[float], list[float]]
+
+
+def axis_name(joint: str) -> str:
+    """The axis, or how many at once."""
+    count = joint.count("+") + 1
+    return joint if count == 1 else f"{count} axes at once"
+
+
+def lines(rows: Sequence[Row], category: Category, joint: str, what: str) -> list[Curve]:
+    """One line per payload over speed, at the largest extension."""
+    mine = [r for r in rows if r.category == category and r.joint == joint]
+    far = max((r.extension_percent for r in mine), default=0.0)
+    out = []
+    for kg in sorted({r.payload for r in mine}):
+        points = sorted(
+            (abs(r.speed), getattr(r, what)) for r in mine
+            if r.payload == kg and r.extension_percent == far and getattr(r, what) is not None
+        )  # fmt: skip
+        if points:
+            out.append((f"{kg:.3g} kg", [p[0] for p in points], [p[1] for p in points]))
+    return out
+
+
+def seen(
+    measured: Sequence[Measured], model: Model, category: Category, joint: str, what: str
+) -> tuple[list[float], list[float]]:
+    """Measured stops of that axis and category."""
+    mine = [m for m in measured if m.category == category and model.joints[m.joint] == joint]
+    return [abs(m.speed) for m in mine], [m.time if what == "time_s" else abs(m.angle) for m in mine]
+
+
+def joints_of(rows: Sequence[Row], category: Category) -> list[str]:
+    """The axes of a category, single ones first."""
+    return sorted(dict.fromkeys(r.joint for r in rows if r.category == category), key=lambda j: ("+" in j, j))
+
+
+def worst(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved."""
+    for category in dict.fromkeys(r.category for r in rows):
+        for joint in joints_of(rows, category):
+            mine = [r for r in rows if r.category == category and r.joint == joint]
+            good = [r for r in mine if r.certified]
+            if len(good) == len(mine):
+                numbers = [up(max(x), d) for x, d in (
+                    ([r.time_s or 0.0 for r in good], 3), ([r.angle_rad or 0.0 for r in good], 3), ([r.tcp_m or 0.0 for r in good], 3)
+                )]  # fmt: skip
+            else:
+                numbers = ["-", "-", "-"]
+            yield category, axis_name(joint), *numbers, f"{len(good)} of {len(mine)}"
+
+
+def up(x: float, digits: int) -> str:
+    """A bound, printed rounded up."""
+    return f"{np.ceil(x * 10**digits - 1e-9) / 10**digits:.{digits}f}"
+
+
+def terms(separations: Sequence[Separation]) -> Iterator[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+    """For each standard: its name, the head and the rows of a table of terms with one column per category."""
+    for standard in dict.fromkeys(s.standard for s in separations):
+        mine = [s for s in separations if s.standard == standard]
+        rows: list[tuple[str, ...]] = []
+        for k, (symbol, _, unit, what) in enumerate(mine[0].terms):
+            rows.append((symbol, *(f"{s.terms[k][1]:.4g}" for s in mine), unit, what))
+        rows.append(("S", *(up(s.distance, 3) for s in mine), "m", "separation distance, rounded up"))
+        yield standard, ("term", *(f"STOP {s.category}" for s in mine), "unit", "what"), rows
+
+
+def poses(rows: Sequence[Row], model: Model) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows of the test poses, one for each axis, payload and extension."""
+    known = {}
+    for r in rows:
+        if r.pose:
+            known[r.joint, r.payload, r.extension_percent] = r.pose
+    table = [
+        (axis_name(j), f"{kg:.3g}", f"{e:.0f}", *(f"{x:.3f}" for x in pose)) for (j, kg, e), pose in sorted(known.items())
+    ]  # fmt: skip
+    return ("axis", "kg", "ext. %", *(f"{j} [rad]" for j in model.joints)), table
