@@ -242,7 +242,9 @@ def test_command_answers_and_exit_codes(
     write_recordings(bad, META, [replace(r, tau=-r.tau) for r in trials])
     answer = tmp_path / "answer.json"
     assert main(["inspect", str(good)]) == 0
-    assert main(["inspect", str(good), str(bad), "--json", str(answer)]) == 1
+    assert main(["inspect", str(good), str(bad), "--json", str(answer), "--report", str(tmp_path / "look.html")]) == 1
+    html = (tmp_path / "look.html").read_text()
+    assert "wrong_sign" in html and "missing for identification" in html and "http" not in html.split("</script>")[-1]
     data = json.loads(answer.read_text())
     assert [f["usable"] for f in data["files"]] == [True, False]
     assert {f["kind"] for f in data["files"][1]["findings"]} >= {"wrong_sign"}

@@ -5,21 +5,22 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 
-from nominal_cases import JOINTS, Truth, arm, moving, poses
+from nominal_cases import F_C, F_V, JOINTS, ROTOR, Truth, arm, moving, poses, wrong_cad
 from stopset.cli.main import main
 from stopset.errors import RobotError, StopsetError
+from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
-from stopset.offline.plan.design import STARTS
-from stopset.offline.plan.motion import envelope, heights
+from stopset.offline.plan.design import FRICTION, STARTS
+from stopset.offline.plan.motion import Path, envelope, heights
 from stopset.offline.plan.ptp import ptp
-from stopset.recording import Meta, write_recordings
+from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import Robot
-from stopset.robot.rigid import torques
+from stopset.robot.rigid import gravity_torques, torques
 
 WISHES = Wishes(motions=6, repeats=5, poses=15, excitations=2, period=10.0, evaluations=160, floor=-0.3)
 
@@ -126,6 +127,66 @@ def test_todays_gaps_are_named() -> None:
     assert now["shoulder.rotor"] < 0.5 * before["shoulder.rotor"]
 
 
+def driven(truth: Truth, path: Path, suite: int, trial: int, seed: int) -> Recording:
+    """A planned motion as the true arm would have been recorded on it."""
+    rng = np.random.default_rng([seed, suite, trial])
+    r = truth.robot
+    load = gravity_torques(r.chain, r.pi, path.q)
+    tau = torques(r.chain, r.pi, path.q, path.dq, path.ddq) + r.rotor * path.ddq + truth.friction(path.dq, load)
+    q = np.round(path.q / truth.encoder) * truth.encoder
+    noise = truth.noise * rng.normal(size=tau.shape)
+    return Recording("closed_loop", suite, trial, suite, path.t, q, path.dq + 0.002 * rng.normal(size=q.shape), tau + noise)
+
+
+def campaign_of(plan: Plan, truth: Truth) -> list[Recording]:
+    """Everything of the plan that the nominal model learns from, driven by the true arm."""
+    out, t = [], 0.004 * np.arange(4)
+    r = truth.robot
+    rng = np.random.default_rng(5)
+    for k, q in enumerate(plan.poses):
+        for trial, way in enumerate((1.0, -1.0)):
+            rows = np.tile(q, (4, 1))
+            load = gravity_torques(r.chain, r.pi, rows)
+            tau = load + truth.friction(np.full_like(rows, way * 1e-9), load) + 0.1 * rng.normal(size=rows.shape)
+            out.append(Recording("static", k, trial, len(out), t, rows, 0 * rows, tau))
+    moves = [(m, trial) for p in plan.parts for m in p.motions for trial in range(p.repeats)]
+    return out + [driven(truth, m, k, trial, 9) for k, (m, trial) in enumerate(moves)]
+
+
+def test_what_the_plan_says_it_will_identify_is_identified() -> None:
+    """The loop closed in simulation: the planned motions driven by an arm that differs from its CAD, then identified."""
+    true, cad = wrong_cad()
+    bent, lift, lower = np.array([-1.0, -1.5, -0.8]), 0.10, 0.04
+
+    def friction(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
+        k = np.where(load * dq > 0, lift, lower)
+        return (F_C + k * np.abs(load)) * np.sign(dq) + F_V * dq + bent * dq**3
+
+    real = Truth(true, friction=friction)
+    today = [moving(real, k, 6.0, 0.8, 4) for k in range(2)]  # what there is: it tells the noise, and hardly more
+    plan = design(cad, WISHES, today)
+    nominal = identify_nominal(cad, lambda: campaign_of(plan, real), FRICTION)
+    truth = dict(zip(nominal.names, np.concatenate([true.pi.ravel(), ROTOR]), strict=False))
+    for j, joint in enumerate(JOINTS):
+        truth |= {f"coulomb:{joint}.F_c": F_C[j], f"viscous:{joint}.F_v": F_V[j], f"cubic_viscous:{joint}.v_3": bent[j]}
+        truth |= {f"load_coulomb:{joint}.k_lift": lift, f"load_coulomb:{joint}.k_lower": lower}
+    found, stated = dict(zip(nominal.names, nominal.theta, strict=True)), nominal.std
+    named = []
+    for row in plan.outlook:
+        name, before, after = row["parameter"], row["before"], row["after"]
+        # told: a link or rotor whose error at least halves, a friction term known to a quarter of its size
+        if after < 0.5 * before if before is not None else after < 0.25 * abs(truth[name]):
+            named.append(name)
+            assert abs(found[name] - truth[name]) < 4 * after, name
+            assert stated[name] < 3 * after, name  # and identification agrees on how sure that is
+    friction_terms = {
+        f"{e}:{j}.{s}" for e, s in (("coulomb", "F_c"), ("viscous", "F_v"), ("cubic_viscous", "v_3")) for j in JOINTS
+    }
+    assert friction_terms | {f"{j}.rotor" for j in JOINTS} | {"elbow.mz", "shoulder.mz"} <= set(named)
+    assert "base.m" not in named  # no torque tells it, and the plan does not claim so
+    assert found["base.m"] == pytest.approx(cad.pi[0, 0], rel=1e-3)
+
+
 def test_same_seed_same_plan_other_seed_other_plan() -> None:
     small = replace(WISHES, motions=2, excitations=1, evaluations=40)
     a, b, c = design(arm(), small), design(arm(), small), design(arm(), replace(small, seed=1))
@@ -134,14 +195,34 @@ def test_same_seed_same_plan_other_seed_other_plan() -> None:
     assert not np.array_equal(a.poses, c.poses)
 
 
-def test_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_everything(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     rec = tmp_path / "rec.parquet"
     write_recordings(rec, Meta(joints=JOINTS), poses(Truth(arm()), 10, 1))
-    out, answer = tmp_path / "plan", tmp_path / "plan.json"
+    out, answer, page = tmp_path / "plan", tmp_path / "plan.json", tmp_path / "plan.html"
     few = ["--motions", "2", "--excitations", "1", "--poses", "8", "--period", "8"]
-    assert main(["plan", "--robot", str(urdf), "--out", str(out), "--data", str(rec), "--json", str(answer), *few]) == 0
+    assert (
+        main(
+            [
+                "plan",
+                "--robot",
+                str(urdf),
+                "--out",
+                str(out),
+                "--data",
+                str(rec),
+                "--json",
+                str(answer),
+                "--report",
+                str(page),
+                *few,
+            ]
+        )
+        == 0
+    )
+    html = page.read_text()
+    assert "Experiments for" in html and "leave undetermined" in html and "http" not in html.split("</script>")[-1]
     told = json.loads(answer.read_text())
     assert told["undetermined_today"]
     assert {p["name"] for p in told["parts"]} == {"static", "excitation", "ptp_slow", "ptp_fast", "open_loop", "stops"}
@@ -161,7 +242,7 @@ def test_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "not checked" in capsys.readouterr().out  # collisions
 
 
-def test_bad_wishes_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_wishes_are_one_sentence(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     assert main(["plan", "--robot", str(urdf), "--out", str(tmp_path / "p"), "--speed", "3"]) == 2
@@ -173,13 +254,13 @@ def test_bad_wishes_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixtu
         design(arm(), replace(WISHES, motions=0))
 
 
-def test_write_needs_a_folder(plan: Plan, tmp_path: Path) -> None:
+def test_write_needs_a_folder(plan: Plan, tmp_path: FilePath) -> None:
     files = write_plan(plan, tmp_path)
     assert all(f.stat().st_size > 0 for f in files)
     assert "| open_loop | 24 | 5 |" in (tmp_path / "plan.md").read_text()
 
 
-def test_a_refused_plan_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_refused_plan_leaves_nothing_behind(tmp_path: FilePath) -> None:
     from stopset.cli.main import main
 
     bad = tmp_path / "bad.parquet"

@@ -16,7 +16,7 @@ HELP = "what is in a recording, what is missing for identification, what is wron
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings (Parquet, or CSV with a JSON beside it)")
     parser.add_argument("--robot", metavar="URDF", help="hold the torque against this robot's model: unit, sign, delay")
-    add_output_options(parser, report=False)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.offline.inspect import inspect_recordings
     from stopset.robot import load_robot
 
-    check_outputs(args.json)
+    check_outputs(args.json, args.report)
     robot = load_robot(args.robot) if args.robot else None
     results = inspect_recordings(args.recordings, robot)
     for r in results:
@@ -33,6 +33,11 @@ def run(args: argparse.Namespace) -> int:
         say("Without --robot the torque's unit and its delay cannot be checked.")
     if args.json:
         write_json(args.json, {"files": [r.as_dict() for r in results], "usable": not any(r.wrong for r in results)})
+    if args.report:
+        from stopset.offline.inspect.page import page
+
+        page(results, robot.name if robot is not None else None).save(args.report)
+        say(f"report {args.report}")
     return int(any(r.wrong for r in results))
 
 

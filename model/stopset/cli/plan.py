@@ -25,21 +25,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--floor", type=float, metavar="Z", help="keep link origins and flange above this height [m]")
     parser.add_argument("--rate", type=float, default=250.0, help="samples per second of the CSV files (default 250)")
     parser.add_argument("--seed", type=int, default=0, help="of the random choices (default 0)")
-    add_output_options(parser, report=False)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the campaign into the folder and its table to the terminal."""
     from stopset.errors import StopsetError
     from stopset.offline.plan import Wishes, design, write_plan
-    from stopset.offline.plan.design import as_dict, summary
+    from stopset.offline.plan.files import as_dict, summary
     from stopset.recording import stream_recordings
     from stopset.robot import load_robot
 
     robot = load_robot(args.robot)
     fresh = not args.out.exists()
     _make(args.out)
-    check_outputs(args.json, args.out / "plan.json")
+    check_outputs(args.json, args.report, args.out / "plan.json")
     wishes = Wishes(
         motions=args.motions, repeats=args.repeats, poses=args.poses, excitations=args.excitations, period=args.period,
         speed=args.speed, torque=args.torque, floor=args.floor, rate=args.rate, seed=args.seed,
@@ -56,6 +56,11 @@ def run(args: argparse.Namespace) -> int:
     say(f"{len(files)} files in {args.out}")
     if args.json:
         write_json(args.json, as_dict(plan))
+    if args.report:
+        from stopset.offline.plan.page import page
+
+        page(plan).save(args.report)
+        say(f"report {args.report}")
     return 0
 
 
