@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -67,6 +68,28 @@ def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped
     found = identify(arm(names(2)), [folder / "rec.parquet"])
     save_model(found.model, folder / "m.model.json")
     return folder, trials, found
+
+
+@pytest.fixture
+def own_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """The effect of the effects folder's README, installed as a package of its own."""
+    from stopset.effects import registry
+
+    readme = Path(registry.__file__).with_name("README.md").read_text()
+    code = re.search(r"```python\n(.*?)```", readme, re.S)
+    entry = re.search(r"```toml\n.*?\n(.*?)```", readme, re.S)
+    assert code is not None and entry is not None
+    (tmp_path / "my_package").mkdir()
+    (tmp_path / "my_package" / "hose.py").write_text(code.group(1))
+    info = tmp_path / "my_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[stopset.effects]\n" + entry.group(1).replace('"', ""))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    registry.catalogue.cache_clear()
+    yield registry.get("relaxing_hose")
+    monkeypatch.undo()
+    registry.catalogue.cache_clear()
 
 
 @pytest.fixture(scope="session")

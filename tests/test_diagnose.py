@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stopset.effects import get
+from stopset.effects import Effect, get
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.offline.diagnose.evidence import JointGram, gain, project
 from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, whiten
@@ -122,6 +122,21 @@ def test_a_hidden_effect_is_found_at_its_joint(hide: str, size: str) -> None:
     assert found.ranked[0].error_after < found.ranked[0].error_before
     assert set(found.ranked[0].parameters) == {p.symbol for p in (*get(effect).terms, *get(effect).shapes)}
     json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_an_own_effect_is_diagnosed_like_ours(own_effect: Effect) -> None:
+    """A hose that gives way within seconds, from a package of its own: named, at its joint, its time found off the grid."""
+    scenario = prepare(robot_from_text(ARM), [], 61, "short")
+    trials = []
+    for r in scenario.recordings():
+        tau = r.tau.copy()
+        tau[:, 1] += 8.0 * r.q[:, 1] * np.exp(-r.t / 3.0)  # what the drive must add for the same motion
+        trials.append(dataclasses.replace(r, tau=tau))
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(trials)))
+    assert found.verdict == "missing"
+    assert (found.ranked[0].effect, found.ranked[0].joints) == (own_effect.name, ("b",))
+    assert found.ranked[0].parameters["k"].value == pytest.approx(8.0, rel=0.1)
+    assert found.ranked[0].parameters["T"].value == pytest.approx(3.0, rel=0.15)
 
 
 def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import ctypes
-import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import stopset.effects.registry as registry
+from stopset.artifact.inputs import entry
 from stopset.effects import Effect, Signals, catalogue, check, get
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError
@@ -81,6 +80,9 @@ def test_catalogue_holds_the_names_others_rely_on() -> None:
 
 def test_story_and_parameters_are_complete(effect: Effect) -> None:
     check(effect, effect.name)
+    for p in (*effect.terms, *effect.shapes):
+        assert p.symbol and p.unit and p.means and np.isfinite([p.lo, p.hi]).all(), f"{p.symbol} has no admissible range"
+    assert effect.look_at and entry(effect)
     symbols = [t.symbol for t in effect.terms] + [p.symbol for p in effect.shapes]
     assert len(set(symbols)) == len(symbols)
     assert set(effect.looks_like) <= set(catalogue()) - {effect.name}
@@ -193,29 +195,9 @@ def test_unknown_name_is_refused_with_the_known_ones() -> None:
         get("phlogiston")
 
 
-README = Path(registry.__file__).with_name("README.md")
-
-
-def own_effect() -> Effect:
-    """The effect of the README, run as it stands there."""
-    block = re.search(r"```python\n(.*?)```", README.read_text(), re.S)
-    assert block is not None
-    space: dict[str, object] = {}
-    exec(block.group(1), space)  # the README's own lines
-    effect = space["EFFECT"]
-    assert isinstance(effect, Effect)
-    return effect
-
-
-def test_an_own_effect_registers_by_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    effect = own_effect()
-    entry = SimpleNamespace(name=effect.name, value="mine:EFFECT", load=lambda: effect)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry] if group == "stopset.effects" else [])
-    registry.catalogue.cache_clear()
-    try:
-        assert get(effect.name) is effect
-    finally:
-        registry.catalogue.cache_clear()
+def test_an_own_effect_registers_by_entry_point(own_effect: Effect) -> None:
+    assert get("relaxing_hose") is own_effect
+    assert own_effect.name in registry.names()
 
 
 @pytest.mark.parametrize(

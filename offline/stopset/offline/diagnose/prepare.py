@@ -76,7 +76,7 @@ class Prepared:
 
     Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``way`` smoothed direction, ``ok`` the row of this joint says
     something, ``temp`` [degC] or None, ``warm`` (N,) place in the session, ``trial`` (N,) index, ``centre`` (N,) its sample.
-    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine, temp_fine``.
+    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine, temp_fine``; (M,) ``warm_fine, t_fine``.
     Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
     difference.
     ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
@@ -102,6 +102,7 @@ class Prepared:
     way_fine: Array
     temp_fine: Array | None
     warm_fine: Array
+    t_fine: Array
     start_fine: Mask
     q_still: Array
     tau_still: Array
@@ -184,7 +185,7 @@ def prepare(recordings: Recordings) -> Prepared:
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), temp_fine=temp_fine,
-        warm_fine=fine["warm"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
+        warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
     )  # fmt: skip
 

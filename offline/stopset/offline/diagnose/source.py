@@ -131,7 +131,7 @@ class Source:
         kelvin = 0.0 if d.temp_fine is None else d.temp_fine[:, joint] - REFERENCE_TEMPERATURE
         return Signals(
             q=d.q_fine[:, joint], dq=d.dq_fine[:, joint], way=d.way_fine[:, joint], temp=kelvin,
-            warm=d.warm_fine, load=self.load_fine[:, joint],
+            warm=d.warm_fine, load=self.load_fine[:, joint], t=d.t_fine,
         )  # fmt: skip
 
     def rigid(self, joint: int) -> Signals:
@@ -151,14 +151,15 @@ class Source:
             q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], way=d.way[:, joint], load=still, tau=tau,
             dtau=self._rate(calm(smooth, self.first)), link=self.link[:, joint], tip=tuple(Y[:, joint, -10:].T),
             tilt=tuple(self.tilt(False)[:, joint].T), stiff=self.stiff(joint, False)[:, joint],
-            inertia=self.mass[:, joint, joint], coriolis=swift - still,
+            inertia=self.mass[:, joint, joint], coriolis=swift - still, t=d.t, warm=d.warm,
+            temp=0.0 if d.temp is None else d.temp[:, joint] - REFERENCE_TEMPERATURE,
         )  # fmt: skip
 
     def still(self, joint: int) -> Signals:
         """Signals of the poses held still."""
         z, load = np.zeros(len(self.data.q_still)), self.load_still[:, joint]
         return Signals(
-            q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z,
+            q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
             stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z,
         )  # fmt: skip
