@@ -1,0 +1,101 @@
+"""Where joint-wise bands cannot be closed the kinetic energy bounds the stop: sampled stops stay inside, weakened energy does not,
+and where brakes do not surely hold the arm there is still no number."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.offline.stops.sampling import sample_stops
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.energy import largest, power_excess, start_energy
+from stopset.reach.stops.expansion import expand
+from stopset.reach.stops.local import ALL_PARTS, box_terms, empty_local
+from stopset.reach.stops.tube import OK
+from stopset.reach.stops.tubes import march_box, tube_of
+from stopset.robot.rigid import mass_matrix
+from stopset.sets import Box
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like, ur5_like
+
+
+def hard_states(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """States of the arm with strong coupling that one tube of joint speeds does not close."""
+    bounds, rng, out = StopBounds.of(ur5_like(), (4.75, 5.0)), np.random.default_rng(77), []
+    s = bounds.setting
+    assert s is not None
+    while len(out) < count:
+        q, dq = rng.uniform(-np.pi, np.pi, 6), rng.uniform(-2.0, 2.0, 6)
+        if tube_of(s, q, dq, s.noise.radius[:6], s.noise.radius[6:]).end != OK:
+            out.append((q, dq))
+    return out
+
+
+def test_strong_coupling_is_bounded_and_marked() -> None:
+    bounds = StopBounds.of(ur5_like(), (4.75, 5.0))
+    s = bounds.setting
+    assert s is not None
+    r, v = s.noise.radius[:6], s.noise.radius[6:]
+    for k, (q, dq) in enumerate(hard_states(4)):
+        bound = bounds.bound(q, dq)
+        assert bound.certified and bound.layer == "energy" and "fall-back" in bound.why
+        assert bound.holding_margin is not None and bound.holding_margin.min() >= 0.0
+        tube = march_box(s, s.plant, q, dq, r, v, True)
+        x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, k)
+        assert x.escaped == 0 and x.tcp <= bound.tcp
+        assert np.all(x.forward <= bound.forward + 2e-6) and np.all(x.back <= bound.back + 2e-6)
+
+
+def test_energy_without_disturbance_is_escaped() -> None:
+    """A tube whose plant has stronger brakes than the arm: the same sampling finds escapes, also of the energetic tube."""
+    s = StopBounds.of(ur5_like(), (4.75, 5.0)).setting
+    assert s is not None
+    r, v = s.noise.radius[:6], s.noise.radius[6:]
+    strong = s.plant._replace(brake_lo=4.0 * s.plant.brake_lo, brake_hi=4.0 * s.plant.brake_hi, delay_hi=s.plant.delay_lo)
+    escaped = 0
+    for k, (q, dq) in enumerate(hard_states(3)):
+        tube = march_box(s, strong, q, dq, r, v, True)
+        if tube.end == OK:
+            escaped += sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 60, k).escaped
+    assert escaped > 0
+
+
+def test_largest_energy_is_the_largest_of_the_box() -> None:
+    robot, rng = prbt_like().robot, np.random.default_rng(4)
+    E = expand(robot.chain, robot.pi, 0 * robot.pi, np.ones(6), rng.uniform(-2, 2, 6))
+    at = empty_local(6)
+    box_terms(E, StopBounds.of(prbt_like()).setting.plant.curvature, np.full(6, -0.05), np.full(6, 0.05), np.zeros(6), np.zeros(6),
+              ALL_PARTS, at, np.zeros((8, 6)))  # fmt: skip
+    lo, hi = rng.uniform(-1, 0, 6), rng.uniform(0, 1, 6)
+    bound, found = largest(at, lo, hi), 0.0
+    for _ in range(4000):
+        v = np.where(rng.random(6) < 0.5, lo, hi)
+        q = E.q + rng.choice([-0.05, 0.05], 6)
+        M = mass_matrix(robot.chain, robot.pi, q) + np.eye(6)
+        found = max(found, float(np.sqrt(v @ M @ v)))
+    assert found <= bound <= 1.25 * found
+
+
+def test_power_looks_at_the_directions_that_are_possible() -> None:
+    at, w = empty_local(2), np.zeros(2)
+    e = start_energy(at, np.zeros(2), np.zeros(2))
+    e.g_lo[:], e.g_hi[:] = [4.0, 4.0], [6.0, 6.0]
+    u, B = np.array([1.0, 1.0]), np.array([10.0, 10.0])
+    power_excess(e, -u, u, B, np.array([-1.0, 0.0]), np.array([1.0, 1.0]), w)
+    # joint 1 may fall with gravity, 6 + 1 - 10; joint 2 only rises against it, 1 - 4 - 10
+    assert w.tolist() == [-3.0, -13.0]
+
+
+@pytest.mark.parametrize("weak", [0.2, 0.02])
+def test_no_holding_no_number_in_any_layer(weak: float) -> None:
+    model = ur5_like()
+    brakes = replace(model.brakes, torque=Box.of(weak * model.brakes.torque.lo, weak * model.brakes.torque.hi))
+    q = np.zeros(6)  # stretched out, 5 kg at its end
+    bound = StopBounds.of(replace(model, brakes=brakes), (4.75, 5.0), pieces=8).bound(q, np.full(6, 0.2))
+    assert not bound.certified and bound.time is None and bound.motion is None and bound.capsules is None
+    assert "no stop provable" in bound.why and "whole reach" in bound.why

@@ -1,0 +1,99 @@
+"""STOP 1 guaranteed: however the ramp fails until power is taken, the arm stays inside, in angle, time, speed and space."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.offline.stops.failing import sample_failed_ramps
+from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.failed import Cell, cover, failed_cells
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+
+RAMPS = {
+    "SS1-t": Ramp.stated(6, time=0.3, off_after=0.15),
+    "SS1-t, drives accelerate": Ramp.stated(6, time=0.3, off_after=0.1, share=1.3),
+    "SS1-r": Ramp.stated(6, time=0.3, monitored=True),
+    "SS1-r, deceleration, drives accelerate": Ramp.stated(6, deceleration=5.0, monitored=True, share=1.2),
+    "SS1-t, together": Ramp.stated(6, time=0.3, off_after=0.3, together=True),
+}
+
+
+@pytest.mark.parametrize("name", RAMPS)
+def test_failures_of_every_joint_on_its_own_stay_inside(name: str) -> None:
+    bounds, rng = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMPS[name]), np.random.default_rng(9)
+    for k in range(3):
+        q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-1.26, 1.26, 6)
+        bound = bounds.bound(q, dq, "1 guaranteed")
+        assert bound.certified
+        found = sample_failed_ramps(bounds, bound, q, dq, 25, k)
+        assert found.escaped == 0
+        assert np.median(bound.angle / found.angle) < 3.0  # and it is not loose beyond use
+
+
+@pytest.mark.parametrize(
+    "weaker",
+    [
+        {"off_after": 0.05},  # power taken sooner than it is
+        {"share": 0.5},  # failed drives slower than they are
+        {"together": True},  # all joints alike
+    ],
+)
+def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: ignore[type-arg]
+    ramp = Ramp.stated(6, time=0.3, off_after=0.3)
+    bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=ramp, pieces=8)
+    # joint 5 swings over the shoulder's motion: which one goes on alone matters
+    q, dq = np.array([0.1, 0.9, 0.9, 0.2, 1.2, 0.0]), np.array([1.2, -1.2, 1.2, -1.0, 1.2, 1.0])
+    mild = replace(bounds, ramp=replace(ramp, **weaker)).bound(q, dq, "1 guaranteed")
+    assert mild.certified
+    assert sample_failed_ramps(bounds, mild, q, dq, 40, 1).escaped > 0
+
+
+def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
+    """Every cell's travel and speed against the integral of the monitored line, to the last of the cells."""
+    ramp, dq = Ramp.stated(6, time=0.4, control=0.02, monitored=True), np.full(6, 1.0)
+    cells = failed_cells(ramp, dq)
+    for left in np.linspace(0.0, 0.42, 200):
+        t = np.linspace(0.0, left, 2001)
+        line = 1.0 - np.clip((t - 0.02) / 0.4, 0.0, 1.0) + ramp.tolerance
+        line = np.minimum(line, 1.0)
+        travel = np.trapezoid(line, t) + ramp.reaction * line[-1]
+        inside = [
+            c for c in cells
+            if c.travel[0, 1] >= travel - 1e-6 and c.share[0, 1] >= line[-1] - 1e-9 and c.time >= left + ramp.reaction - 1e-9
+        ]  # fmt: skip
+        assert inside
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_cut_cells_cover_the_cell(together: bool) -> None:
+    rng, dq = np.random.default_rng(2), np.array([1.0, 0.5, 0.0])
+    whole = Cell(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
+    parts = [whole]
+    for _ in range(5):
+        parts = [x for p in parts for x in p.halves(dq, together)]
+    for _ in range(300):
+        a, s = (np.full(3, rng.random()), np.full(3, rng.random())) if together else (rng.random(3), rng.random(3))
+        a = 0.3 * a
+        assert any(
+            np.all((p.travel[:, 0] <= a) & (a <= p.travel[:, 1]) & (p.share[:, 0] <= s) & (s <= p.share[:, 1])) for p in parts
+        )  # fmt: skip
+
+
+def test_a_cell_that_cannot_be_bounded_says_so() -> None:
+    class Hopeless:
+        end = 2
+
+    out = cover(failed_cells(RAMPS["SS1-t"], np.ones(6)), np.ones(6), False, 8, lambda cell, energetic: [Hopeless()])  # type: ignore[list-item]
+    assert len(out) == 1 and out[0][1][-1].end == 2
+
+
+def test_without_a_time_for_power_off_there_is_no_number() -> None:
+    bound = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3)).bound(np.zeros(6), np.ones(6), "1 guaranteed")
+    assert not bound.certified and bound.time is None and "--off-after" in bound.why

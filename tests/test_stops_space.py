@@ -1,0 +1,112 @@
+"""Where to: tool, links and swept capsules at every half millisecond of simulated stops; speeds in a direction and towards a place."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.errors import NotCovered
+from stopset.offline.stops.sampling import DT, draw, inverse_inertia, start_of
+from stopset.reach.stops import StopBound, StopBounds
+from stopset.robot.rigid import link_frames
+from stopset.simulation.stop import simulate_stop
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+
+BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25))
+PLACES = np.array([[0.5, 0.2, 0.3], [0.0, 0.0, 1.2], [-2.0, 1.0, 0.0]])
+
+
+def states() -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(51)
+    return [(rng.uniform(-2.3, 2.3, 6), rng.uniform(-1.26, 1.26, 6)) for _ in range(3)]
+
+
+def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[str]:
+    """Which statements about space some simulated stop contradicts."""
+    s = BOUNDS.setting
+    assert s is not None and bound.motion is not None and bound.capsules is not None
+    chain, robot, found = s.plant.chain, BOUNDS.model.robot, set()
+    directions = np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(1).normal(size=(4, 3))])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    fast = np.array([bound.directed_speed(d) for d in directions])
+    far = np.array([bound.directed_distance(d) for d in directions])
+    closing = np.array([bound.speed_towards(x) for x in PLACES])
+    sign, W = np.where(dq >= 0, 1.0, -1.0), inverse_inertia(s.plant, q)
+    for k in range(stops):
+        x = draw(s.plant, k % 5, sign, W)
+        q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:6], s.noise.radius[6:])
+        steps = int(bound.time.max() / DT) + 1
+        qs, vs = simulate_stop(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u)
+        R0, o0 = link_frames(chain, q0)
+        ends0 = np.array([*o0[1:], o0[-1] + R0[-1] @ robot.tip])
+        for qk, vk in zip(qs, vs, strict=True):
+            R, o = link_frames(chain, qk)
+            ends = np.array([*o[1:], o[-1] + R[-1] @ robot.tip])
+            tip = o[-1] + R[-1] @ s.payload_com
+            speed = sum(np.cross(R[i] @ chain.axis[i], tip - o[i]) * vk[i] for i in range(6))
+            way = tip - (o0[-1] + R0[-1] @ s.payload_com)
+            toward = PLACES - tip
+            checks = {
+                "tcp": np.linalg.norm(way) <= bound.tcp + 1e-6,
+                "box": np.all(way <= bound.tcp_box[:, 1] + 1e-6) and np.all(way >= bound.tcp_box[:, 0] - 1e-6),
+                "tcp speed": np.linalg.norm(speed) <= bound.tcp_speed + 1e-3,
+                "directed speed": np.all(directions @ speed <= fast + 1e-3),
+                "directed distance": np.all(directions @ way <= far + 1e-6),
+                "towards": np.all(toward @ speed / np.linalg.norm(toward, axis=1) <= closing + 1e-3),
+                "links": np.all(np.linalg.norm(ends - ends0, axis=1) <= bound.links + 1e-6),
+                "capsules": all(_inside(o[i], ends[i], bound.capsules[:, i]) for i in range(6)),
+            }
+            found |= {name for name, good in checks.items() if not good}
+    return found
+
+
+def _inside(a: np.ndarray, b: np.ndarray, capsules: np.ndarray) -> bool:
+    """Both ends of a link's axis, and its middle, in one capsule."""
+    for c in capsules:
+        p, u = c[:3], c[3:6] - c[:3]
+        gaps = []
+        for x in (a, 0.5 * (a + b), b):
+            t = np.clip((x - p) @ u / max(float(u @ u), 1e-15), 0.0, 1.0)
+            gaps.append(np.linalg.norm(x - p - t * u))
+        if max(gaps) <= c[6] + 1e-6:
+            return True
+    return False
+
+
+def test_every_simulated_stop_stays_in_its_space() -> None:
+    for q, dq in states():
+        assert outside(BOUNDS.bound(q, dq), q, dq, 10) == set()
+
+
+def test_statements_made_too_small_are_contradicted() -> None:
+    """The same sampling finds each of them wrong when it is weakened: lengths at 60 %, capsules at 30 %."""
+    found = set()
+    for q, dq in states():
+        good = BOUNDS.bound(q, dq)
+        m = good.motion
+        capsules = good.capsules.copy()
+        capsules[:, :, 6] *= 0.3
+        weak = replace(
+            good, tcp=0.6 * good.tcp, tcp_box=0.6 * good.tcp_box, tcp_speed=0.6 * good.tcp_speed, links=0.6 * good.links,
+            capsules=capsules, motion=replace(m, way=0.6 * m.way, way_ball=0 * m.way_ball, pace=0.6 * m.pace, pace_ball=0 * m.pace_ball),
+        )  # fmt: skip
+        found |= outside(weak, q, dq, 5)
+    assert found == {"tcp", "box", "tcp speed", "directed speed", "directed distance", "towards", "links", "capsules"}
+
+
+def test_a_direction_is_a_direction_and_scales_do_not_matter() -> None:
+    bound = BOUNDS.bound(*states()[0])
+    assert bound.directed_speed([0, 0, 2.0]) == pytest.approx(bound.directed_speed([0, 0, 1.0]))
+    # no direction is faster than the fastest
+    assert bound.directed_speed([1, 1, 0]) <= 1.2 * bound.tcp_speed
+    for bad in ([0, 0, 0], [np.nan, 0, 1], [1, 0]):
+        with pytest.raises(NotCovered, match="direction"):
+            bound.directed_speed(bad)
+    refused = StopBound("0", False, "no stop provable")
+    assert refused.directed_speed([1, 0, 0]) is None and refused.speed_towards([1, 0, 0]) is None
