@@ -66,11 +66,14 @@ def cluster(tmp_path: Path) -> object:
 
 @pytest.mark.slow
 def test_two_workers_give_the_same_bits_and_a_killed_one_loses_nothing(
-    data: Path, tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
+    data: Path, tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     address, workers = cluster
     alone = identify(data, tmp_path / "alone.json")
+    told = capsys.readouterr().err
+    assert [f"{k * TRIALS // 10} of {TRIALS} trials" in told for k in range(1, 11)] == [True] * 10, told
     together = identify(data, tmp_path / "together.json", "--scheduler", address)
+    assert "of 6 parts of the campaign from 2 workers" in capsys.readouterr().err
     assert together == alone, "the model must not depend on where it was computed"
 
     killed = threading.Timer(2.0, lambda: os.kill(workers[0].pid, signal.SIGKILL))

@@ -20,6 +20,7 @@ from stopset.errors import ModelFileError, RecordingError
 from stopset.offline import drift
 from stopset.offline.adaptive_file import load_state, save_state
 from stopset.offline.assembly import STOPS, Identification, concluded, stopped
+from stopset.offline.parts import Progress
 from stopset.offline.revise import description, settings_of
 from stopset.offline.sources import common_meta
 from stopset.offline.sums import Kept, Sums, sums_of
@@ -66,7 +67,8 @@ def update(
         nominal = replace(nominal, data=drift.folded(nominal.data, robot, model, source(), found))
         assert nominal.data is not None
         difference = drift.apart(nominal.data, robot, model)
-    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
+    progress = Progress(trials, tell)
+    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler, progress)
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
     fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)

@@ -14,7 +14,9 @@ from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.conform.sets import Conformance, Options, Pairs
 from stopset.offline.errors import Figures
-from stopset.offline.nominal_part import NominalPart, abstracted, fit_nominal, known_effects, pairs_of
+from stopset.offline.nominal_part import NominalPart, fit_nominal, known_effects, pairs_of
+from stopset.offline.order import abstracted
+from stopset.offline.parts import Progress
 from stopset.offline.settings import Settings
 from stopset.offline.sources import common_meta
 from stopset.offline.sums import sums_of, template_of
@@ -56,8 +58,7 @@ def identify(
 
     numbers = known_effects(robot, meta, learning, chosen, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
-    if chosen.model != 1 or chosen.order not in (None, 1):
-        nominal = abstracted(nominal, learnt, chosen, meta.effort)
+    nominal = abstracted(robot, meta, learning, learnt, chosen, numbers, nominal)
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
@@ -82,7 +83,8 @@ def _with_sets(
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     if nominal.abstraction.linear:
         zonotope = template_of(found, nominal, meta.effort) if settings.shape == "zonotope" else None
-        sums = sums_of(source, found, nominal, meta.effort, settings, bands, zonotope, tally is not None, scheduler)
+        progress = Progress(found.trials, tell)
+        sums = sums_of(source, found, nominal, meta.effort, settings, bands, zonotope, tally is not None, scheduler, progress)
         tell("identifying the sets")
         return concluded(robot, meta, found, nominal, settings, bands, zonotope, sums, tally)
     # its windows do not fold into an envelope: trials in memory, one process

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from threading import Lock
 from typing import Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
@@ -27,8 +28,24 @@ class Mergeable(Protocol):
     def merge(self, other: Self, /) -> Self: ...
 
 
+Tell = Callable[[str], None]
 A = TypeVar("A", bound=Mergeable)
 B = TypeVar("B", bound=Mergeable)
+
+
+class Progress:
+    """Tells every tenth of the trials as they are done, by however many threads."""
+
+    def __init__(self, trials: int, tell: Tell) -> None:
+        self._trials, self.tell, self._done = max(trials, 1), tell, 0
+        self._lock = Lock()
+
+    def step(self) -> None:
+        """One trial more is done."""
+        with self._lock:
+            before, self._done = self._done, self._done + 1
+            if 10 * self._done // self._trials > 10 * before // self._trials:
+                self.tell(f"{self._done} of {self._trials} trials")
 
 
 def within(source: Source, trials: Range) -> Source:
@@ -50,14 +67,18 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None) -> tuple[A, B]:
+def in_parts(
+    work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = lambda _: None
+) -> tuple[A, B]:
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
-    given to another one.  Raises `StopsetError` if there is no such scheduler or no worker left.
+    given to another one; ``tell`` is told the cluster's parts as they come in.
+
+    Raises `StopsetError` if there is no such scheduler or no worker left.
     """
     if scheduler is not None:
-        results = _on_cluster(work, trials, scheduler)
+        results = _on_cluster(work, trials, scheduler, tell)
     else:
         parts = max(1, min(os.cpu_count() or 1, trials // FEWEST, 4))
         with ThreadPoolExecutor(parts) as pool:
@@ -68,8 +89,8 @@ def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str |
     return a, b
 
 
-def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str) -> list[tuple[A, B]]:
-    from distributed import Client
+def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str, tell: Tell) -> list[tuple[A, B]]:
+    from distributed import Client, as_completed
 
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
@@ -84,4 +105,6 @@ def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: st
                 f"the Dask scheduler at {scheduler} has no worker; start at least one that can read the recordings"
             )
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
+        for done, _ in enumerate(as_completed(jobs, loop=client.loop), 1):
+            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers")
         return list(client.gather(jobs))

@@ -15,7 +15,7 @@ from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.errors import Figures
 from stopset.offline.motions import Suite
 from stopset.offline.nominal_part import NominalPart, pairs_of, roller
-from stopset.offline.parts import Range, in_parts, within
+from stopset.offline.parts import Progress, Range, in_parts, within
 from stopset.offline.settings import Settings
 from stopset.offline.survey import Source, Survey, Tally
 from stopset.recording import Meta, Recording
@@ -62,12 +62,14 @@ def template_of(found: Survey, nominal: NominalPart, effort: str) -> Template:
 
 def sums_of(
     source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None,
-    zonotope: Template | None, keep: bool, scheduler: str | None = None,
+    zonotope: Template | None, keep: bool, scheduler: str | None = None, progress: Progress | None = None,
 ) -> Sums:  # fmt: skip
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     found = replace(found, sample=())  # what a part needs, without the trials kept in memory
     horizon = settings.horizon if keep else min(settings.horizon, found.longest)
     halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
+
+    here = progress if scheduler is None else None  # a cluster's parts come back whole
 
     def part(trials: Range) -> tuple[Gathered, Figures]:
         figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, found))
@@ -76,8 +78,10 @@ def sums_of(
             for motion, r, u in pairs_of(within(source, trials), found, nominal, effort)():
                 figures.add(r, u)
                 yield motion, r, u
+                if here is not None:
+                    here.step()
 
         in_bands = None if bands is None else bands.of
         return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands, zonotope), figures
 
-    return Sums(*in_parts(part, found.places, scheduler))
+    return Sums(*in_parts(part, found.places, scheduler, (lambda _: None) if progress is None else progress.tell))
