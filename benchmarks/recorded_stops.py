@@ -1,0 +1,118 @@
+"""Recorded stops against the brakes and ramps identified from others: certified, violated, and how far the bound exceeds them.
+
+    python benchmarks/recorded_stops.py FOLDER [SET ...] [--json FILE]
+
+FOLDER holds sets, each with ``recording.parquet`` (phases stop0, stop1), ``robot.urdf`` and ``robot.json``. Every third stop of a
+suite is held out; only these are counted.  One line per set and category: held-out stops, those with a certified bound, those that
+leave it at any sample, those it does not apply to, and the median of bound over measured angle and time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.offline.brakes import divide, judge_stop0, judge_stop1
+from stopset.offline.brakes.judge import Verdict, stop0_tubes, stop1_tube
+from stopset.offline.identify import identify
+from stopset.offline.stops.measured import trigger_of
+from stopset.reach.stops.plant import setting_of
+from stopset.reach.stops.ramp import ramp_of
+from stopset.reach.stops.tube import Tube
+from stopset.reach.stops.tubes import stopped_after
+from stopset.recording import Recording, read_recordings
+from stopset.robot import load_robot
+
+STILL = 0.015  # [rad/s] a measured joint slower than this has stopped
+
+
+@dataclass(frozen=True)
+class Row:
+    """One set and category."""
+
+    name: str
+    category: str
+    held: int
+    certified: int
+    violated: int
+    uncovered: int
+    angle: float  # median of bound over measured, joint that went farthest
+    time: float
+    outside: tuple[tuple[str, int, float], ...]
+
+
+def exceeds(tubes: Sequence[Tube], r: Recording) -> tuple[float, float]:
+    """Bound over measured: angle of the joint that went farthest, time until the last joint stopped."""
+    k = trigger_of(r)
+    assert k is not None
+    travel = np.abs(r.q[k:] - r.q[k]).max(axis=0)
+    i = int(np.argmax(travel))
+    far = max(max(float(t.d_hi[:, i].max()), -float(t.d_lo[:, i].min())) for t in tubes)
+    moving = np.flatnonzero((np.abs(r.dq[k:]) > STILL).any(axis=1))
+    lasted = float(r.t[k + min(int(moving[-1]) + 1, len(r.t) - 1 - k)] - r.t[k]) if len(moving) else np.nan
+    return far / float(travel[i]), max(float(stopped_after(t).max()) for t in tubes) / lasted
+
+
+def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Row]:
+    """What the held-out stops of one set say."""
+    setting, ramp = setting_of(model), ramp_of(model)
+    out = []
+    held = divide([r for r in recordings if r.phase == "stop0"])[1]
+    if setting is not None and "stop0" in model.sets and held:
+        tubes = [(r, stop0_tubes(setting, r)) for r in held]
+        ratios = [exceeds(t, r) for r, t in tubes if t is not None]
+        out.append(_row(name, "STOP 0", judge_stop0(model, held), ratios))
+    held = divide([r for r in recordings if r.phase == "stop1"])[1]
+    if setting is not None and ramp is not None and held:
+        ratios = [exceeds([stop1_tube(ramp, setting.noise, r)], r) for r in held]
+        out.append(_row(name, "STOP 1", judge_stop1(ramp, setting.noise, held), ratios))
+    return out
+
+
+def _row(name: str, category: str, v: Verdict, ratios: Sequence[tuple[float, float]]) -> Row:
+    angle, time = np.nanmedian(ratios, axis=0) if ratios else (np.nan, np.nan)
+    return Row(name, category, v.stops, v.certified, len(v.outside), len(v.uncovered), float(angle), float(time), v.outside)
+
+
+def main() -> None:
+    args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    args.add_argument("folder", type=Path)
+    args.add_argument("sets", nargs="*", help="names of sets, default all")
+    args.add_argument("--json", type=Path)
+    given = args.parse_args()
+    rows: list[Row] = []
+    print(f"{'set':<6} {'':<7} {'held':>4} {'certified':>9} {'violated':>8} {'uncovered':>9} {'angle':>6} {'time':>6}")
+    for folder in sorted(p for p in given.folder.iterdir() if (p / "recording.parquet").is_file()):
+        if given.sets and folder.name not in given.sets:
+            continue
+        robot = load_robot(folder / "robot.urdf")
+        data = [folder / "recording.parquet"]
+        model = identify(robot, data).model
+        stops = [r for r in read_recordings(data, robot) if r.phase in ("stop0", "stop1")]
+        for row in rows_of(folder.name, model, stops):
+            rows.append(row)
+            print(
+                f"{row.name:<6} {row.category:<7} {row.held:>4} {row.certified:>9} {row.violated:>8} {row.uncovered:>9} "
+                f"{row.angle:>6.2f} {row.time:>6.2f}  {'; '.join(f'{x[0]}: joint {x[1] + 1} at {x[2]:.3f} s' for x in row.outside)}",
+                flush=True,
+            )
+    for category in ("STOP 0", "STOP 1"):
+        mine = [r for r in rows if r.category == category]
+        if mine:
+            print(
+                f"{category}: {sum(r.certified for r in mine)} of {sum(r.held for r in mine)} held-out stops certified, "
+                f"{sum(r.violated for r in mine)} violated, {sum(r.uncovered for r in mine)} not covered; median over sets of bound "
+                f"over measured: angle {np.nanmedian([r.angle for r in mine]):.2f}, time {np.nanmedian([r.time for r in mine]):.2f}"
+            )
+    if given.json:
+        given.json.write_text(json.dumps([asdict(r) for r in rows], indent=1))
+
+
+if __name__ == "__main__":
+    main()

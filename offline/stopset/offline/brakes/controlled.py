@@ -1,0 +1,111 @@
+"""The ramp of a controlled stop from recorded ones: fixed time or fixed deceleration, its delay, and what tracking errs by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from stopset.offline.brakes.bands import band, beyond, hull
+from stopset.offline.brakes.judge import judge_stop1, pace_before
+from stopset.offline.stops.measured import trigger_of
+from stopset.reach.stops.ramp import Ramp
+from stopset.recording import Recording
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+KINDS = ("time", "deceleration")
+WIDENINGS = 6
+WIDEN = 1.15
+START = 0.005  # [s] delay to start the fit from
+SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less
+
+
+def fit_ramp(train: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]) -> Ramp:
+    """The ramp whose bounds enclose the training stops and, by their spread, the next ones.
+
+    ``requests``: training stops of every category: how their speeds were changing when the stop was asked for.
+    """
+    n = train[0].q.shape[1]
+    fits = {kind: [_fit_one(kind, r) for r in train] for kind in KINDS}
+    kind = min(fits, key=lambda k: sum(f.misfit for f in fits[k]))
+    suites = [r.suite for r in train]
+    control = _band_of([f.control for f in fits[kind]], suites)
+    value = _band_of([f.value for f in fits[kind]], suites)
+    # a programmed motion that speeds up slows down again, and may begin to while the ramp slows it further
+    pace = max(map(abs, band([0.0, *(p for p in (pace_before(r) for r in requests) if p is not None)])))
+    errors = np.array([_tracking(kind, r, f) for r, f in zip(train, fits[kind], strict=True)])  # (stops, 2, n)
+    q_error, dq_error = errors.max(axis=0) + beyond(len(train)) * np.ptp(errors, axis=0)
+    ramp = Ramp(
+        "time" if kind == "time" else "deceleration",
+        Box.of(np.full(n, max(value[0], 1e-3)), np.full(n, value[1])), Box.of(np.full(n, max(control[0], 0.0)), np.full(n, control[1])),
+        q_error, dq_error, source="identified from stop1 recordings", pace=(-pace, pace),
+    )  # fmt: skip
+    for round_ in range(WIDENINGS + 1):
+        outside = judge_stop1(ramp, noise, train).outside
+        if not outside:
+            break
+        ramp = replace(
+            ramp, value=ramp.value.inflated(WIDEN), q_error=1.1 * ramp.q_error + 1e-5, dq_error=1.1 * ramp.dq_error + 1e-4
+        )
+        notes.append(f"the ramp's sets were widened ({round_ + 1}) to enclose {len(outside)} training stops")
+    return ramp
+
+
+def _band_of(values: Sequence[float], suites: Sequence[int]) -> tuple[float, float]:
+    groups: dict[int, tuple[list[float], int]] = {}
+    for v, s in zip(values, suites, strict=True):
+        seen, count = groups.get(s, ([], 0))
+        groups[s] = ([*seen, v], count + 1)
+    return hull(groups) if len(values) > 1 else band(values)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    control: float
+    value: float
+    pace: float
+    misfit: float
+
+
+def _shape(kind: str, t: Array, v0: Array, control: float, value: float, pace: float) -> tuple[Array, Array]:
+    """Displacement and speeds (K, n) of a ramp."""
+    lasts = np.maximum(np.full(v0.shape, value) if kind == "time" else np.abs(v0) / value, 1e-9)
+    s = np.clip((t[:, None] - control) / lasts, 0.0, 1.0)
+    way = np.minimum(t[:, None], control) + lasts * (s - 0.5 * s * s)
+    return v0 * (way + 0.5 * pace * way * way), v0 * (1.0 - s) * np.maximum(1.0 + pace * way, 0.0)
+
+
+def _fit_one(kind: str, r: Recording) -> _Fit:
+    """The ramp of one stop."""
+    t, v, v0 = _motion(r)
+    area = float(np.sum(np.abs(v)) * np.mean(np.diff(t))) / max(float(np.sum(np.abs(v0))), 1e-9)
+    guess = max(2.0 * area, 0.02) if kind == "time" else float(np.max(np.abs(v0))) / max(2.0 * area, 0.02)
+    before = pace_before(r) or 0.0
+
+    def miss(x: Array) -> Array:
+        # a motion goes on changing its speed as before the request, or less when it reaches its constant speed meanwhile
+        speeds = _shape(kind, t, v0, float(x[0]), float(np.exp(x[1])), before * float(x[2]))[1]
+        return np.asarray(v - speeds).ravel()
+
+    bounds = ([0.0, -np.inf, 0.0], [0.5 * float(t[-1]), np.inf, 1.0])
+    fit = least_squares(miss, [START, np.log(guess), 0.5], bounds=bounds, loss="soft_l1", f_scale=SOFT, max_nfev=80)
+    return _Fit(float(fit.x[0]), float(np.exp(fit.x[1])), before * float(fit.x[2]), float(2.0 * fit.cost))
+
+
+def _motion(r: Recording) -> tuple[Array, Array, Array]:
+    k = trigger_of(r)
+    assert k is not None
+    return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
+
+
+def _tracking(kind: str, r: Recording, fit: _Fit) -> Array:
+    """(2, n) largest error of angle and speed against the stop's own ramp."""
+    k = trigger_of(r)
+    assert k is not None
+    t, v, v0 = _motion(r)
+    way, speeds = _shape(kind, t, v0, fit.control, fit.value, fit.pace)
+    return np.array([np.abs(r.q[k:] - r.q[k] - way).max(axis=0), np.abs(v - speeds).max(axis=0)])

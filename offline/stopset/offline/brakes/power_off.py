@@ -1,0 +1,246 @@
+"""Brakes from recorded power-off stops: torque, delay and rise as intervals, and the uncertainty sets of the regime STOP 0.
+
+What varies between stops is what the intervals hold: per stop and joint one delay and one torque are estimated (`timing`),
+and each suite's values are widened by its own spread and number (`bands`).  What one brake was seen to do, relative to its own
+middle, the other brakes of the arm are taken to be able to do too: a few stops do not show every joint's worst.  The
+joints' delays go together where one power stage cuts them: the model keeps by how much they differ within one stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Brakes, Model, UncertaintySets
+from stopset.offline.brakes.bands import band, beyond, hull
+from stopset.offline.brakes.impulse import impulses, speed_error
+from stopset.offline.brakes.judge import judge_stop0
+from stopset.offline.brakes.timing import Told, tell
+from stopset.reach.stops.plant import setting_of
+from stopset.recording import Recording
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+LEAST = 4  # training stops, and told values, that an interval needs
+TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
+ENOUGH = 8  # stops that tell their delay, to believe their interval alone
+MOST_TORQUE = 0.2  # as `bands.MOST`, for torques: what springs press and linings hold is bounded by how a brake is built
+SIGMAS = 4.0  # of a measured speed's noise within its bound
+WIDENINGS = 6
+WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
+APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
+STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
+TYPICAL = 0.1  # relative spread of friction between stops
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What one stop told, joint by joint; ``start``: (n,) [rad/s] by which it went as if started faster, nan if not known."""
+
+    suite: int
+    told: tuple[Told | None, ...]
+    start: Array
+
+
+def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -> list[Seen]:
+    """What each of ``stops`` tells, under the torques that ``brakes`` assume."""
+    setting = setting_of(replace(model, brakes=brakes))
+    assert setting is not None
+    n = model.n
+    u = setting.plant.u_hi - setting.plant.u_lo
+    spread = TYPICAL * setting.plant.coulomb_hi + 0.15 * u + 1e-3
+    torque, out = brakes.torque.centre, []
+    for r in stops:
+        curves = impulses(setting, r, noise.radius[n:] / SIGMAS)
+        told = tuple(None if c is None else tell(c, float(torque[i]), float(spread[i])) for i, c in enumerate(curves))
+        momentum = np.array([0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, told, strict=True)])
+        signs = [0.0 if c is None else c.sign for c in curves]
+        told = tuple(None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(told, signs, strict=True))
+        out.append(Seen(r.suite, told, speed_error(setting, r, momentum)))
+    return out
+
+
+def _guessed(model: Model, stops: Sequence[Recording], noise: Box) -> Brakes:
+    """Brakes where no data sheet tells: torque from the steepest end of a joint's curves, timing as of any servo brake."""
+    n = model.n
+    delay, rise = Box.of(np.zeros(n), np.full(n, 0.1)), Box.of(np.full(n, 1e-3), np.full(n, 0.05))
+    setting = setting_of(replace(model, brakes=Brakes(Box.of(np.ones(n), np.full(n, 100.0)), delay, rise)))
+    assert setting is not None
+    torque = np.ones(n)
+    for r in stops:
+        for i, c in enumerate(impulses(setting, r, noise.radius[n:] / SIGMAS)):
+            if c is not None and len(c.t) > TAIL:
+                torque[i] = max(torque[i], (c.taken[-1] - c.taken[-TAIL]) / (c.t[-1] - c.t[-TAIL]))
+    return Brakes(Box.of(0.7 * torque, 1.3 * torque), delay, rise)
+
+
+def _table(seen: Sequence[Seen], field: str) -> Array:
+    """(stops, n) of one field of what was told, nan where nothing was."""
+    return np.array([[np.nan if w is None else getattr(w, field) for w in s.told] for s in seen])
+
+
+def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list[str]) -> Model | None:
+    """The model with brakes and the regime STOP 0 from the training stops; None, and a note, if they cannot tell."""
+    n = model.n
+    wide = model.brakes or _guessed(model, train, noise)
+    seen = look(model, wide, train, noise)
+    delay = _delays(_table(seen, "delay"), notes)
+    if np.sum(~np.isnan(delay)) < LEAST:
+        notes.append("too few joints were still moving when their brakes engaged; brakes cannot be identified from these stops")
+        return None
+    torque = np.where(np.isnan(delay), np.nan, _table(seen, "torque"))
+    unknown = [model.joints[i] for i in np.flatnonzero(np.isnan(torque).all(axis=0))]
+    if model.brakes is None and unknown:
+        notes.append(
+            f"no data sheet tells the brake torque of {', '.join(unknown)} and no stop shows it; state it, or record faster stops: "
+            "no STOP 0 can be bounded"
+        )
+        return None
+    suites = [s.suite for s in seen]
+    timing, apart = _timing(delay, suites)
+    stops_told = int(np.sum(~np.isnan(delay).all(axis=1)))
+    if stops_told < ENOUGH:
+        timing = timing | wide.delay
+        notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
+    brakes = Brakes(
+        _torques(model, wide, torque, suites, notes), timing, Box.of(*np.tile(_rises(_table(seen, "rise")), (n, 1)).T),
+        source="identified from stop0 recordings", apart=apart,
+    )  # fmt: skip
+    sets = _regime(model, seen, noise)
+    return _widened(replace(model, brakes=brakes, sets={**model.sets, "stop0": sets}), train, notes)
+
+
+def _delays(delay: Array, notes: list[str]) -> Array:
+    """The same without delays that lie far from the others of their stop."""
+    two = np.sum(~np.isnan(delay), axis=1) == 2
+    two[two] = np.ptp(np.sort(delay[two], axis=1)[:, :2], axis=1) > 2.0 * STRAY
+    delay = np.where(two[:, None], np.nan, delay)  # of two that differ nobody knows which one is wrong
+    several = np.sum(~np.isnan(delay), axis=1) > 2
+    apart = np.full(delay.shape, np.nan)
+    apart[several] = np.abs(delay[several] - np.nanmedian(delay[several], axis=1, keepdims=True))
+    stray = apart > (max(STRAY, 3.0 * float(np.nanmedian(apart))) if np.any(several) else np.inf)
+    if np.any(stray):
+        notes.append(
+            f"{int(stray.sum())} of {int(np.sum(~np.isnan(delay)))} brake delays lie far from others of their stop; left out"
+        )
+    if np.any(two):
+        notes.append(f"{int(two.sum())} stops show two brake delays far apart; left out")
+    return np.where(stray, np.nan, delay)
+
+
+def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None]:
+    """(n,) delays [s], and how far two joints' delays in one stop can lie apart beyond their boxes; None if not known."""
+    n = delay.shape[1]
+    rows = np.isfinite(delay)
+    some = np.asarray(rows.any(axis=1))
+    deviation = np.full(delay.shape, np.nan)
+    deviation[some] = delay[some] - np.nanmedian(delay[some], axis=1, keepdims=True)
+    own = np.zeros(n)
+    for i in range(n):
+        mine = deviation[rows[:, i] & (rows.sum(axis=1) > 1), i]
+        if len(mine) >= LEAST and abs(np.median(mine)) > max(APART, 2.0 * float(np.std(mine))):
+            own[i] = np.median(mine)
+    common = delay - own
+    groups: dict[int, tuple[list[float], int]] = {}
+    for s, suite in enumerate(suites):
+        if some[s]:
+            values, count = groups.get(suite, ([], 0))
+            groups[suite] = ([*values, *common[s][rows[s]]], count + 1)
+    lo, hi = hull(groups)
+    box = Box.of(np.maximum(lo + own, 0.0), np.maximum(hi + own, 1e-3))
+    apart = [float(np.ptp(common[s][rows[s]])) for s in range(len(delay)) if rows[s].sum() > 1]
+    if len(apart) < LEAST:
+        return box, None
+    return box, (1.0 + beyond(len(apart))) * max(apart) + 1e-3
+
+
+def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], notes: list[str]) -> Box:
+    """(n,) [N m]: each brake's middle times what all brakes of the arm varied by."""
+    nominal = wide.torque.centre
+    share = torque / nominal
+    told = ~np.isnan(share)
+    if told.sum() < LEAST:
+        notes.append("no brake's torque could be told from these stops; it stays as before")
+        return wide.torque
+    usual = float(np.nanmedian(share))
+    middle = np.full(model.n, usual)
+    for i in range(model.n):
+        mine = share[told[:, i], i]
+        if len(mine) >= LEAST:
+            middle[i] = float(np.median(mine))
+        elif len(mine) == 0:
+            notes.append(f"the brake of {model.joints[i]} was not seen closing: it is taken to vary as the others do")
+    groups: dict[int, tuple[list[float], int]] = {}
+    for s, i in np.argwhere(told):
+        values, count = groups.get(suites[s], ([], 0))
+        groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
+    lo, hi = hull(groups, MOST_TORQUE)
+    return Box.of(np.maximum(middle * max(lo, 0.05) * nominal, 1e-3), middle * hi * nominal)
+
+
+def _rises(rise: Array) -> tuple[float, float]:
+    values = rise[~np.isnan(rise)]
+    if len(values) < LEAST:
+        return 2e-3, 0.03
+    lo, hi = band(values)
+    return max(lo - 1.5e-3, 1e-3), hi + 1.5e-3
+
+
+def _regime(model: Model, seen: Sequence[Seen], noise: Box) -> UncertaintySets:
+    """The sets of the regime STOP 0: start error X0 with what the drive still gives, U before the brakes close, V."""
+    powered, n = model.powered, model.n
+    error, std = _table(seen, "torque_error"), _table(seen, "torque_error_std")
+    u_lo, u_hi = powered.U.lo.copy(), powered.U.hi.copy()
+    for i in range(n):
+        clear = ~np.isnan(error[:, i]) & (std[:, i] < 0.5 * max(u_hi[i] - u_lo[i], 1e-9))
+        if clear.sum() < LEAST:
+            continue
+        lo, hi = band(error[clear, i])
+        u_lo[i], u_hi[i] = (
+            min(float(np.min(error[clear, i])), max(lo, u_lo[i])),
+            max(float(np.max(error[clear, i])), min(hi, u_hi[i])),
+        )
+    start = np.array([s.start for s in seen])
+    most = np.array([max(map(abs, band(start[:, i]))) for i in range(n)])
+    X0 = Box.symmetric(np.maximum(noise.radius, np.concatenate([np.zeros(n), most])))
+    return replace(powered, X0=X0, U=Box.of(u_lo, u_hi), V=noise, active=(), zonotope=None)
+
+
+def _widened(model: Model, train: Sequence[Recording], notes: list[str]) -> Model:
+    """The model with its brakes and disturbance grown until the stop bound encloses every training stop."""
+    grown: set[int] = set()
+    for round_ in range(WIDENINGS + 1):
+        verdict = judge_stop0(model, train)
+        if not verdict.outside:
+            if round_:
+                model = _grown(model, sorted(grown))  # what only just encloses the training stops is too small for the next
+                notes.append(f"torque sets of the stops were widened {round_} times by {WIDEN:.0%} to enclose all training stops")
+            if verdict.certified < verdict.stops:
+                notes.append(f"{verdict.stops - verdict.certified} of {verdict.stops} training stops have no certified bound")
+            return model
+        joints = {joint for _, joint, _ in verdict.outside}
+        grown |= joints
+        model = _grown(model, sorted(joints))
+    notes.append(
+        f"training stops still leave the bound after {WIDENINGS} widenings: {', '.join(verdict.labels[:3])}; the model lacks something"
+    )
+    return model
+
+
+def _grown(model: Model, joints: Sequence[int]) -> Model:
+    """U, start speed and brake torque of ``joints`` a little wider."""
+    assert model.brakes is not None
+    n, sets, torque = model.n, model.sets["stop0"], model.brakes.torque
+    factor = np.ones(n)
+    factor[list(joints)] = WIDEN
+    t_lo, t_hi = torque.centre - factor * torque.radius, torque.centre + factor * torque.radius
+    wide = Box.of(
+        sets.U.centre - factor * sets.U.radius - (factor > 1) * 0.05, sets.U.centre + factor * sets.U.radius + (factor > 1) * 0.05
+    )
+    both = np.concatenate([np.ones(n), factor])
+    X0 = Box.symmetric(both * sets.X0.radius)
+    brakes = replace(model.brakes, torque=Box(np.maximum(t_lo, 1e-3), t_hi))
+    return replace(model, brakes=brakes, sets={**model.sets, "stop0": replace(sets, U=wide, X0=X0)})

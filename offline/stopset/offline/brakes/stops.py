@@ -1,0 +1,151 @@
+"""Recorded stops into the model: brakes and the regime STOP 0, the ramp of STOP 1, and what held-out stops say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stopset.artifact import Guarantee, Model
+from stopset.errors import RecordingError
+from stopset.offline.brakes.controlled import fit_ramp
+from stopset.offline.brakes.judge import Verdict, guarantee_line, judge_stop0, judge_stop1
+from stopset.offline.brakes.power_off import fit_brakes
+from stopset.offline.stops.measured import trigger_of
+from stopset.reach.stops.ramp import KEY, Ramp
+from stopset.recording import Recording
+from stopset.sets import Box
+
+HELD = 3  # every third stop of a suite is held out
+LEAST = 4  # training stops needed
+FEW = 8  # a suite with fewer stops than this is counted apart in the guarantee: it shows its variation incompletely
+REST = 15  # samples at the end of a stop that tell the noise
+
+
+@dataclass(frozen=True, slots=True)
+class StopFit:
+    """What the recorded stops tell; None where a phase was not recorded or cannot tell.
+
+    ``model``: the model with brakes and the regime 'stop0' (2n,) (n,) sets; ``ramp``: of STOP 1; ``stop0``, ``stop1``: what the
+    held-out stops say of them; ``noise``: (2n,) measurement error of (q, dq), from the arm at rest after its stops.
+    """
+
+    model: Model
+    ramp: Ramp | None
+    noise: Box | None
+    stop0: Guarantee | None
+    stop1: Guarantee | None
+    notes: tuple[str, ...]
+
+
+def with_stops(model: Model, fit: StopFit) -> Model:
+    """The model with the identified brakes, STOP 0 sets and ramp; the guarantee lines go into its notes."""
+    provenance = dict(model.provenance)
+    if fit.ramp is not None:
+        provenance[KEY] = fit.ramp.as_dict()
+    lines = [g.text for g in (fit.stop0, fit.stop1) if g is not None]
+    known = fit.model
+    return replace(model, brakes=known.brakes, sets=known.sets, provenance=provenance, notes=(*model.notes, *fit.notes, *lines))
+
+
+def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
+    """Brakes from stop0 and the ramp from stop1 recordings, every third stop held out.
+
+    Recordings of other phases are ignored.  Raises `RecordingError` if stops carry no ``stop_trigger``.
+    """
+    stops: dict[str, list[Recording]] = {"stop0": [], "stop1": []}
+    for r in recordings:
+        if r.phase in stops:
+            if trigger_of(r) is None:
+                raise RecordingError(
+                    f"{r.label} has no stop_trigger that turns true; expected the moment of the stop request: record it or "
+                    f"leave the file out"
+                )
+            stops[r.phase].append(r)
+    notes: list[str] = []
+    parts = {phase: divide(rows) for phase, rows in stops.items()}
+    noise = rest_noise([r for train, _ in parts.values() for r in train], model.n)
+    if noise is None:
+        if any(stops.values()):
+            count = sum(len(train) for train, _ in parts.values())
+            notes.append(
+                f"{count} recorded stops to identify from, too few of them until the arm rests; expected at least {LEAST}: record more, longer"
+            )
+        return StopFit(model, None, None, None, None, tuple(notes))
+    model = replace(model, sets={**model.sets, "stop0": replace(model.powered, X0=noise, V=noise, active=())})
+    model, stop0 = _power_off(model, stops["stop0"], noise, notes) if stops["stop0"] else (model, None)
+    requests = [r for train, _ in parts.values() for r in train]
+    ramp, stop1 = _controlled(stops["stop1"], requests, noise, notes) if stops["stop1"] else (None, None)
+    return StopFit(model, ramp, noise, stop0, stop1, tuple(notes))
+
+
+def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list[str]) -> tuple[Model, Guarantee | None]:
+    train, held = divide(stops)
+    known = fit_brakes(model, train, noise, notes) if _enough(train, "stop0", notes) else None
+    if known is None:
+        return model, None
+    regular, few = _apart(held, stops)
+    return known, guarantee_line("STOP 0", judge_stop0(known, regular), judge_stop0(known, few), len(train))
+
+
+def _controlled(
+    stops: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]
+) -> tuple[Ramp | None, Guarantee | None]:
+    train, held = divide(stops)
+    if not _enough(train, "stop1", notes):
+        return None, None
+    ramp = fit_ramp(train, requests, noise, notes)
+    regular, few = _apart(held, stops)
+    return ramp, guarantee_line("STOP 1", judge_stop1(ramp, noise, regular), judge_stop1(ramp, noise, few), len(train))
+
+
+def _enough(train: Sequence[Recording], phase: str, notes: list[str]) -> bool:
+    if len(train) >= LEAST:
+        return True
+    notes.append(f"{len(train)} {phase} recordings to identify from are too few; expected at least {LEAST}: record more stops")
+    return False
+
+
+def divide(stops: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Training and held-out stops, every third of each suite held out."""
+    train: list[Recording] = []
+    held: list[Recording] = []
+    for rows in _suites(stops).values():
+        for k, r in enumerate(rows):
+            (held if k % HELD == HELD - 1 else train).append(r)
+    return train, held
+
+
+def _suites(stops: Sequence[Recording]) -> dict[int, list[Recording]]:
+    out: dict[int, list[Recording]] = {}
+    for r in stops:
+        out.setdefault(r.suite, []).append(r)
+    return out
+
+
+def _apart(held: Sequence[Recording], stops: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Held-out stops from suites of many and of few stops; all count as of many where every suite has few."""
+    few = {s for s, rows in _suites(stops).items() if len(rows) < FEW}
+    if len(few) == len(_suites(stops)):
+        return list(held), []
+    return [r for r in held if r.suite not in few], [r for r in held if r.suite in few]
+
+
+def rest_noise(stops: Sequence[Recording], n: int) -> Box | None:
+    """Largest deviations of angle and speed while the arm rests at the end of its stops, half as much again."""
+    angle, speed = np.zeros(n), np.zeros(n)
+    seen = 0
+    for r in stops:
+        tail = slice(len(r.t) - REST, len(r.t))
+        if len(r.t) < 3 * REST or np.any(np.abs(np.mean(r.dq[tail], axis=0)) > 0.01):
+            continue
+        angle = np.maximum(angle, np.abs(r.q[tail] - np.mean(r.q[tail], axis=0)).max(axis=0))
+        speed = np.maximum(speed, np.abs(r.dq[tail]).max(axis=0))
+        seen += 1
+    if seen < LEAST:
+        return None
+    return Box.symmetric(np.concatenate([1.5 * np.maximum(angle, 1e-5), 1.5 * np.maximum(speed, 1e-4)]))
+
+
+__all__ = ["StopFit", "Verdict", "divide", "identify_stops", "rest_noise", "with_stops"]

@@ -1,0 +1,85 @@
+"""When, how fast and how hard each brake closed in one recorded stop, as far as that stop tells it.
+
+An impulse curve is a straight line (what the drive still gave, and the error of friction and gravity) plus the brake's ramp.
+The line and the brake's torque are linear and solved for; delay and rise are searched on a grid, so there is no start value
+to be wrong about.  A joint that came to rest before its brake engaged fits every late delay alike: it tells nothing of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.offline.brakes.impulse import Impulse
+
+Array = NDArray[np.float64]
+GRID = 1e-3  # [s] of delays
+RISES = np.arange(2e-3, 41e-3, 3e-3)  # [s]
+TORQUE_PRIOR = 0.3  # relative standard deviation of a brake's torque around what is assumed of it
+FADING = 6e-3  # [s] a drive's torque may last after the cut, one sigma
+SIGNIFICANT = 9.0  # squared misfit: three standard deviations of one parameter
+SHARP = 0.006  # [s] a delay known no better than this is not counted, nor a rise
+TELLING = 0.06  # relative standard deviation of a torque that counts
+CREDIBLE = (0.35, 2.0)  # times the torque assumed; what lies beyond is a wrong friction or an elastic joint, not a brake
+MISFIT = 2.5  # squared misfit per sample beyond which no ramp explains the curve
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What one joint told in one stop; nan where it told nothing.
+
+    ``delay``, ``rise`` [s]; ``torque`` [N m]; ``impulse`` [N m s] the drive still gave along the motion; ``torque_error``
+    [N m] along the motion, of friction and gravity before the brake, and its standard deviation ``torque_error_std``.
+    """
+
+    delay: float
+    rise: float
+    torque: float
+    impulse: float
+    torque_error: float
+    torque_error_std: float
+
+
+def tell(c: Impulse, torque: float, friction_spread: float) -> Told | None:
+    """The best ramp of one curve; ``torque``: [N m] assumed, ``friction_spread``: [N m] one sigma. None if no ramp fits."""
+    delays = np.arange(0.0, float(c.t[-1]) + 0.5 * RISES[-1], GRID)
+    size = np.array([np.hypot(c.noise, FADING * c.drive), friction_spread])
+    line = np.stack([np.ones_like(c.t), c.t], axis=1) * size / c.noise  # columns with unit priors
+    gain = np.linalg.solve(np.eye(2) + line.T @ line, line.T)
+    rest = np.eye(len(c.t)) - line @ gain
+    y = c.taken / c.noise
+    R = unit_ramps(c.t, delays, RISES) / c.noise
+    RQ = R @ rest
+    weight = 1.0 / (TORQUE_PRIOR * torque) ** 2
+    curvature, slope = np.sum(RQ * R, axis=2), RQ @ y
+    level = (slope + weight * torque) / (curvature + weight)
+    cost = y @ rest @ y - 2.0 * level * slope + level**2 * curvature + weight * (level - torque) ** 2
+    d, r = np.unravel_index(int(np.argmin(cost)), cost.shape)
+    none = float(y @ rest @ y)  # misfit without any brake
+    if min(cost[d, r], none) > MISFIT * len(c.t):
+        return None
+    spread = size * np.sqrt(np.diag(np.linalg.inv(np.eye(2) + line.T @ line)))
+    if none < cost[d, r] + 2.0 * SIGNIFICANT:
+        x = size * (gain @ y)
+        return Told(np.nan, np.nan, np.nan, -float(x[0]), -float(x[1]), float(spread[1]))
+    alike = delays[cost.min(axis=1) < cost.min() + SIGNIFICANT]
+    rises = RISES[cost.min(axis=0) < cost.min() + 0.5 * SIGNIFICANT]
+    credible = CREDIBLE[0] * torque <= level[d, r] <= CREDIBLE[1] * torque
+    sharp = credible and np.ptp(alike) <= SHARP and float(alike[-1]) < float(c.t[-1])
+    std = 1.0 / np.sqrt(curvature[d, r] + weight)
+    x = size * (gain @ (y - level[d, r] * R[d, r]))
+    return Told(
+        delay=float(delays[d]) if sharp else np.nan,
+        rise=float(RISES[r]) if sharp and np.ptp(rises) <= SHARP else np.nan,
+        torque=float(level[d, r]) if sharp and std <= TELLING * torque else np.nan,
+        impulse=-float(x[0]), torque_error=-float(x[1]), torque_error_std=float(spread[1]) if sharp else np.inf,
+    )  # fmt: skip
+
+
+def unit_ramps(t: Array, delays: Array, rises: Array) -> Array:
+    """(D, R, K) impulse of a brake of 1 N m at ``t`` (K,), for every delay (D,) and rise (R,)."""
+    x = np.maximum(t[None, None, :] - delays[:, None, None], 0.0)
+    rise = rises[None, :, None]
+    return np.where(x < rise, 0.5 * x * x / rise, x - 0.5 * rise)
