@@ -18,17 +18,21 @@ from stopset.offline.diagnose.evidence import Projection, gain, project
 from stopset.offline.diagnose.search import THRESHOLD
 
 TAKEN_UP = 0.9  # share of an effect's torque that the base model's own parameters can imitate, from which on they hide it
+FLAT = 0.05  # change of the gravity torque, as a share of the joint's friction, below which a joint counts as not loaded
+LOADS = frozenset({"load", "stiff", "tilt"})
 WARMER = 3.0  # [K] of change from which on a temperature can tell something
 
 UNRECORDED = "no temperature is recorded"
 EVEN = f"the temperature varies by less than {WARMER:g} K"
 STILL = "the joint hardly moves"
+UNLOADED = "gravity does not load the joint in these motions"
 TRACELESS = "it leaves no trace in these motions"
 IMITATED = "masses, centres of mass or plain friction would take up its torque"
 NOISE = "at its usual size its torque is lost in the noise of these motions"
 REMEDIES = {
     UNRECORDED: "Record the drives' temperatures, from a cold start until they are warm.",
     EVEN: "Measure the same motions cold and warm, at least 10 K apart.",
+    UNLOADED: "Turn the arm so that gravity loads the joint; on an upright axis this effect does nothing.",
     STILL: "Move the joint through its whole range at several speeds.",
 }  # for the other reasons the effect's own experiment is the remedy
 
@@ -71,7 +75,7 @@ def blind_spots(
     ]
     shown = _shown(engine, hyper, [c for c in (*candidates, *engine.add_all(more)) if c.key in asked])
     for name, place in asked:
-        why = _hidden(engine, place, shown.get((name, place)))
+        why = _hidden(engine, place, shown.get((name, place)), frozenset(catalogue()[name].needs))
         if why:
             found.setdefault((name, why), []).append("+".join(engine.data.joints[j] for j in place))
     return tuple(
@@ -131,12 +135,16 @@ def _expected(p: Projection, ix: np.ndarray, c: Candidate) -> float:
     return max(gain(S, S[:, k] * c.sd[k], 1.0 / c.sd**2)[0] for k in range(len(ix)))
 
 
-def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None) -> str:
+def _unloaded(engine: Engine, place: tuple[int, ...]) -> bool:
+    return all(float(np.ptp(engine.source.gravity[:, j])) < FLAT * engine.level(j) for j in place)
+
+
+def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, needs: frozenset[str]) -> str:
     """Why an effect at a place would go unnoticed; empty where it would be seen."""
     if any(len(engine.rows[j].take) <= 50 for j in place):
         return STILL
     if shown is None:
-        return TRACELESS
+        return UNLOADED if needs & LOADS and _unloaded(engine, place) else TRACELESS
     evidence, taken = shown
     if evidence >= THRESHOLD:
         return ""

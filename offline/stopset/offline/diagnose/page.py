@@ -27,7 +27,7 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
         out.heading("Missing effects")
         out.table(
             ("effect", "joint", "score", "error before", "error after", "unit", "look at"),
-            [(r.effect, " + ".join(r.joints) or "whole arm", r.score, r.error_before, r.error_after, r.unit, r.look_at)
+            [(r.effect, " + ".join(r.joints) or "whole arm", round(r.score), r.error_before, r.error_after, r.unit, r.look_at)
              for r in found.ranked],
             _caption(found),
         )  # fmt: skip
