@@ -77,8 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="M.model.json",
         help="add the recordings of --data to this model without reading its old ones again; needs --state. Its nominal model "
-        "and settings stay: the sets, margin, guarantee and figures are those of identifying from old and new recordings "
-        "together with this nominal model",
+        "and settings stay: the sets, margin, guarantee, figures, brakes and ramps are those of identifying from old and new "
+        "recordings together with this nominal model, and it says when that model is out of date",
     )
     parser.add_argument("--state", type=Path, metavar="FILE.state", help="what --keep wrote beside the model of --update")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the heavy pass on this Dask cluster (extra fleet)")
