@@ -11,9 +11,14 @@ import pytest
 
 from stopset.effects import Effect, get
 from stopset.offline.diagnose import Diagnosis, diagnose
+from stopset.offline.diagnose.candidate import Candidate
+from stopset.offline.diagnose.diagnosis import QUIET, WANDER
+from stopset.offline.diagnose.engine import Engine
 from stopset.offline.diagnose.evidence import JointGram, gain, project
 from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, whiten
 from stopset.offline.diagnose.prepare import Kernel
+from stopset.offline.diagnose.residual import slow_excess
+from stopset.offline.diagnose.search import foretells
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
 from stopset.robot.arm import robot_from_text
@@ -144,6 +149,59 @@ def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:
     assert found.verdict == "unknown" and not found.ranked
     assert any("q_a" in name for name in found.depends_on)
     assert found.next_experiment
+
+
+SHEET = {"joints": {  # of the arm above, so that a rotor can differ from what is stated
+    "a": {"gear_ratio": 120, "motor_inertia_kgm2": 5e-5, "torque_limit_Nm": 80},
+    "b": {"gear_ratio": 100, "motor_inertia_kgm2": 4.3e-5, "torque_limit_Nm": 40},
+}}  # fmt: skip
+
+
+def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_delay() -> None:
+    """A fifth more inertia than stated: a description's error common to all links must not excuse one rotor."""
+    scenario = prepare(robot_from_text(ARM, SHEET), ["rotor_inertia:b"], 62, "compact", "hard", "exact")
+    meta = dataclasses.replace(scenario.meta, sources=())
+    found = diagnose(scenario.robot, Recordings(meta, tuple(scenario.recordings())))
+    assert [(r.effect, r.joints) for r in found.ranked] == [("rotor_inertia", ("b",))]
+    stated, true = 0.43, scenario.truth["effects"][0]["params"]["true_kgm2"]
+    dJ = found.ranked[0].parameters["dJ"]
+    assert dJ.std is not None and abs(dJ.value - (true - stated)) < 4 * dJ.std + 0.02 * true
+
+
+def test_a_law_that_foretells_nothing_is_no_claim() -> None:
+    """A score on fitted rows is not enough: the law must lower the error of motions left out, unless the base takes it up."""
+    columns, sd = np.arange(1), np.ones(1)
+    lag, rotor = (Candidate(get(name), (1,), {}, columns, sd) for name in ("delay", "rotor_inertia"))
+    before = np.array([0.3, 0.1069])
+    assert not foretells(lag, before, np.array([0.2, 0.1074]))  # another joint's error does not count
+    assert not foretells(lag, before, before * 0.985)
+    assert foretells(lag, before, before / np.sqrt(2))  # what raised the residual by 1.4
+    assert foretells(rotor, before, before)
+
+
+def test_a_slow_wander_is_seen_and_called_unknown() -> None:
+    """Too small to show in single rows, plain in half-second sums."""
+    scenario = prepare(robot_from_text(ARM), ["none"], 32, "compact", "easy", "exact")
+    meta, trials = dataclasses.replace(scenario.meta, sources=()), list(scenario.recordings())
+    rng, sigma, time = np.random.default_rng(3), 0.06, 5.0  # a third of what 2 % of scatter in friction makes
+    wandering = []
+    for r in trials:
+        e = rng.normal(size=len(r.t))
+        a = np.exp(-np.gradient(r.t) / time) if len(r.t) > 1 else np.zeros(1)
+        x = np.empty(len(e))
+        x[0] = sigma * e[0]
+        for k in range(1, len(e)):
+            x[k] = a[k] * x[k - 1] + sigma * np.sqrt(1 - a[k] ** 2) * e[k]
+        wandering.append(dataclasses.replace(r, tau=r.tau + np.outer(x, [1.0, 0.0])))
+    slow = []
+    for recordings in (trials, wandering):
+        engine = Engine.build(scenario.robot, Recordings(meta, tuple(recordings)))
+        hyper, p = engine.fit()
+        slow.append([slow_excess(engine, p.theta, hyper, j) for j in range(2)])
+        assert max(engine.excess(j, p.theta, hyper.sigma[j], 1.0) for j in range(2)) < QUIET
+    assert max(slow[0]) < 0.8 * WANDER and slow[1][1] < 0.8 * WANDER
+    assert slow[1][0] > 1.2 * WANDER
+    assert diagnose(scenario.robot, Recordings(meta, tuple(wandering))).verdict == "unknown"
 
 
 def _labelled(name: str) -> Diagnosis:

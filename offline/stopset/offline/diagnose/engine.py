@@ -14,7 +14,7 @@ from stopset.offline.diagnose.candidate import Candidate, Scored
 from stopset.offline.diagnose.columns import columns
 from stopset.offline.diagnose.evidence import SIGMAS, JointGram, Projection, project
 from stopset.offline.diagnose.prepare import Array, Index, Mask, Prepared, prepare
-from stopset.offline.diagnose.priors import ROTOR_SCALES, SCALES, Known, Tolerance, link_tolerance
+from stopset.offline.diagnose.priors import ROTOR_SCALES, ROTOR_SHIFT, SCALES, Known, Tolerance, link_tolerance
 from stopset.offline.diagnose.rows import JointRows
 from stopset.offline.diagnose.source import Source
 from stopset.recording import Recordings
@@ -147,6 +147,8 @@ class Engine:
         sd = PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])
         sd = np.where(np.isfinite(typical), typical, sd)
+        if effect.name == "rotor_inertia" and self.robot.rotor[joints[0]] > 0:
+            sd = np.minimum(sd, ROTOR_SHIFT * self.robot.rotor[joints[0]])
         span = np.array([t.hi - t.lo for t in effect.terms])
         sd = np.where(np.isfinite(span), np.minimum(sd, span / 2), sd)
         return Candidate(effect, joints, dict(shapes), np.arange(self.size, self.size + k), sd), parts

@@ -75,7 +75,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         top, candidate, hyper, p = _settle(engine, near, hyper)
         engine.active.append(candidate)
         error = held_out(engine, hyper)
-        if not _told_by_motion(candidate, before, error):
+        if not foretells(candidate, before, error):
             engine.active.pop()
             hyper, p = engine.fit(hyper)
             refused.add(top.candidate.key)
@@ -99,7 +99,7 @@ def _form_error(scored: Scored, claims: Sequence[Claim]) -> float:
     return FORM_ERROR * max(touching, default=0.0)
 
 
-def _told_by_motion(candidate: Candidate, before: Array, after: Array) -> bool:
+def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
     """Whether a law foretells motions that it was not fitted to; what a free base model takes up can't show there."""
     where = list(candidate.joints) or list(range(len(before)))
     return candidate.effect.name in SHIFTS or bool(np.max(1.0 - after[where] / before[where]) > LOWERED)
