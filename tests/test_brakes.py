@@ -171,8 +171,8 @@ def test_a_joint_at_rest_before_its_brake_tells_no_delay() -> None:
         return Impulse(t[:until], taken[:until] - taken[0], noise, 1.0, 10.0)
 
     seen, early = tell(curve(14), 70.0, 1.0), tell(curve(7), 70.0, 1.0)
-    assert seen is not None and abs(seen.delay - delay) < 4e-3 and seen.torque == pytest.approx(torque, rel=0.15)
-    assert early is not None and np.isnan(early.delay) and np.isnan(early.torque)
+    assert abs(seen.delay - delay) < 4e-3 and seen.torque == pytest.approx(torque, rel=0.15)
+    assert np.isnan(early.delay) and np.isnan(early.torque)
 
 
 def test_a_ramp_slows_a_motion_that_was_itself_changing_its_speed() -> None:

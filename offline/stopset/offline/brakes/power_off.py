@@ -18,7 +18,7 @@ from stopset.artifact import Brakes, Model, UncertaintySets
 from stopset.offline.brakes.bands import band, beyond, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
-from stopset.offline.brakes.timing import Told, tell
+from stopset.offline.brakes.timing import GRID, Told, tell
 from stopset.reach.stops.plant import setting_of
 from stopset.recording import Recording
 from stopset.sets import Box
@@ -152,9 +152,10 @@ def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None]:
     lo, hi = hull(groups)
     box = Box.of(np.maximum(lo + own, 0.0), np.maximum(hi + own, 1e-3))
     apart = [float(np.ptp(common[s][rows[s]])) for s in range(len(delay)) if rows[s].sum() > 1]
-    if len(apart) < LEAST:
+    if len(apart) < 2:
         return box, None
-    return box, (1.0 + beyond(len(apart))) * max(apart) + 1e-3
+    # two or three stops are few: twice what they show
+    return box, (1.0 + (beyond(len(apart)) if len(apart) >= LEAST else 1.0)) * max(apart) + GRID
 
 
 def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], notes: list[str]) -> Box:

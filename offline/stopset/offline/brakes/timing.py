@@ -19,6 +19,7 @@ GRID = 1e-3  # [s] of delays
 RISES = np.arange(2e-3, 41e-3, 3e-3)  # [s]
 TORQUE_PRIOR = 0.3  # relative standard deviation of a brake's torque around what is assumed of it
 FADING = 6e-3  # [s] a drive's torque may last after the cut, one sigma
+EARLY = 0.016  # [s] after the cut, in which no brake closes and power is gone
 SIGNIFICANT = 9.0  # squared misfit: three standard deviations of one parameter
 SHARP = 0.006  # [s] a delay known no better than this is not counted, nor a rise
 TELLING = 0.06  # relative standard deviation of a torque that counts
@@ -42,8 +43,8 @@ class Told:
     torque_error_std: float
 
 
-def tell(c: Impulse, torque: float, friction_spread: float) -> Told | None:
-    """The best ramp of one curve; ``torque``: [N m] assumed, ``friction_spread``: [N m] one sigma. None if no ramp fits."""
+def tell(c: Impulse, torque: float, friction_spread: float) -> Told:
+    """The best ramp of one curve; ``torque``: [N m] assumed, ``friction_spread``: [N m] one sigma."""
     delays = np.arange(0.0, float(c.t[-1]) + 0.5 * RISES[-1], GRID)
     size = np.array([np.hypot(c.noise, FADING * c.drive), friction_spread])
     line = np.stack([np.ones_like(c.t), c.t], axis=1) * size / c.noise  # columns with unit priors
@@ -58,8 +59,9 @@ def tell(c: Impulse, torque: float, friction_spread: float) -> Told | None:
     cost = y @ rest @ y - 2.0 * level * slope + level**2 * curvature + weight * (level - torque) ** 2
     d, r = np.unravel_index(int(np.argmin(cost)), cost.shape)
     none = float(y @ rest @ y)  # misfit without any brake
-    if min(cost[d, r], none) > MISFIT * len(c.t):
-        return None
+    if min(cost[d, r], none) > MISFIT * len(c.t):  # an elastic joint, say: what it does right after the cut counts as given
+        early = c.taken[c.t <= EARLY]
+        return Told(np.nan, np.nan, np.nan, -float(early[np.argmax(np.abs(early))]), np.nan, np.inf)
     spread = size * np.sqrt(np.diag(np.linalg.inv(np.eye(2) + line.T @ line)))
     if none < cost[d, r] + 2.0 * SIGNIFICANT:
         x = size * (gain @ y)
