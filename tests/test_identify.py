@@ -9,14 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nominal_cases import F_C, F_V, JOINTS, Truth, moving
+from nominal_cases import arm as three_joints
+from stopset.errors import EffectError
+from stopset.offline import order
 from stopset.offline.abstraction import build
 from stopset.offline.compare import answer, compare
 from stopset.offline.conform.guarantee import scenario_bound
 from stopset.offline.errors import torque_error
 from stopset.offline.identify import Identification, Settings, identify
-from stopset.offline.survey import on_grid
+from stopset.offline.nominal_part import NominalPart, fit_nominal
+from stopset.offline.order import abstracted
+from stopset.offline.survey import on_grid, survey
 from stopset.reach.nonlinear import nominal
-from stopset.recording import Recording
+from stopset.recording import Meta, Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
 from test_abstraction import ROTOR, VISCOUS, two_link
 
@@ -271,3 +277,51 @@ def test_a_clock_four_percent_off_is_put_on_the_grid() -> None:
     np.testing.assert_allclose(r.q[:, 0], np.sin(2 * r.t), atol=4 * (1.04 * DT) ** 2 / 8)  # curvature between samples
     exact = dataclasses.replace(r, t=DT * np.arange(len(r.t)))
     assert on_grid(exact, DT) is exact
+
+
+def bent(trials: int, v3: np.ndarray) -> list[Recording]:
+    """Motions of the three-joint arm whose friction flattens by ``v3`` dq^3."""
+    law = lambda dq, load: F_C * np.sign(dq) + F_V * dq + v3 * dq**3  # noqa: E731
+    truth = Truth(three_joints(), friction=law)
+    return [moving(truth, k, 4.0, 1.2, 3) for k in range(trials)]
+
+
+@pytest.mark.parametrize(("v3", "best"), [((6.0, 8.0, 4.0), 3), ((-2.5, -3.5, -2.0), 1)])
+def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[float, ...], best: int) -> None:
+    """Friction that stiffens belongs into the model; one that flattens lets predictions drift, and is better taken off the input."""
+    trials, robot = bent(6, np.array(v3)), three_joints()
+    head = Meta(joints=JOINTS, robot="three")
+    found = survey(lambda: trials)
+    settings = Settings(effects=("cubic_viscous",))
+    part = fit_nominal(robot, head, lambda: trials, found, settings)
+    values = [f.values["v_3"] for f in part.effects if f.effect == "cubic_viscous"]
+    np.testing.assert_allclose(values, v3, rtol=0.1)  # at every joint, since none was named
+    out = abstracted(robot, head, lambda: trials, found, settings, (), part)
+    assert out.abstraction.kind == 1 and out.abstraction.order == best
+    assert "held out of the fit" in out.notes[-1] and "order 1:" in out.notes[-1] and "order 3:" in out.notes[-1]
+    linear = abstracted(robot, head, lambda: trials, found, replace(settings, order=1), (), part)
+    assert linear.abstraction.linear  # what is asked for is done
+    plain = fit_nominal(robot, head, lambda: trials, found, Settings())
+    assert abstracted(robot, head, lambda: trials, found, Settings(), (), plain) is plain
+    # what judges is never what was fitted
+    seen: list[tuple[str, int]] = []
+
+    def source() -> list[Recording]:
+        return trials
+
+    def fitted(*args: object) -> NominalPart:
+        seen.extend(r.motion for r in args[2]())  # type: ignore[operator]
+        return fit_nominal(*args)  # type: ignore[arg-type]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(order, "fit_nominal", fitted)
+        abstracted(robot, head, source, found, settings, (), part)
+    held = order._half(found)
+    assert held is not None
+    assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.motion in seen)
+
+
+def test_friction_that_the_motions_do_not_show_is_refused() -> None:
+    trials, robot = bent(3, np.zeros(3)), three_joints()
+    with pytest.raises(EffectError, match="no trace"):
+        fit_nominal(robot, Meta(joints=JOINTS), lambda: trials, survey(lambda: trials), Settings(effects=("load_coulomb:base",)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.effects import get
+from stopset.effects.base import Fitted
 from stopset.offline.errors import Figures
 from stopset.offline.known import described, plain
 from stopset.offline.nominal import NormalEquations, accumulate, solve_nominal
@@ -31,17 +31,21 @@ DUE = "identify again from all recordings"
 
 def folded(data: NormalEquations, robot: Robot, model: Model, new: Iterable[Recording], found: Survey) -> NormalEquations:
     """The nominal model's sums with those of ``new`` trials, motions that judge the sets left out; ``robot`` as described."""
-    known = tuple(f for f in model.effects if not get(f.effect).base)
+    known = _known(data, model)
     cad = described(robot, known)
     held = found.held_out
     trials = (plain(r, cad, known, found.warm(r)) for r in new if r.motion not in held)
-    return data + accumulate(cad, trials, ("coulomb", "viscous"), data.settings, data.reference, data.compensated)
+    return data + accumulate(cad, trials, data.layout.effects, data.settings, data.reference, data.compensated)
+
+
+def _known(data: NormalEquations, model: Model) -> tuple[Fitted, ...]:
+    """Effects whose numbers the nominal regression was given, not those it found."""
+    return tuple(f for f in model.effects if f"{f.effect}:{f.joint}" not in data.layout.effects)
 
 
 def apart(data: NormalEquations, robot: Robot, model: Model) -> Array:
     """RMS torque (n,) [N m] over all samples of ``data`` by which its own nominal model differs from the one in ``model``."""
-    known = tuple(f for f in model.effects if not get(f.effect).base)
-    again = solve_nominal(described(robot, known), data)
+    again = solve_nominal(described(robot, _known(data, model)), data)
     friction = {(f.effect, f.joint): f.values for f in model.effects}
     values = [friction[c.effect.name, model.joints[j]][c.symbol] for j, cs in enumerate(data.layout.columns) for c in cs]
     change = again.theta - np.concatenate([model.robot.pi.ravel(), model.rotor, values])

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Model
 from stopset.artifact.inputs import input_map
-from stopset.effects.base import Fitted
-from stopset.errors import EffectError, RecordingError
-from stopset.offline.abstraction.identified import best_order
-from stopset.offline.conform.nonlinear import GRID, coarser
+from stopset.effects.base import Effect, Fitted
+from stopset.errors import EffectError
 from stopset.offline.conform.sets import Pairs
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.known import described, plain
@@ -27,6 +25,8 @@ from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 
 Array = NDArray[np.float64]
+
+NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estimated; leave it out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,23 +53,29 @@ def fit_nominal(
 def known_effects(
     robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = ()
 ) -> tuple[Fitted, ...]:
-    """Numbers of the effects that ``settings`` ask for beyond base friction, estimated from the motor torque of ``source``.
+    """Numbers of the effects that ``settings`` ask for beyond friction, estimated from the motor torque of ``source``.
 
-    ``known`` ones are kept.  Raises `EffectError` for an effect that these recordings show no trace of.
+    ``known`` ones are kept; friction of single joints is regressed with the rigid body, see `regressed`.
+    Raises `EffectError` for an effect that these recordings show no trace of.
     """
     if meta.effort == "compensated_torque":
         return ()  # fitted with everything else, by output error
     out = list(known)
     for name in settings.effects:
         effect, _ = parse_effect(name, robot)
-        if effect.base or any(matches(f, name) for f in out):
+        if regressed(effect) or any(matches(f, name) for f in out):
             continue
         trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
         found = find(robot, trials, tuple(out), effect.name, name.partition(":")[2] or None)
         if found is None:
-            raise EffectError(f"{name}: these recordings show no trace of it, so its numbers cannot be estimated; leave it out")
+            raise EffectError(f"{name}: {NO_TRACE}")
         out.append(found)
     return tuple(out)
+
+
+def regressed(effect: Effect) -> bool:
+    """Whether an effect is friction that the nominal regression can hold: at one joint, of speed and load, linear, no memory."""
+    return effect.scope == "joint" and not effect.states and not effect.shapes and set(effect.needs) <= {"dq", "load"}
 
 
 def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart:
@@ -96,8 +102,16 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
     from stopset.offline.nominal import identify_nominal
 
     cad = described(robot, known)
-    trials = (plain(r, cad, known, found.warm(r)) for r in source())
-    nominal = identify_nominal(cad, trials, ("coulomb", "viscous"))
+    asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
+    friction = dict.fromkeys(("coulomb", "viscous", *asked))
+
+    def trials() -> Iterator[Recording]:
+        return (plain(r, cad, known, found.warm(r)) for r in source())
+
+    nominal = identify_nominal(cad, trials, tuple(friction))
+    for name in asked:
+        if not any(_shows(f) for f in nominal.friction if matches(f, name)):
+            raise EffectError(f"{name}: {NO_TRACE}")
     arm = nominal.robot(cad)
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
@@ -111,25 +125,9 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data)
 
 
-def abstracted(nominal: NominalPart, found: Survey, settings: Settings, effort: str) -> NominalPart:
-    """The nominal part with another abstraction; its order, if not asked for, by the error of predictions.
-
-    An order is not fitted, so the motions the nominal model knows may choose it; those held out to judge the sets must not.
-    """
-    if effort == "compensated_torque":
-        raise RecordingError(
-            f"model {settings.model} of order {settings.order or 'any'} needs the arm's inertias, which compensated torque does not "
-            "show; give recordings of motor torque, or take --model 1 --order 1"
-        )
-    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
-    every = max(1, round(GRID / found.dt))
-    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: found.sample, found, nominal, effort)()]
-    standstill = nominal.abstraction.standstill
-    chosen = best_order(
-        nominal.robot, nominal.rotor, nominal.effects, settings.model, settings.order, poses, coarser(trials, every),
-        every * found.dt, standstill if standstill.size else None,
-    )  # fmt: skip
-    return replace(nominal, abstraction=chosen.abstraction, notes=(*nominal.notes, chosen.note))
+def _shows(fitted: Fitted) -> bool:
+    """Whether some number of an effect is larger than twice its standard error."""
+    return any(abs(fitted.values[k]) > 2 * std for k, std in fitted.std.items())
 
 
 def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:

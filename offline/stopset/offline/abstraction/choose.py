@@ -63,7 +63,11 @@ def ranked(
 
     Raises `StopsetError` when all of them diverge.
     """
-    found = [Candidate(m, prediction_error(m, trials, dt, horizon)) for m in models]
+    return best_first([Candidate(m, prediction_error(m, trials, dt, horizon)) for m in models], horizon)
+
+
+def best_first(found: Sequence[Candidate], horizon: float = 1.0) -> list[Candidate]:
+    """Candidates by their error, see `ranked`. Raises `StopsetError` when all of them diverge within ``horizon`` [s]."""
     best = min(c.error for c in found)
     if not np.isfinite(best):
         raise StopsetError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
-from stopset.offline.abstraction.choose import ranked
+from stopset.offline.abstraction.choose import Candidate, best_first, prediction_error
 from stopset.offline.abstraction.models import build
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 
 Array = NDArray[np.float64]
+HORIZON = 1.0  # [s] predictions are compared up to here
 ORDERS = {1: (1, 3), 2: (3, 5, 12), 3: (1, 3, 5)}  # tried where none is asked for; 12 is exact for six joints
 # power of dq and the effect's parameter; the other effects are taken off the input
 POWERS = {"viscous": (1, "F_v"), "cubic_viscous": (3, "v_3")}
@@ -57,19 +58,24 @@ class Chosen(NamedTuple):
     note: str
 
 
-def best_order(
-    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, order: int | None, poses: Array,
-    seen: Sequence[tuple[Array, Array]], dt: float, standstill: Array | None = None,
-) -> Chosen:  # fmt: skip
-    """The abstraction of ``kind`` and ``order``; without an order the one that predicts ``seen`` trials best.
-
-    ``seen``: states (N, 2n) and inputs (N, n) every ``dt`` [s].
-    """
+def candidates(robot: Robot, effects: Sequence[Fitted], kind: int) -> tuple[int, ...]:
+    """The orders that are worth comparing: model 1 with linear friction has no other than 1."""
     bent = friction_polynomial(robot.joints, effects).shape[1] > 1
-    orders = (order,) if order is not None else ORDERS[kind] if bent or kind != 1 else (1,)
+    return ORDERS[kind] if bent or kind != 1 else (1,)
+
+
+def best_order(
+    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, orders: Sequence[int], poses: Array,
+    seen: Callable[[Abstraction], Sequence[tuple[Array, Array]]], dt: float, standstill: Array | None = None,
+) -> Chosen:  # fmt: skip
+    """The abstraction of ``kind`` and that of ``orders`` which predicts ``seen`` trials best.
+
+    ``seen``: for an abstraction, states (N, 2n) and its inputs (N, n) every ``dt`` [s]: what a model holds itself, its input
+    must not be freed from (cubic friction is part of order 3 and taken off the input of order 1).
+    """
     models = [abstract(robot, rotor, effects, kind, p, poses, standstill) for p in orders]
     if len(models) == 1:
         return Chosen(models[0], f"model {kind} of order {models[0].order}")
-    found = ranked(models, seen, dt)
+    found = best_first([Candidate(m, prediction_error(m, seen(m), dt, HORIZON)) for m in models], HORIZON)
     table = ", ".join(f"order {c.abstraction.order}: {1e3 * c.error:.2f} mrad" for c in found)
     return Chosen(found[0].abstraction, f"model {kind}: order {found[0].abstraction.order} by prediction error ({table})")

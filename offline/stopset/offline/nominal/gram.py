@@ -55,6 +55,11 @@ class Layout:
         return len(self.joints)
 
     @property
+    def effects(self) -> tuple[str, ...]:
+        """``effect:joint`` of all friction columns."""
+        return tuple(dict.fromkeys(f"{c.effect.name}:{self.joints[c.joint]}" for cs in self.columns for c in cs))
+
+    @property
     def width(self) -> int:
         """Most friction columns of any joint; the others' are padded with zeros."""
         return max((len(c) for c in self.columns), default=0)
