@@ -7,12 +7,15 @@ CPU time of this process, so that other work on the machine counts less; medians
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from stop_arms import prbt_like
+from stop_arms import prbt_like, ur5_like
 
 from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import Certificate, StopBounds
@@ -43,13 +46,43 @@ def plain_numpy(c: Certificate, dq: Array) -> tuple[Array, Array]:
     return U, np.cumsum(0.5 * h * (U[1:] + U[:-1]), axis=0)
 
 
+def cold_ms(bounds: StopBounds, top: float, count: int) -> Array:
+    """[ms] of certificates for states that have nothing to do with each other, as after a jump or a lost cycle."""
+    rng, box, spent = np.random.default_rng(3), (np.full(6, 0.01), np.full(6, 0.05)), []
+    for _ in range(count):
+        q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-top, top, 6)
+        start = time.process_time_ns()
+        bounds.certify(q, dq, *box)
+        spent.append((time.process_time_ns() - start) / 1e6)
+    return np.array(spent)
+
+
+FRESH = """
+import time; a = time.perf_counter()
+import numpy as np; from stop_arms import prbt_like; from stopset.reach.stops import StopBounds
+b = time.perf_counter(); bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
+c = time.perf_counter(); bounds.bound(np.full(6, 0.3), np.full(6, 0.5))
+d = time.perf_counter(); bounds.bound(np.full(6, -0.3), np.full(6, 0.6))
+e = time.perf_counter(); print(b - a, c - b, d - c, e - d)
+"""
+
+
+def fresh_process() -> list[float]:
+    """[s] of imports, of preparing a model, of the first bound and of the second in a new process, best of three."""
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", FRESH], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(3)
+    ]
+    return np.min([[float(x) for x in r.split()] for r in runs], axis=0).tolist()
+
+
 def main() -> None:
-    start = time.perf_counter()
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
     q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
     dq = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
     bounds.bound(q, dq)
-    first = time.perf_counter() - start
     start = time.perf_counter()
     StopBounds.of(prbt_like(), (0.0, 0.25)).bound(q, dq)
     again = time.perf_counter() - start
@@ -81,7 +114,27 @@ def main() -> None:
         f"certifier on a box of +-{box[0][0]:g} rad, +-{box[1][0]:g} rad/s: {certifier / 1e3:.2f} ms, coarse {coarse / 1e3:.2f} ms"
     )
     print(f"whole bound with TCP and links: {whole / 1e3:.2f} ms")
-    print(f"first bound in this process {first * 1e3:.0f} ms (kernels from cache), a new model's first {again * 1e3:.0f} ms")
+    cold = cold_ms(bounds, 1.26, 200)
+    print(
+        f"certifier without anything from an earlier cycle, 200 unrelated states: median {np.median(cold):.2f} ms, worst "
+        f"{cold.max():.2f} ms (it never uses an earlier cycle)"
+    )
+    strong = StopBounds.of(ur5_like(), (4.75, 5.0))
+    rng, hard = np.random.default_rng(77), []
+    while len(hard) < 20:
+        x, y = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.0, 2.0, 6)
+        begin = time.process_time_ns()
+        if strong.bound(x, y).layer == "energy":
+            hard.append((time.process_time_ns() - begin) / 1e6)
+    print(
+        f"whole bound where the kinetic energy has to help (UR5-like, a quarter of the rotors, 5 kg): median {np.median(hard):.0f} ms"
+    )
+    print(f"a new model's first bound {again * 1e3:.0f} ms")
+    imports, preparing, first, second = fresh_process()
+    print(
+        f"fresh process: imports {imports * 1e3:.0f} ms, model {preparing * 1e3:.0f} ms, first bound {first * 1e3:.0f} ms (compiled code "
+        f"comes from its cache), second bound {second * 1e3:.1f} ms"
+    )
 
 
 if __name__ == "__main__":

@@ -75,3 +75,46 @@ def test_straight_line_matches_the_closed_form() -> None:
 def test_impossible_paths_are_refused(points: np.ndarray, s: float, ds: float, word: str) -> None:
     with pytest.raises(NotCovered, match=word):
         path_stop(MODEL, Path.through(points), s, ds, RAMP)
+
+
+def test_between_the_poses_looked_at_nothing_leaves_the_bound() -> None:
+    """Tool, link ends and speeds of a hundred times as many points of the path."""
+    from stopset.robot.rigid import link_frames
+
+    path, robot = Path.through(POINTS), MODEL.robot
+    stop = path_stop(MODEL, path, 0.5, 1.5, RAMP)
+    s = np.linspace(0.5, 0.5 + stop.length, 20000)
+    q, d1 = path.p(s, 0), path.p(s, 1)
+
+    def ends(x: np.ndarray) -> np.ndarray:
+        R, o = link_frames(robot.chain, x)
+        return np.array([*o[1:], o[-1] + R[-1] @ robot.tip])
+
+    p = np.array([ends(x) for x in q])
+    far = np.linalg.norm(p - p[0], axis=2).max(axis=0)
+    pace = 1.5 * np.linalg.norm(np.diff(p, axis=0), axis=2).max(axis=0) / (s[1] - s[0])
+    b = stop.bound
+    # the start is known to 1 mrad in each of six joints, 0.7 m long together
+    assert np.all(far <= b.links) and far[-1] <= b.tcp <= far[-1] + 0.005
+    assert pace[-1] <= b.tcp_speed <= 1.5 * pace[-1] and np.all(1.5 * np.abs(d1).max(axis=0) <= b.speed)
+    way = p[:, -1] - p[0, -1]
+    assert np.all(way >= b.tcp_box[:, 0]) and np.all(way <= b.tcp_box[:, 1])
+    assert b.holding_margin is not None and b.holding_margin.min() > 0.0
+
+
+def test_path_from_the_command_line(tmp_path: File, capsys: pytest.CaptureFixture[str]) -> None:
+    from stopset.artifact import save_model
+    from stopset.cli.main import main
+
+    save_model(MODEL, tmp_path / "m.json")
+    lines = [",".join(f"{x:.3f}" for x in row) for row in POINTS]
+    (tmp_path / "p.csv").write_text("\n".join([",".join(MODEL.joints), *lines]) + "\n")
+    asked = ["stops", str(tmp_path / "m.json"), "--path", str(tmp_path / "p.csv"), "--ramp-time", "0.3", "--path-start", "0.5"]
+    assert main([*asked, "--path-rate", "1.5"]) == 0
+    assert "stays on its programmed path" in capsys.readouterr().out
+    for rate, word in ((["--path-rate", "60"], "too fast"), ([], "--path-rate")):
+        assert main([*asked, *rate]) == 2
+        err = capsys.readouterr().err
+        assert word in err and err.count("\n") == 1
+    (tmp_path / "p.csv").write_text("1,2,3\n4,5,6\n")
+    assert main([*asked, "--path-rate", "1"]) == 2 and "expected 6 angles" in capsys.readouterr().err

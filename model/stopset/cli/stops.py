@@ -16,6 +16,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", help="model file from `stopset identify`")
     parser.add_argument("--at", metavar="Q1,Q2,..", help="one pose [rad] instead of the table, all axes at once")
     parser.add_argument("--speed", metavar="V1,V2,..", help="with --at: speeds [rad/s], or one percentage like 100%%")
+    parser.add_argument(
+        "--path", type=Path, metavar="CSV", help="STOP 1 that stays on the path through these rows of angles [rad]"
+    )
+    parser.add_argument("--path-rate", type=float, metavar="R", help="with --path: rows passed per second at the stop request")
+    parser.add_argument(
+        "--path-start", type=float, default=0.0, metavar="S", help="with --path: row (a fraction too) of the request"
+    )
     parser.add_argument("--payload", type=float, metavar="KG", help="payload [kg] instead of 33/66/100 %% of the largest")
     parser.add_argument("--rated-payload", type=float, metavar="KG", help="what 100 %% payload means; default the model's domain")
     parser.add_argument("--extrapolate-payload", action="store_true", help="compute payloads no recording carried, and mark them")
@@ -80,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
     from stopset.cli.common import progress
     from stopset.errors import NotCovered
-    from stopset.offline.stops.table import Question, at_pose, stop_table, top_speed
+    from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
     from stopset.reach.stops import CATEGORIES, Ramp
 
     ramp = None
@@ -94,6 +101,11 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
     categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
     question = Question(ramp, categories, args.payload, com, args.rated_payload, args.extrapolate_payload)
+    if args.path is not None:
+        if args.at is not None or args.path_rate is None:
+            raise NotCovered("--path needs --path-rate, the rows passed per second at the stop request, and no --at")
+        rows, told = along_path(model, _rows(args.path, model.n), args.path_start, args.path_rate, question)
+        return rows, told["1"].assumptions, question
     if args.at is None:
         if args.speed is not None:
             raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
@@ -113,6 +125,38 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     rows, told = at_pose(model, q, dq, question)
     assumptions = next((b.assumptions for b in told.values() if b.assumptions), ())
     return rows, assumptions, question
+
+
+def _rows(path: Path, n: int) -> Any:
+    """Rows of angles from a CSV file; a first line that is no numbers is a head."""
+    import csv
+
+    import numpy as np
+
+    from stopset.errors import NotCovered
+
+    try:
+        lines = [r for r in csv.reader(path.read_text().splitlines()) if r]
+    except (OSError, UnicodeDecodeError) as e:
+        raise NotCovered(f"{path} cannot be read ({e}); expected a CSV file with {n} angles a row") from e
+    try:
+        head = 0 if lines and all(_is_number(x) for x in lines[0]) else 1
+        values = np.array([[float(x) for x in r] for r in lines[head:]])
+    except ValueError as e:
+        raise NotCovered(f"{path} holds rows that are not {n} numbers ({e}); expected {n} angles [rad] a row") from e
+    if values.ndim != 2 or values.shape[1] != n:
+        raise NotCovered(
+            f"{path} holds rows of {values.shape[-1] if values.size else 0} numbers; expected {n} angles [rad] a row"
+        )
+    return values
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(text: str, count: int, option: str) -> Any:

@@ -21,7 +21,7 @@ from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBound
 from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.words import ramp_assumptions
-from stopset.robot.rigid import link_frames, torque
+from stopset.robot.rigid import gravity_torque, link_frames, torque
 
 Array = NDArray[np.float64]
 GRID = 60
@@ -32,10 +32,14 @@ RESERVE = 0.02  # share of the torque kept for what happens between grid points
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """``p(s, order)`` gives angles (n,) or their derivatives by ``s`` for ``s`` in ``[0, length]``."""
+    """``p(s, order)`` gives angles (n,) or their derivatives by ``s`` for ``s`` in ``[0, length]``.
+
+    Between two neighbours of ``knots`` the path is a polynomial of degree at most 3.
+    """
 
     p: Callable[[Array, int], Array]  # rows for an array of s
     length: float
+    knots: Array
 
     @classmethod
     def through(cls, waypoints: Array) -> Path:
@@ -48,9 +52,19 @@ class Path:
         if len(waypoints) == 2:  # a straight line in joint space
             a, b = waypoints
             return cls(
-                lambda s, k: (a + np.asarray(s)[:, None] * (b - a)) if k == 0 else (np.tile((b - a) * (k == 1), (len(s), 1))), 1.0
-            )
-        return cls(lambda s, k: np.asarray(spline(s, k)), float(len(waypoints) - 1))
+                lambda s, k: (a + np.asarray(s)[:, None] * (b - a)) if k == 0 else (np.tile((b - a) * (k == 1), (len(s), 1))), 1.0,
+                np.array([0.0, 1.0]),
+            )  # fmt: skip
+        return cls(lambda s, k: np.asarray(spline(s, k)), float(len(waypoints) - 1), np.arange(len(waypoints), dtype=float))
+
+    def steepest(self, begin: float, end: float) -> tuple[Array, Array]:
+        """(n,) each: bounds of ``|dp/ds|`` and ``|d2p/ds2|`` on ``[begin, end]``, between the points looked at too."""
+        grid = np.linspace(begin, end, 400)
+        inner = self.knots[(self.knots > begin) & (self.knots < end)]
+        # a cubic's second derivative is linear: largest at knots and ends; the first lies near its samples
+        second = np.abs(self.p(np.concatenate([inner, [begin, end]]), 2)).max(axis=0)
+        first = np.abs(self.p(grid, 1)).max(axis=0) + 0.5 * (grid[1] - grid[0]) * second
+        return first, second
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +78,15 @@ class PathStop:
     bound: StopBound
 
 
-def path_stop(model: Model, path: Path, s0: float, ds: float, ramp: Ramp, payload: tuple[float, float] | None = None) -> PathStop:
+def path_stop(
+    model: Model, path: Path, s0: float, ds: float, ramp: Ramp, payload: tuple[float, float] | None = None,
+    extrapolate: bool = False,
+) -> PathStop:  # fmt: skip
     """The shortest stop along ``path`` from ``s0`` at the rate ``ds`` [1/s], after the ramp's control delay.
 
     Raises `NotCovered` if the path leaves the limits, starts too fast for its drives, or cannot stop before its end.
     """
-    setting = setting_of(model, payload)
+    setting = setting_of(model, payload, None, extrapolate)
     if setting is None:
         raise NotCovered("the model holds no brakes, so no stop ends held; give them in robot.json or identify them")
     if not (0.0 <= s0 < path.length and ds > 0.0):
@@ -83,7 +100,10 @@ def path_stop(model: Model, path: Path, s0: float, ds: float, ramp: Ramp, payloa
     before = path.p(np.linspace(s0, begin, GRID), 0)
     poses = np.vstack([before, q])
     time = float(np.max(ramp.control.hi)) + float(np.sum(2.0 * np.diff(profile[0]) / (profile[1][1:] + profile[1][:-1])))
-    return PathStop(begin - s0 + shortest, time, poses, room, _bound(model, setting, ramp, poses, time, ds, path, s0))
+    spacing = max(begin - s0, 0.0) / (GRID - 1), shortest / GRID / DENSE
+    fastest = max(ds, float(profile[1].max()))
+    bound = _bound(model, setting, ramp, poses, time, max(spacing), fastest, path.steepest(s0, begin + shortest))
+    return PathStop(begin - s0 + shortest, time, poses, room, bound)
 
 
 def _check_limits(model: Model, path: Path, s0: float, ds: float) -> None:
@@ -206,27 +226,57 @@ def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Arr
     return np.array(poses), left
 
 
-def _bound(model: Model, setting: Setting, ramp: Ramp, poses: Array, time: float, ds: float, path: Path, s0: float) -> StopBound:
-    """Joint and tool displacements over the poses passed; neighbours' distance covers what lies between them."""
+def _bound(
+    model: Model,
+    setting: Setting,
+    ramp: Ramp,
+    poses: Array,
+    time: float,
+    spacing: float,
+    rate: float,
+    steepest: tuple[Array, Array],
+) -> StopBound:
+    """Displacements and speeds over the poses passed, ``spacing`` apart in s at a rate of at most ``rate`` [1/s].
+
+    What lies between two poses is within half their spacing of one of them.
+    """
+    first, second = steepest
+    robot, n = model.robot, model.n
+    between = 0.5 * spacing * first
     travel = poses - poses[0]
-    between = np.abs(np.diff(poses, axis=0)).max(axis=0)
-    robot = model.robot
-    points = []
-    for q in poses:
-        R, o = link_frames(robot.chain, q)
-        points.append(o[-1] + R[-1] @ setting.payload_com)
-    tool = np.array(points)
-    reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + np.linalg.norm(setting.payload_com))
-    slack = reach * float(np.sum(0.5 * between + ramp.q_error + setting.noise.radius[: model.n]))
-    steps = np.abs(path.p(np.linspace(s0, path.length, 200), 1)).max(axis=0) * ds
+    ends = np.array([_ends(model, setting, q) for q in poses])  # (P, n + 1, 3), the tool last
+    reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + max(map(np.linalg.norm, (setting.payload_com, robot.tip))))
+    slack = reach * float(np.sum(between + ramp.q_error + setting.noise.radius[:n]))
+    way = ends - ends[0]
+    far = np.linalg.norm(way, axis=2).max(axis=0) + slack
+    # chords are shorter than arcs: by no more than the bend of the tool's path allows
+    bend = reach * float(first.sum() ** 2 + second.sum())
+    pace = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=0) / spacing + spacing * bend
+    speed = rate * pace + reach * float(ramp.dq_error.sum())
     return StopBound(
-        "1", True, "", time=np.full(model.n, time),
-        forward=np.maximum(travel.max(axis=0), 0.0) + 0.5 * between + ramp.q_error,
-        back=np.maximum(-travel.min(axis=0), 0.0) + 0.5 * between + ramp.q_error,
-        speed=steps + ramp.dq_error, tcp=float(np.linalg.norm(tool - tool[0], axis=1).max()) + slack,
-        tcp_speed=reach * float(steps.sum()), holding_margin=None,
+        "1", True, "", time=np.full(n, time),
+        forward=np.maximum(travel.max(axis=0), 0.0) + between + ramp.q_error,
+        back=np.maximum(-travel.min(axis=0), 0.0) + between + ramp.q_error,
+        speed=rate * first + ramp.dq_error, tcp=float(far[-1]), tcp_speed=float(speed[-1]),
+        tcp_box=np.stack([way[:, -1].min(axis=0) - slack, way[:, -1].max(axis=0) + slack], axis=1),
+        links=far[:-1], link_speed=speed[:-1], holding_margin=_held(setting, poses), layer="ramp",
         assumptions=(
             *setting.assumptions, *ramp_assumptions(ramp, "1"),
             "the arm stays on its programmed path within the tracking error, braking as hard as the weakest drive allows",
         ),
     )  # fmt: skip
+
+
+def _ends(model: Model, setting: Setting, q: Array) -> Array:
+    """(n + 1, 3) [m]: the outer end of every link, then the tool."""
+    chain = model.robot.chain
+    R, o = link_frames(chain, q)
+    return np.array([*o[1:], o[-1] + R[-1] @ model.robot.tip, o[-1] + R[-1] @ setting.payload_com])
+
+
+def _held(setting: Setting, poses: Array) -> Array:
+    """(n,) [N m]: least holding margin where the path stop ends."""
+    p = setting.plant
+    g = [gravity_torque(p.chain, p.pi + s * p.pi_half, poses[-1]) for s in (-1.0, 1.0)]
+    low, high = np.minimum(*g) - p.u_hi, np.maximum(*g) - p.u_lo
+    return np.asarray(p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high)))

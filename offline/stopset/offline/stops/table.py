@@ -256,6 +256,31 @@ def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list
     return rows, told
 
 
+def along_path(
+    model: Model, waypoints: Array, start: float, rate: float, question: Question
+) -> tuple[list[Row], dict[Category, StopBound]]:
+    """Rows of a STOP 1 that stays on the path through ``waypoints`` (W, n) [rad], from ``s = start`` (s counts them) at ``rate`` [1/s].
+
+    Raises `NotCovered` for a path beyond the limits or one that starts too fast to be stopped on.
+    """
+    from stopset.offline.stops.path import Path, path_stop
+
+    percent, kg = loads(model, question)[-1]
+    ready = prepared(model, kg, question)
+    ramp = ready.ramp or Ramp.stated(model.n, time=1.0)  # only its control delay and tracking errors count here
+    path = Path.through(waypoints)
+    lo, hi = ready.setting.payload if ready.setting is not None else (kg, kg)
+    found = path_stop(model, path, start, rate, ramp, (lo, hi), question.extrapolate)
+    q, dq = path.p(np.array([start]), 0)[0], path.p(np.array([start]), 1)[0] * rate
+    extension = 100.0 * Poses.of(model.robot, model.robot.tip).extension_of(q)
+    limit = top_speed(model)
+    rows = [
+        replace(_row(model, found.bound, [j], q, dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension), speed=float(dq[j]))
+        for j in range(model.n)
+    ]  # fmt: skip
+    return rows, {"1": found.bound}
+
+
 def holding(model: Model, rows: Sequence[Row]) -> list[str]:
     """Holding margins in words, for each payload the least of all poses: how much more than it must each joint surely holds."""
     out = []
