@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 Tell = Callable[[str], None]
 
 # an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
-# (a single joint's error scatters more), while no error rises by the smaller share
+# (a single joint's error scatters more), while none rises by as much
 HELPS, HELPS_THERE = 0.02, 0.05
 HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
@@ -252,4 +252,5 @@ def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[s
         own = [_rms(errors[f"{key}:{j}"] for j in joints) for errors in (before, after)]
         there.append(own[1] / own[0] - 1.0)
     falls = min(everywhere) <= -HELPS or min(there) <= -HELPS_THERE
-    return max(everywhere + there) < HELPS and (shift or falls)
+    rises = max(everywhere) >= HELPS or max(there) >= HELPS_THERE
+    return not rises and (shift or falls)
