@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.offline.brakes import divide, judge_stop0, judge_stop1
-from stopset.offline.brakes.judge import Verdict, stop0_tubes, stop1_tube
+from stopset.offline.brakes import divide, judge_stop1
+from stopset.offline.brakes.judge import Verdict, first_outside, stop0_tubes, stop1_tube
 from stopset.offline.identify import identify
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import setting_of
@@ -65,9 +65,9 @@ def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Ro
     out = []
     held = divide([r for r in recordings if r.phase == "stop0"])[1]
     if setting is not None and "stop0" in model.sets and held:
-        tubes = [(r, stop0_tubes(setting, r)) for r in held]
-        ratios = [exceeds(t, r) for r, t in tubes if t is not None]
-        out.append(_row(name, "STOP 0", judge_stop0(model, held), ratios))
+        known = [(r, t) for r, t in ((r, stop0_tubes(setting, r)) for r in held) if t is not None]
+        left = [(r.label, *x) for r, x in ((r, first_outside(t, r, setting.noise)) for r, t in known) if x is not None]
+        out.append(_row(name, "STOP 0", Verdict(len(held), len(known), tuple(left)), [exceeds(t, r) for r, t in known]))
     held = divide([r for r in recordings if r.phase == "stop1"])[1]
     if setting is not None and ramp is not None and held:
         ratios = [exceeds([stop1_tube(ramp, setting.noise, r)], r) for r in held]

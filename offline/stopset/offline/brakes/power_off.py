@@ -18,7 +18,7 @@ from stopset.artifact import Brakes, Model, UncertaintySets
 from stopset.offline.brakes.bands import band, beyond, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
-from stopset.offline.brakes.timing import GRID, Told, tell
+from stopset.offline.brakes.timing import GRID, RISES, Told, tell
 from stopset.reach.stops.plant import setting_of
 from stopset.recording import Recording
 from stopset.sets import Box
@@ -34,6 +34,9 @@ WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
 APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
 TYPICAL = 0.1  # relative spread of friction between stops
+TYPICAL_U = 0.15  # and what is left of the powered regime's U, of its width, as one sigma
+LEAST_TORQUE = 0.05  # share of its middle that a brake surely keeps: an interval must not reach zero by widening alone
+USUAL_RISE = (2e-3, 0.03)  # [s] where no stop tells it
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,7 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
     assert setting is not None
     n = model.n
     u = setting.plant.u_hi - setting.plant.u_lo
-    spread = TYPICAL * setting.plant.coulomb_hi + 0.15 * u + 1e-3
+    spread = TYPICAL * setting.plant.coulomb_hi + TYPICAL_U * u + 1e-3
     torque, out = brakes.torque.centre, []
     for r in stops:
         curves = impulses(setting, r, noise.radius[n:] / SIGMAS)
@@ -107,7 +110,8 @@ def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list
         notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
     brakes = Brakes(
         _torques(model, wide, torque, suites, notes), timing, Box.of(*np.tile(_rises(_table(seen, "rise")), (n, 1)).T),
-        source="identified from stop0 recordings", apart=apart,
+        source=f"identified from {len(train)} recorded stops, {stops_told} of which tell a delay and {int(np.isfinite(torque).sum())} "
+        "joints a torque", apart=apart,
     )  # fmt: skip
     sets = _regime(model, seen, noise)
     return _widened(replace(model, brakes=brakes, sets={**model.sets, "stop0": sets}), train, notes)
@@ -179,15 +183,16 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
         values, count = groups.get(suites[s], ([], 0))
         groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
     lo, hi = hull(groups, MOST_TORQUE)
-    return Box.of(np.maximum(middle * max(lo, 0.05) * nominal, 1e-3), middle * hi * nominal)
+    return Box.of(np.maximum(middle * max(lo, LEAST_TORQUE) * nominal, 1e-3), middle * hi * nominal)
 
 
 def _rises(rise: Array) -> tuple[float, float]:
     values = rise[~np.isnan(rise)]
     if len(values) < LEAST:
-        return 2e-3, 0.03
+        return USUAL_RISE
     lo, hi = band(values)
-    return max(lo - 1.5e-3, 1e-3), hi + 1.5e-3
+    half = 0.5 * (RISES[1] - RISES[0])  # of the grid they were looked for on
+    return max(lo - half, GRID), hi + half
 
 
 def _regime(model: Model, seen: Sequence[Seen], noise: Box) -> UncertaintySets:
