@@ -1,6 +1,6 @@
 """How much narrower sets per temperature band are than one set for all temperatures.
 
-    python benchmarks/bands.py ROBOT RECORDING [ROBOT RECORDING]...
+python benchmarks/bands.py ROBOT RECORDING [ROBOT RECORDING]...
 """
 
 from __future__ import annotations
