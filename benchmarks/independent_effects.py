@@ -143,7 +143,7 @@ OUTSIDE: dict[str, Hidden] = {
 
 
 def residual(truth: Truth, fit: str, mask: str, joint: int, trials: list[tuple[int, int, Columns]] | None = None) -> Array:
-    """(n,) residual RMS [N m] of the base model on the closed-loop trials."""
+    """(n,) residual RMS [N m] of the base model on the closed-loop trials; infinite where the arm can't be controlled."""
     b, a = butter(4, 10.0 / (0.5 / DT))
     told, parts = truth.told, []
     for _, _, c in trials or closed_loop(truth):
@@ -153,6 +153,8 @@ def residual(truth: Truth, fit: str, mask: str, joint: int, trials: list[tuple[i
         clear = minimum_filter1d(np.abs(dq), 2 * NEAR + 1, axis=0)  # the low-pass smears a reversal over its neighbours
         parts.append([x[inside] for x in (q, dq, np.gradient(dq, DT, axis=0), tau, clear)])
     q, dq, ddq, tau, clear = (np.concatenate([p[k] for p in parts]) for k in range(5))
+    if not all(np.isfinite(x).all() for x in (q, dq, ddq, tau)):
+        return np.full(told.n, np.inf)  # so large that the controller lost the arm
     Y = np.asarray(regressor(told.R0, told.p, told.axis, told.gravity, q, dq, ddq))
     n = told.n
     moving = [clear[:, j] > 0.02 for j in range(n)]
@@ -203,7 +205,7 @@ def hide(truth: Truth, name: str, joint: int, level: str, u: Array) -> tuple[Tru
         ratio = float((residual(made, kind.fit, kind.mask, joint) / floor)[where].max())
         added = float(np.sqrt(max(ratio**2 - 1, 1e-3)))
         tried.append((x, added, ratio, made))
-        if not np.isfinite(ratio) or abs(ratio / RATIO[level] - 1) < 0.04:
+        if abs(ratio / RATIO[level] - 1) < 0.04:
             break
         low = max((t[0] for t in tried if t[1] < target), default=lo)
         high = min((t[0] for t in tried if t[1] > target), default=hi)
