@@ -21,6 +21,6 @@ def compensated(r: Recording, robot: Robot, truth: Truth) -> Recording:
     Source: Liu & Althoff (2018), eq. (11).
     """
     gravity = gravity_torques(robot.chain, robot.pi, np.ascontiguousarray(r.q))
-    u = r.tau - (1.0 - truth.left_gravity) * gravity
-    held = np.clip(u, -truth.plant.fc, truth.plant.fc)
-    return replace(r, tau=u - np.where(np.abs(r.dq) < STILL, held, truth.plant.fc * np.sign(r.dq)))
+    held = np.clip(r.tau - gravity, -truth.plant.fc, truth.plant.fc)  # at rest friction balances what is left, as far as it can
+    friction = np.where(np.abs(r.dq) < STILL, held, truth.plant.fc * np.sign(r.dq))
+    return replace(r, tau=r.tau - (1.0 - truth.left_gravity) * gravity - friction)
