@@ -45,8 +45,8 @@ from stopset.robot import Robot, load_robot
 MOVING = 0.02  # [rad/s] the arm moves when some joint is faster
 # suites to fit and to test, best match to the known figures first
 SPLITS: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = (
-    ((7, 16), (3, 14, 15)), ((13, 16), (3, 11, 14)), ((8, 13), (1, 14, 15)), ((4, 14), (11, 13, 16)), ((8, 15), (11, 12, 16)),
-    ((8, 12), (1, 14, 15)), ((8, 13), (3, 15, 16)),
+    ((7, 16), (3, 14, 15)), ((8, 13), (3, 14, 15)), ((8, 16), (3, 11, 14)), ((8, 13), (3, 15, 16)), ((9, 16), (4, 14, 15)),
+    ((7, 12), (3, 14, 15)), ((12, 13), (11, 14, 16)),
 )  # fmt: skip
 
 # the friction of the paper, eqs. (5)-(9), term by term (the catalogue spells it coulomb, load_coulomb, cubic_viscous, ...)
