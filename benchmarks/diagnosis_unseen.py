@@ -6,6 +6,7 @@ size or with a joint more.  Every effect of `independent_effects` is hidden, eas
 
     python benchmarks/diagnosis_unseen.py make ARMS SETS --seed 20000 --rounds 1 --healthy 8 --outside 8 --pairs 5
     python benchmarks/diagnosis_unseen.py ask SETS --out ANSWERS
+    python benchmarks/diagnosis_unseen.py rate SETS ANSWERS
     python benchmarks/diagnosis_unseen.py wander SETS     (what healthy joints leave in half-second sums)
 """
 
@@ -32,7 +33,7 @@ from stopset.recording import read_recordings
 from stopset.robot import load_robot
 
 ENOUGH = {"easy": 2.0, "hard": 1.25}  # ratio below which another joint is drawn: there the effect can't be made that large
-CHANCES = 5
+CHANCES = 6
 OTHER_ARM = 0.4  # share of sets whose arm is no near relative of a template
 
 
@@ -61,7 +62,7 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
                     best = (ratio, size, joint, made)
                 if ratio > ENOUGH[level]:
                     break
-            assert best is not None
+            assert best is not None and best[0] > 1.0, f"{name} leaves no trace at any joint drawn"
             ratio, size, joint, truth = best
             at = [joint, joint + 1] if kind.pair else [joint]
             free = [j for j in free if j not in at]
@@ -108,30 +109,56 @@ def kind_of(label: dict[str, Any]) -> str:
     return "pair" if len(label["effects"]) > 1 else str(label["effects"][0]["level"])
 
 
-def ask(folder: Path, out: Path | None, only: Sequence[str]) -> None:
-    """Diagnose every set of ``folder`` and print the rates."""
+def ask(folder: Path, out: Path, only: Sequence[str]) -> None:
+    """Diagnose the sets of ``folder``, write one answer each, and print the rates of all answers."""
     labels = json.loads((folder / "labels.json").read_text())
-    count: dict[str, list[bool]] = {}
+    out.mkdir(parents=True, exist_ok=True)
     for name, label in sorted(labels.items()):
         if only and name not in only:
             continue
         robot = load_robot(folder / name / "robot.urdf")
         start = time.process_time()
         found = diagnose(robot, read_recordings(folder / name / "recording.parquet", robot))
-        ok = right(label, found.verdict, [(r.effect, r.joints) for r in found.ranked])
-        count.setdefault(kind_of(label), []).append(ok)
         true = " ".join(f"{e['effect']}:{'+'.join(e['joints'])} {e['level']} x{e['ratio']:.2f}" for e in label["effects"])
         words = ", ".join(f"{r.label} {r.score:.0f}" for r in (found.ranked or found.claims)) or "-"
-        print(
-            f"{name} {'right' if ok else 'WRONG'} [{true}] {found.verdict}: {words} {list(found.depends_on)} "
-            f"{time.process_time() - start:.1f} s", flush=True,
-        )  # fmt: skip
-        if out:
-            out.mkdir(parents=True, exist_ok=True)
-            (out / f"{name}.json").write_text(json.dumps(found.as_json()))
-    for kind, answers in sorted(count.items()):
-        lo, hi = interval(sum(answers), len(answers))
-        print(f"{kind}: {sum(answers)} of {len(answers)} right (95 % interval {lo:.2f} to {hi:.2f})")
+        spent = time.process_time() - start
+        print(f"{name} [{true}] {found.verdict}: {words} {list(found.depends_on)} {spent:.1f} s", flush=True)
+        (out / f"{name}.json").write_text(json.dumps(found.as_json()))
+    rate(folder, out)
+
+
+def rate(folder: Path, answers: Path) -> None:
+    """Rates of the answers that are there, and what the wrong ones said.
+
+    *first*: the first entry is a true effect at a true joint; *all*: every true effect among the first entries, one more for
+    each further joint (as `diagnosis_labelled` counts).
+    """
+    labels = json.loads((folder / "labels.json").read_text())
+    count: dict[str, list[bool]] = {}
+    for name, label in sorted(labels.items()):
+        if not (answers / f"{name}.json").exists():
+            continue
+        answer = json.loads((answers / f"{name}.json").read_text())
+        ranked = [(e["effect"], _places(e["joint"])) for e in answer["ranked_effects"]]
+        kind, ok = kind_of(label), right(label, answer["verdict"], ranked)
+        count.setdefault(f"{kind}, all", []).append(ok)
+        if label["verdict"] == "missing":
+            first = answer["verdict"] == "missing" and any(
+                (e, bool(set(at) & set(x["joints"])) or not x["joints"]) == (x["effect"], True)
+                for e, at in ranked[:1] for x in label["effects"]
+            )  # fmt: skip
+            count.setdefault(f"{kind}, first", []).append(first)
+            ok = ok and first
+        if not ok:
+            hidden = ", ".join(f"{e['effect']}:{'+'.join(e['joints'])} x{e['ratio']:.2f}" for e in label["effects"])
+            print(f"{name}: hidden {hidden or 'nothing'}; said {answer['verdict']} {ranked}")
+    for kind, values in sorted(count.items()):
+        lo, hi = interval(sum(values), len(values))
+        print(f"{kind}: {sum(values)} of {len(values)} right (95 % interval {lo:.2f} to {hi:.2f})")
+
+
+def _places(joint: str | list[str] | None) -> tuple[str, ...]:
+    return () if joint is None else (joint,) if isinstance(joint, str) else tuple(joint)
 
 
 def wander(folder: Path) -> None:
@@ -162,11 +189,16 @@ def main() -> None:
         m.add_argument(f"--{name}", type=int, default=default)
     a = commands.add_parser("ask")
     a.add_argument("sets", type=Path)
-    a.add_argument("--out", type=Path)
+    a.add_argument("--out", type=Path, required=True)
     a.add_argument("--only", default="", help="comma-separated names of sets")
+    r = commands.add_parser("rate")
+    r.add_argument("sets", type=Path)
+    r.add_argument("answers", type=Path)
     w = commands.add_parser("wander")
     w.add_argument("sets", type=Path)
     args = parser.parse_args()
+    if args.command == "rate":
+        return rate(args.sets, args.answers)
     if args.command == "wander":
         return wander(args.sets)
     if args.command == "ask":

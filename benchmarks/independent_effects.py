@@ -217,6 +217,8 @@ def hide(truth: Truth, name: str, joint: int, level: str, u: Array) -> tuple[Tru
             break
         x = new
     x, _, ratio, made = min(tried, key=lambda t: abs(np.log(max(t[2], 1e-3) / RATIO[level])))
+    if not np.isfinite(ratio):
+        return truth, 0.0, 0.0  # a light link on a stiff gear swings faster than the simulation's steps
     return made, x, ratio
 
 
