@@ -102,12 +102,23 @@ def test_hiding_nothing_leaves_the_recordings_as_they_are(sound: Cell) -> None:
             assert np.quantile(np.abs(tau - base), 0.99) < 0.05, effect
 
 
-@pytest.mark.parametrize("effect", KINDS)
+@pytest.mark.parametrize("effect", [name for name, kind in KINDS.items() if kind.fixed])
+def test_what_raises_no_residual_has_a_fixed_size_and_says_why(sound: Cell, effect: str) -> None:
+    sized = size_effect(sound, SMALL, [], effect, 0, RATIOS["hard"])
+    assert sized.hidden.size == KINDS[effect].guess > 0
+    assert KINDS[effect].fixed in sized.note
+    changed, said = inject(sound, [sized.hidden])
+    assert changed.truth is not sound.truth and said[0]
+
+
+@pytest.mark.parametrize("effect", [name for name, kind in KINDS.items() if not kind.fixed])
 def test_every_effect_reaches_its_size_and_only_there(sound: Cell, effect: str) -> None:
     joint = None if KINDS[effect].scope == "arm" else 0
     healthy_trials = closed_loop(sound, SMALL)
     sized = size_effect(sound, SMALL, healthy_trials, effect, joint, RATIOS["hard"])
-    if effect == "coriolis" and sized.note:  # slow arms hardly have any
+    if (
+        effect in ("coriolis", "encoder_eccentricity") and sized.note
+    ):  # slow arms hardly have any; encoders err by 0.02 rad at most
         assert sized.hidden.size == KINDS[effect].most
         return
     assert sized.ratio == pytest.approx(RATIOS["hard"], rel=0.05), sized.note
