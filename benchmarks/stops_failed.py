@@ -38,7 +38,7 @@ def main() -> None:
         rng, layers = np.random.default_rng(seed), Counter[str]()
         bounds = StopBounds.of(prbt_like(), load, ramp=ramp, pieces=args.pieces)
         angles: list[float] = []
-        times, tcps = [], []
+        times, tcps, left = [], [], 0
         for k in range(states):
             q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-1.26, 1.26, 6)
             bound = bounds.bound(q, dq, "1 guaranteed")
@@ -46,14 +46,15 @@ def main() -> None:
             if bound.angle is None or bound.time is None or bound.tcp is None:
                 continue
             found = sample_failed_ramps(bounds, bound, q, dq, PER_STATE, 1000 * seed + k)
-            total, escaped = total + found.stops, escaped + found.escaped
+            total, left = total + found.stops, left + found.escaped
             angles += (bound.angle / found.angle)[np.abs(dq) > 0.25].tolist()
             times.append(float(bound.time.max()) / found.time)
             tcps.append(bound.tcp / found.tcp)
         how = ", ".join(f"{v} by {k}" for k, v in sorted(layers.items()))
+        escaped += left
         print(
             f"{name}, {load[0]:g} to {load[1]:g} kg: {states} states, {how}; median bound over worst sampled: angle "
-            f"{np.median(angles):.2f}, time {np.median(times):.2f}, TCP {np.median(tcps):.2f}",
+            f"{np.median(angles):.2f}, time {np.median(times):.2f}, TCP {np.median(tcps):.2f}; {left} escapes",
             flush=True,
         )
     print(f"{total} failed ramps, {escaped} escapes")

@@ -183,6 +183,17 @@ def test_a_payload_no_recording_carried_is_marked_everywhere(tmp_path: Path, cap
     assert by[1] > by[0]
 
 
+def test_a_table_without_payloads_says_how_to_get_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "bare.model.json", tmp_path / "t.json"
+    save_model(prbt_like((0.0, 0.0)), path)
+    assert main(["stops", str(path), "--category", "0"]) == 0
+    assert "--rated-payload" in capsys.readouterr().out
+    rated = ["--rated-payload", "3", "--extrapolate-payload", "--json", str(out)]
+    assert main(["stops", str(path), "--category", "0", *rated]) == 0
+    rows = json.loads(out.read_text())
+    assert {r["payload_percent"] for r in rows} == {33.0, 66.0, 100.0} and all("extrapolated" in r["why"] for r in rows)
+
+
 def test_states_beyond_the_recordings_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arm = prbt_like((0.0, 1.0))
     narrow = replace(arm.domain, q=Box.symmetric(np.full(6, 0.3)))

@@ -173,6 +173,10 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
     limits = ", ".join(f"{j} {v:.3g}" for j, v in zip(model.joints, speed, strict=True))
     assumptions += (f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}",)
+    if model.domain.payload[1] <= 0 and question.rated is None and question.payload is None:
+        assumptions += (
+            "no recording carried a payload, so every row is without; --rated-payload KG --extrapolate-payload computes 33/66/100 % of it",
+        )
     if outside:
         assumptions += (
             f"EXTRAPOLATED POSES: {', '.join(sorted(outside))} lie outside the angles of the recordings in some test poses; there the "
