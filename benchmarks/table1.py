@@ -49,7 +49,7 @@ PAPER = {
 Flow = Callable[[Array, Array, Array], Array]  # ddq of q, dq, u
 
 
-@njit(cache=True)
+@njit
 def exact_ddq(chain: Chain, pi: Array, rotor: Array, viscous: Array, q: Array, dq: Array, u: Array) -> Array:
     """``M_m(q)^-1 (u - c(q, dq) - tau_nu(dq))`` at the rows of ``q, dq, u`` (N, n), eq. (10); gravity is inside u."""
     weightless = Chain(chain.R, chain.p, chain.axis, np.zeros(3))
@@ -115,13 +115,13 @@ def inputs(robot: Robot, rotor: Array, viscous: Array, at: Callable, times: Arra
 
 
 def table(
-    robot: Robot, trajectories: int, family: str = "near", seed: int = 1, orders: tuple[int, ...] = ORDERS
+    robot: Robot, trajectories: int, family: str = "near", seed: int = 1, orders: tuple[int, ...] = ORDERS, cubic: float = CUBIC
 ) -> dict[str, object]:
     """All cells of one family of motions: mean absolute velocity error [rad/s] over time, joints and trajectories."""
     n = robot.n
     rotor = robot.rotor
     v1 = np.resize(FRICTION, n)
-    viscous = np.column_stack([v1, 0 * v1, CUBIC * v1])
+    viscous = np.column_stack([v1, 0 * v1, cubic * v1])
     d = degrees(robot, viscous)
     answer: dict[str, object] = {
         "robot": robot.name,
@@ -203,11 +203,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", default="lwa4p", help="a shipped arm or a URDF")
     parser.add_argument("--trajectories", type=int, default=20)
+    parser.add_argument("--cubic", type=float, default=CUBIC, help=f"v3 over v1 of the friction curve (default {CUBIC})")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     answers = []
     for family in FAMILIES:
-        answers.append(table(load_robot(args.robot), args.trajectories, family))
+        answers.append(table(load_robot(args.robot), args.trajectories, family, cubic=args.cubic))
         print(f"\n{family}: mean |velocity error| in rad/s over {args.trajectories} motions [the paper's figure]\n")
         print(text(answers[-1]), flush=True)
     if args.json:
