@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from stopset.reach.stops.claims import claimed_speeds, claims_hold, guess_claims, nothing_known
 from stopset.reach.stops.energy import by_power, cap_bands, cap_lines, largest, power_excess, start_energy, step_energy
 from stopset.reach.stops.expansion import Curvature, Expansion, Scratch, empty_expansion, expand_into
 from stopset.reach.stops.local import Local, Parts, box_terms, empty_local
@@ -100,72 +101,6 @@ def _ramp(t: float, delay: float, rise: float) -> float:
 
 
 @njit(cache=True)
-def _claims(
-    h: float, lo: Array, hi: Array, claim: Array, cap: Array, w_lo: Array, w_hi: Array, plus: Array, minus: Array, zero: Array,
-    a_far: Array,
-) -> None:  # fmt: skip
-    """Speeds on a step under the claimed accelerations and the caps, and which signs are possible."""
-    for i in range(lo.shape[0]):
-        z = lo[i] + h * min(0.0, claim[0, i] if lo[i] > 0.0 else claim[2, i])
-        if lo[i] > 0.0 and z <= 0.0:
-            z = h * min(0.0, claim[2, i])
-        w_lo[i] = max(z, -cap[i])
-        z = hi[i] + h * max(0.0, claim[3, i] if hi[i] < 0.0 else claim[1, i])
-        if hi[i] < 0.0 and z >= 0.0:
-            z = h * max(0.0, claim[1, i])
-        w_hi[i] = min(z, cap[i])
-        plus[i] = 1.0 if w_hi[i] > 0.0 else 0.0
-        minus[i] = 1.0 if w_lo[i] < 0.0 else 0.0
-        zero[i] = 1.0 if w_lo[i] <= 0.0 and w_hi[i] >= 0.0 else 0.0
-        a_far[i] = 0.0
-        if plus[i] > 0.0:
-            a_far[i] = max(abs(claim[0, i]), abs(claim[1, i]))
-        if minus[i] > 0.0:
-            a_far[i] = max(a_far[i], max(abs(claim[2, i]), abs(claim[3, i])))
-
-
-@njit(cache=True)
-def _guess(claim: Array, out: Array, last: Array, k: int) -> None:
-    """Claims for step k: the last step's rates, carried on as they changed, and a little more."""
-    for i in range(claim.shape[1]):
-        for row in range(4):
-            guess = out[row, i] if k > 0 and np.isfinite(out[row, i]) else 0.0
-            step = guess - last[row, i] if k > 1 else 0.0
-            grow = 0.02 * abs(guess) + 1e-3 + abs(step)
-            lower = row == 0 or row == 2
-            claim[row, i] = guess + min(step, 0.0) - grow if lower else guess + max(step, 0.0) + grow
-            last[row, i] = guess
-        # a joint that could not start from rest is first taken not to start
-        if k > 0 and out[1, i] <= 0.0:
-            claim[1, i] = min(claim[1, i], 0.0)
-        if k > 0 and out[2, i] >= 0.0:
-            claim[2, i] = max(claim[2, i], 0.0)
-
-
-@njit(cache=True)
-def _verified(out: Array, claim: Array, plus: Array, minus: Array, zero: Array) -> bool:
-    """Do the accelerations lie inside the claims? If not, the claims grow.
-
-    A joint at rest on the whole step (neither sign possible) only has to be kept from starting.
-    """
-    good = True
-    for i in range(claim.shape[1]):
-        for row in range(4):
-            used = plus[i] > 0.0 or (row == 1 and zero[i] > 0.0) if row < 2 else minus[i] > 0.0 or (row == 2 and zero[i] > 0.0)
-            if not used:
-                continue
-            value = out[row, i]
-            if row == 0 or row == 2:
-                if value < claim[row, i] and not (row == 2 and minus[i] == 0.0 and value >= 0.0):
-                    good = False
-                    claim[row, i] = value - 0.05 * abs(value) - 1e-3
-            elif value > claim[row, i] and not (row == 1 and plus[i] == 0.0 and value <= 0.0):
-                good = False
-                claim[row, i] = value + 0.05 * abs(value) + 1e-3
-    return good
-
-
-@njit(cache=True)
 def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
     """Bands at the end of a step of ``h`` seconds, from the verified accelerations ``out`` (see `accelerations`)."""
     for i in range(zero.shape[0]):
@@ -193,13 +128,6 @@ def _advance(b: Bands, out: Array, zero: Array, h: float, end: Bands) -> None:
             end.later_hi[i], end.later_lo[i] = start_up, start_down
         if end.first_lo[i] == end.first_hi[i] == 0.0:
             end.alive[i] = 0.0
-
-
-@njit(cache=True)
-def _unknown(out: Array) -> None:
-    """Accelerations of which nothing is known."""
-    for row in range(10):
-        out[row] = -np.inf if row in (0, 2, 5, 7, 9) else np.inf
 
 
 @njit(cache=True)
@@ -282,7 +210,7 @@ def march(
                 break
             for i in range(n):  # known before any claim: speeds at this knot
                 v_lo[k, i], v_hi[k, i] = max(v_lo[k, i], -energy.cap[i]), min(v_hi[k, i], energy.cap[i])
-        _guess(claim, out, last, k)
+        guess_claims(claim, out, last, k)
         # the impulse that ends first excursions during this step is known after it: taken a little less, then checked
         for i in range(n):
             need[i] = momentum.needed[i] - 2.0 * drop[i] if b.alive[i] > 0.0 else momentum.needed[i]
@@ -290,7 +218,7 @@ def march(
             _later_friction(plant, now + h, b, need, B_lo, B_hi, B_later, way)
             verified = False
             for _attempt in range(PASSES):
-                _claims(h, v_lo[k], v_hi[k], claim, energy.cap, w_lo, w_hi, plus, minus, zero, a_far)
+                claimed_speeds(h, v_lo[k], v_hi[k], claim, energy.cap, w_lo, w_hi, plus, minus, zero, a_far)
                 for i in range(n):
                     x_lo[i] = q_lo[i] + d_lo[k, i] + h * min(0.0, w_lo[i]) - E.q[i]
                     x_hi[i] = q_hi[i] + d_hi[k, i] + h * max(0.0, w_hi[i]) - E.q[i]
@@ -299,7 +227,7 @@ def march(
                 accelerations(
                     at.M, at.dM, s_lo, s_hi, own_up, own_down, B_lo, B_hi, B_later, way, plus, minus, zero, a_far, out, work
                 )
-                if _verified(out, claim, plus, minus, zero):
+                if claims_hold(out, claim, plus, minus, zero):
                     verified = True
                     break
             if not verified and not energetic:
@@ -309,7 +237,7 @@ def march(
                     x_lo[i] = q_lo[i] + d_lo[k, i] - E.q[i] - h * energy.cap[i]
                     x_hi[i] = q_hi[i] + d_hi[k, i] - E.q[i] + h * energy.cap[i]
                 box_terms(E, K, x_lo, x_hi, -energy.cap, energy.cap, parts, at, work)
-                _unknown(out)
+                nothing_known(out)
             _advance(b, out, zero, h, end)
             if not verified:
                 cap_bands(end, energy.cap)
