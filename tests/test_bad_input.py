@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from stopset.artifact import SCHEMA_VERSION
 from stopset.cli.main import main
 from stopset.errors import OutputError
 from stopset.files import replacing, write_bytes, write_text
@@ -235,7 +236,7 @@ def _flip(text: str) -> str:
 
 def _newer(text: str) -> str:
     body = json.loads(text)
-    body["schema"] += 1
+    body["schema"] = SCHEMA_VERSION + 1
     return json.dumps(body)
 
 
