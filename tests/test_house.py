@@ -206,6 +206,16 @@ def test_the_overview_lists_every_command() -> None:
     assert "not a certified safety function" in done.stdout
 
 
+@pytest.mark.parametrize("command", [c for c in commands() if c not in ("demo", "monitor", "replay", "watch")])
+def test_every_command_that_answers_takes_json_and_report(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from stopset.cli.main import main
+
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    shown = capsys.readouterr().out
+    assert "--json FILE" in shown and "--report FILE.html" in shown
+
+
 @pytest.mark.parametrize("command", commands())
 def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     from stopset.cli.main import main

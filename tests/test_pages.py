@@ -20,3 +20,18 @@ def test_the_comparison_draws_itself_from_its_own_file(browser, planar, tmp_path
     assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
     text = browser.execute_script("return document.body.innerText")
     assert "Monitoring aid. Not a safety function" in text and "Identified sets" in text
+
+
+def test_a_refused_effect_leaves_a_page_with_its_numbers(planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder, page = planar[0], tmp_path / "add.html"
+    words = [str(folder / "m.model.json"), "spring", "--joint", "axis_1", "--data", str(folder / "rec.parquet")]
+    code = main(["add", *words, "--out", str(tmp_path / "m2.model.json"), "--report", str(page)])
+    assert code == (0 if (tmp_path / "m2.model.json").exists() else 1)
+    text = page.read_text()
+    assert "Tried just now" in text and "spring:axis_1" in text
+
+
+def test_recordings_made_here_come_with_their_inspection(tmp_path: Path) -> None:
+    page = tmp_path / "made.html"
+    assert main(["simulate", "--hide", "none", "--plan", "short", "--out", str(tmp_path / "made"), "--report", str(page)]) == 0
+    assert "Inspection of recordings" in page.read_text() and "Do not identify" not in page.read_text()

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (identify --update)"
     )
     parser.add_argument("--force", action="store_true", help="add it even if it does not help on held-out data")
-    add_output_options(parser, report=False)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import load_model, save_model
     from stopset.offline.revise import add
 
-    check_outputs(args.out, args.json, args.keep)
+    check_outputs(args.out, args.json, args.keep, args.report)
     model = load_model(args.model)
 
     def tell(text: str) -> None:
@@ -69,6 +69,11 @@ def run(args: argparse.Namespace) -> int:
             "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why}
                        for j in done.judged],
         })  # fmt: skip
+    if args.report:
+        from stopset.offline.history_page import tried
+
+        tried(done.model or model, done).save(args.report)
+        say(f"report {args.report}")
     if done.model is None:
         say(f"refused; nothing was written{'' if args.force else ' (--force adds what has numbers anyway)'}")
         return 1

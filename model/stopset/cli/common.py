@@ -15,11 +15,10 @@ from stopset.files import writable, write_text
 T = TypeVar("T")
 
 
-def add_output_options(parser: argparse.ArgumentParser, report: bool = True) -> None:
+def add_output_options(parser: argparse.ArgumentParser) -> None:
     """``--json FILE`` and ``--report FILE.html``."""
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the machine-readable answer here")
-    if report:
-        parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
 
 
 def check_outputs(*paths: str | Path | None) -> None:

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; may be repeated (default: all)",
     )
     parser.add_argument("--no-reference", action="store_true", help="no reference results beside the FMU")
-    add_output_options(parser, report=False)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.fmu.build import chosen
 
     beside = [] if args.no_reference else list(reference_paths(args.out))
-    check_outputs(args.out, args.json, *beside)
+    check_outputs(args.out, args.json, args.report, *beside)
     platforms = [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
     say(f"compiling for {', '.join(platforms)} (the first time takes a minute or two, later seconds)")
@@ -48,4 +48,15 @@ def run(args: argparse.Namespace) -> int:
             args.json,
             {"fmu": str(target), "fmi": args.fmi, "platforms": platforms, "reference": [str(p) for p in beside]},
         )
+    if args.report:
+        from stopset.fmu.variables import variables
+        from stopset.offline.report import Page
+
+        page = Page(f"{model.robot.name} as FMU")
+        page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, for {', '.join(platforms)}.")
+        page.text(f"Made from the model with SHA-256 {model.sha256}. {model.guarantee.text}")
+        rows = [(v.name, v.causality, v.unit, v.start, v.lo, v.hi, v.description) for v in variables(model)]
+        page.table(("variable", "causality", "unit", "start", "least", "largest", "what it is"), rows)
+        page.save(args.report)
+        say(f"report {args.report}")
     return 0

@@ -6,6 +6,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stopset.cli.common import add_output_options, check_outputs, progress, say, write_json
+
 HELP = "turn CAN logs, ROS 2 bags or MCAP files into recordings"
 
 
@@ -20,17 +22,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--topic", default="/joint_states", help="MCAP, bags: topic of JointState (default: %(default)s)")
     parser.add_argument("--joints", metavar="A,B,..", help="MCAP, bags: joints to keep, in this order (default: all)")
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    from stopset.cli.common import check_outputs, progress, say
     from stopset.errors import RecordingError
     from stopset.monitor.bags import BAG_SUFFIXES, meta_of_bag, trials_of_bag
     from stopset.monitor.logs import log_meta, trials_of_log
     from stopset.monitor.profile import load_profile
     from stopset.recording import Meta, Recording, write_recordings
 
-    check_outputs(args.out)
+    check_outputs(args.out, args.json, args.report)
     if args.cycle is not None and not 1e-4 <= args.cycle <= 1.0:
         raise RecordingError(f"--cycle is {args.cycle}; expected seconds, from 0.0001 to 1")
     trials: list[Recording] = []
@@ -53,5 +55,16 @@ def run(args: argparse.Namespace) -> int:
         meta = meta or this
     assert meta is not None  # nargs="+"
     write_recordings(args.out, meta, trials)
-    say(f"{len(trials)} trials, {sum(len(r.t) for r in trials)} samples to {args.out}, torque taken as {args.effort}")
+    samples = sum(len(r.t) for r in trials)
+    say(f"{len(trials)} trials, {samples} samples to {args.out}, torque taken as {args.effort}")
+    if args.json:
+        write_json(
+            args.json,
+            {"out": str(args.out), "trials": len(trials), "samples": samples, "joints": meta.joints, "effort": args.effort},
+        )
+    if args.report:
+        from stopset.offline.inspect.page import save
+
+        save(args.report, [args.out], None)
+        say(f"report {args.report}")
     return 0

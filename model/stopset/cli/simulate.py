@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how much the effect raises the torque residual of its joint: about 3.2 or 1.4 times",
     )  # fmt: skip
     parser.add_argument("--cad", choices=("exact", "wrong"), default="exact", help="masses of the URDF: true, or 2-5 %% off")
-    add_output_options(parser, report=False)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.seed < 0:
         raise EffectError(f"--seed {args.seed} is negative; give a whole number from 0 on")
-    check_outputs(args.json)
+    check_outputs(args.json, args.report)
     out: Path = args.out
     if out.exists() and not out.is_dir():
         raise OutputError(f"--out {out} is a file; expected a directory: choose another name")
@@ -65,6 +65,11 @@ def run(args: argparse.Namespace) -> int:
     write_json(out / "truth.json", {**scenario.truth, "rows": rows})
     if args.json:
         write_json(args.json, {**scenario.truth, "rows": rows})
+    if args.report:
+        from stopset.offline.inspect.page import save
+
+        save(args.report, [out / "recording.parquet"], load_robot(out / "robot.urdf"))
+        say(f"report {args.report}")
     say(f"{out}: {scenario.count} recordings, {rows} rows of {robot.name}; recording.parquet, robot.urdf, robot.json")
     for e in scenario.truth["effects"]:
         where = f" at {e['joint']}" if e["joint"] else ""

@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 
 from stopset.artifact import Model
 from stopset.offline.report import COLOURS, Page
+from stopset.offline.revise import Revised
 
 FIGURES = (
     ("held_out_torque_rmse", "torque error on held-out data [N m]"),
@@ -33,6 +34,19 @@ def page(model: Model) -> Page:
         [[str(r.number), r.added or "first identification", *(r.after.get(k) for k in keys), r.note] for r in model.revisions],
     )
     out.text(model.guarantee.text)
+    return out
+
+
+def tried(model: Model, done: Revised) -> Page:
+    """The report of ``stopset add``: what was tried on held-out data, then the history of ``model``."""
+    out = page(model)
+    out.heading(f"Tried just now, judged on {done.judged_on}")
+    rows = []
+    for j in done.judged:
+        for key, title in FIGURES:
+            if key in j.before and key in j.after:
+                rows.append((j.name, title, j.before[key], j.after[key], "refused: " + j.why if j.why else "enters " + j.enters))
+    out.table(("effect", "figure", "before", "after", "outcome"), rows)
     return out
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from stopset.offline.inspect.inspection import Inspection
+from stopset.offline.inspect.inspection import Inspection, inspect_recordings
 from stopset.offline.report import COLOURS, Page
+from stopset.robot import Robot
 
 SIGNALS = (("q", "q [rad]"), ("dq", "dq [rad/s]"), ("tau", "tau [N m]"))
 
@@ -31,6 +33,11 @@ def page(found: Sequence[Inspection], against: str | None) -> Page:
     for r in found:
         _file(out, r)
     return out
+
+
+def save(path: str | Path, recordings: Sequence[str | Path], robot: Robot | None) -> None:
+    """Inspect ``recordings`` (against ``robot``, if given) and write the page to ``path``; raises `OutputError`."""
+    page(inspect_recordings(recordings, robot), robot.name if robot is not None else None).save(path)
 
 
 def _file(out: Page, r: Inspection) -> None:
