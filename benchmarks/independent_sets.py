@@ -202,7 +202,8 @@ def open_loop(truth: Truth) -> list[tuple[int, int, Columns]]:
                 temp, sc, sv, extra = _trial(truth, rng, k / 4, N)
                 z = np.zeros(n)
                 got = _simulate(truth, temp, sc, sv, extra, U[here], Q[here], V[here], z, z, Q[first], V[first])
-                off = np.flatnonzero(~(np.abs(got[0] - Q[here]).max(axis=1) <= 0.8))  # also where it ran away beyond numbers
+                near = (np.abs(got[0] - Q[here]).max(axis=1) <= 0.8) & (np.abs(got[1]).max(axis=1) <= 3.0)
+                off = np.flatnonzero(~near)  # also where it ran away beyond numbers
                 cut = int(off[0]) if len(off) else N
                 out.append((4 * motion + part, k, _measured(truth, rng, *(x[:cut] for x in (*got, temp)))))
     return out
