@@ -205,13 +205,13 @@ def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
 
 
 def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
-    from stopset.offline.stops.shown import up
+    from stopset.offline.stops.shown import axis_name, up
     from stopset.offline.stops.table import holding
 
-    say(f"{'category':<13}{'axis':<16}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
+    wide = max(len(axis_name(r.joint)) for r in rows) + 2
+    say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
     for r in rows:
-        axis = r.joint if len(r.joint) < 16 else f"{r.joint.count('+') + 1} axes at once"
-        head = f"{r.category:<13}{axis:<16}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
+        head = f"{r.category:<13}{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
         if r.certified:
             say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}{'  ' + r.why if r.why else ''}")
         else:

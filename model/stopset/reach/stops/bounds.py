@@ -23,6 +23,7 @@ from stopset.robot.rigid import gravity_torque, link_frames
 
 Array = NDArray[np.float64]
 SWEEPS = 4  # capsules per link and tube
+FEW = 2  # pieces of a STOP 0 that follows a STOP 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,9 @@ class StopBounds:
         n = self.model.n
         middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
         radius = radius + self.setting.noise.radius[:n]
-        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), self.pieces)
+        # where the ramp has led is a wide box of poses: cutting the brakes' intervals many times over would not close it
+        pieces = min(self.pieces, FEW)
+        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), pieces)
         if tubes[-1].end != OK:
             return None
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)

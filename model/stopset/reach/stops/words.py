@@ -48,7 +48,9 @@ def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
 
 def _failure(ramp: Ramp) -> str:
     who = "all joints alike" if ramp.together else "each joint on its own"
-    if not ramp.monitored:
+    if not ramp.monitored and ramp.off_after is None:
+        when = "at a time that nothing states"
+    elif not ramp.monitored:
         when = f"{ramp.off_after} s after the request (SS1-t)"
     else:
         rising = "no drive accelerates meanwhile" if ramp.share <= 1.0 else "drives may accelerate up to that share meanwhile"

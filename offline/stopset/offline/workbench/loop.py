@@ -145,7 +145,7 @@ class Loop:
         done = add(self._models[-1][1], effect, joint or None, self.data, force, tell)
         row = {
             "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
-            "judged_on": done.judged_on, "file": None if done.model is None else str(target),
+            "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),
         }  # fmt: skip
         if done.model is None:
             self._keep("add", row)
