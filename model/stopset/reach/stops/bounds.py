@@ -16,7 +16,7 @@ from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import march_box, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import FAST_KNOTS, march_box, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.reach.stops.words import BY_ENERGY, NO_BRAKES, NO_POWER_OFF, NO_RAMP, no_certificate, ramp_assumptions
 from stopset.robot.rigid import gravity_torque, link_frames
@@ -84,7 +84,7 @@ class StopBounds:
         n, start = self.model.n, self.setting.start
         q, dq = q + start.centre[:n], dq + start.centre[n:]
         q_radius, dq_radius = q_radius + start.radius[:n], dq_radius + start.radius[n:]
-        tube = tube_of(self.setting, q, dq, q_radius, dq_radius)
+        tube = tube_of(self.setting, q, dq, q_radius, dq_radius, knots=FAST_KNOTS)
         if tube.end != OK:
             return None
         return Certificate(tube, q, dq, q_radius, dq_radius, start.radius[:n], start.radius[n:])

@@ -12,6 +12,7 @@ from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import Array, gravity_torque
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
+FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds about 1 % wider, in half the time
 PATIENCE = 6  # times the expected stop before a tube is called endless
 MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
 
@@ -27,18 +28,20 @@ def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
 
 def march_box(
     setting: Setting, plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, energetic: bool,
-    parts: Parts = ALL_PARTS,
+    parts: Parts = ALL_PARTS, knots: int = KNOTS,
 ) -> Tube:  # fmt: skip
     """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each)."""
-    h = expected_stop(setting.plant, q, np.abs(dq) + dq_radius) / KNOTS
-    steps = KNOTS * (MORE_PATIENCE if energetic else PATIENCE)
+    h = expected_stop(setting.plant, q, np.abs(dq) + dq_radius) / knots
+    steps = knots * (MORE_PATIENCE if energetic else PATIENCE)
     tube: Tube = march(plant, q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, h, steps, parts, energetic)
     return tube
 
 
-def tube_of(setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS) -> Tube:
+def tube_of(
+    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS, knots: int = KNOTS,
+) -> Tube:  # fmt: skip
     """The STOP 0 tube from a box, as tight as one tube gets; it may not come to rest."""
-    return march_box(setting, setting.plant, q, dq, q_radius, dq_radius, False, parts)
+    return march_box(setting, setting.plant, q, dq, q_radius, dq_radius, False, parts, knots)
 
 
 def tubes_of(
