@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stopset.robot import Robot, load_robot
-from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, regressor, torque
+from stopset.robot.rigid import gravity_torque, gravity_torques, link_frames, mass_matrix, regressor, torque
 
 pin = pytest.importorskip("pinocchio")
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -51,3 +51,12 @@ def test_agrees_with_pinocchio(where: str) -> None:
         for i in range(robot.n):
             assert np.abs(data.oMi[i + 1].translation - o[i]).max() < TOLERANCE
             assert np.abs(data.oMi[i + 1].rotation - R[i]).max() < TOLERANCE
+
+
+@pytest.mark.parametrize("where", ARMS)
+def test_gravity_of_many_rows_agrees_with_pinocchio(where: str) -> None:
+    robot, model = both(where)
+    data = model.createData()
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (20, robot.n))
+    theirs = [pin.computeGeneralizedGravity(model, data, x) for x in q]
+    assert np.abs(gravity_torques(robot.chain, robot.pi, q) - theirs).max() < TOLERANCE

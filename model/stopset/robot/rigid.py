@@ -243,12 +243,50 @@ def torques(chain: Chain, pi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def turn(R0: Array, axis: Array, angle: float, out: Array) -> None:
+    """``out`` (3, 3): the rotation ``R0`` followed by one about ``axis`` by ``angle`` [rad] (Rodrigues)."""
+    s, c = np.sin(angle), np.cos(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    d = 1.0 - c
+    for r in range(3):
+        a0, a1, a2 = R0[r, 0], R0[r, 1], R0[r, 2]
+        out[r, 0] = a0 * (c + x * x * d) + a1 * (y * x * d + z * s) + a2 * (z * x * d - y * s)
+        out[r, 1] = a0 * (x * y * d - z * s) + a1 * (c + y * y * d) + a2 * (z * y * d + x * s)
+        out[r, 2] = a0 * (x * z * d + y * s) + a1 * (y * z * d - x * s) + a2 * (c + z * z * d)
+
+
+@njit(cache=True, nogil=True)
 def gravity_torques(chain: Chain, pi: Array, q: Array) -> Array:
-    """`gravity_torque` of every row of ``q`` (N, n) -> (N, n)."""
+    """`gravity_torque` of every row of ``q`` (N, n) -> (N, n), without allocations: a campaign has millions of rows."""
+    N, n = q.shape
     out = np.empty_like(q)
-    for k in range(q.shape[0]):
-        out[k] = gravity_torque(chain, pi, q[k])
+    E, a = np.empty((n, 3, 3)), np.empty((n, 3))  # rotations, and gravity's reaction in each link's frame
+    F, M, f = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(N):
+        for i in range(n):
+            turn(chain.R[i], chain.axis[i], q[k, i], E[i])
+            for r in range(3):
+                a[i, r] = 0.0
+                for c in range(3):
+                    a[i, r] += E[i, c, r] * (a[i - 1, c] if i > 0 else -chain.gravity[c])
+        F[:], M[:] = 0.0, 0.0
+        for i in range(n - 1, -1, -1):
+            P, p = pi[i], chain.p[i]
+            for r in range(3):
+                s, t = (r + 1) % 3, (r + 2) % 3
+                F[r] += P[0] * a[i, r]
+                M[r] += P[1 + s] * a[i, t] - P[1 + t] * a[i, s]
+            out[k, i] = chain.axis[i, 0] * M[0] + chain.axis[i, 1] * M[1] + chain.axis[i, 2] * M[2]
+            for r in range(3):
+                f[r] = E[i, r, 0] * M[0] + E[i, r, 1] * M[1] + E[i, r, 2] * M[2]
+            M[:] = f
+            for r in range(3):
+                f[r] = E[i, r, 0] * F[0] + E[i, r, 1] * F[1] + E[i, r, 2] * F[2]
+            F[:] = f
+            for r in range(3):
+                s, t = (r + 1) % 3, (r + 2) % 3
+                M[r] += p[s] * F[t] - p[t] * F[s]
     return out
 
 

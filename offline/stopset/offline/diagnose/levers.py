@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.offline.diagnose.motion import turn
 from stopset.offline.diagnose.prepare import Array
-from stopset.robot.rigid import Chain
+from stopset.robot.rigid import Chain, turn
 
 
 class Levers(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from stopset.offline.diagnose.prepare import Array
-from stopset.robot.rigid import Chain
+from stopset.robot.rigid import Chain, turn
 
 
 @njit(cache=True, nogil=True)
@@ -156,16 +156,3 @@ def _turning(P: Array, v: Array, out: Array) -> None:
     out[0] = P[4] * v[0] + P[5] * v[1] + P[7] * v[2]
     out[1] = P[5] * v[0] + P[6] * v[1] + P[8] * v[2]
     out[2] = P[7] * v[0] + P[8] * v[1] + P[9] * v[2]
-
-
-@njit(cache=True, nogil=True)
-def turn(R0: Array, axis: Array, angle: float, out: Array) -> None:
-    """``out`` (3, 3): the rotation ``R0`` followed by one about ``axis`` by ``angle`` [rad] (Rodrigues)."""
-    s, c = np.sin(angle), np.cos(angle)
-    x, y, z = axis[0], axis[1], axis[2]
-    d = 1.0 - c
-    for r in range(3):
-        a0, a1, a2 = R0[r, 0], R0[r, 1], R0[r, 2]
-        out[r, 0] = a0 * (c + x * x * d) + a1 * (y * x * d + z * s) + a2 * (z * x * d - y * s)
-        out[r, 1] = a0 * (x * y * d - z * s) + a1 * (c + y * y * d) + a2 * (z * y * d + x * s)
-        out[r, 2] = a0 * (x * z * d + y * s) + a1 * (y * z * d - x * s) + a2 * (c + z * z * d)
