@@ -12,7 +12,7 @@ from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import Array, gravity_torque
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
-FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds about 1 % wider, in half the time
+FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
 PATIENCE = 6  # times the expected stop before a tube is called endless
 MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
 
