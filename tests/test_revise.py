@@ -159,3 +159,23 @@ def test_unknown_effects_and_joints_are_one_sentence(tmp_path: Path, capsys: pyt
         assert main(words) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) <= 2
         assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("torque", "position", "helps"),
+    [
+        ((1.00, 1.11), (0.99, 0.35), True),  # the real arm's joint 3 warming: its torque error rises by 11 %, its position falls by 65 %
+        ((1.00, 1.11), (0.99, 0.92), False),  # the rise outweighs the fall
+        ((1.03, 1.03), (0.90, 0.35), False),  # the arm as a whole must not get worse
+        ((1.00, 0.99), (1.00, 0.96), False),  # too little
+        ((1.00, 0.94), (1.00, 1.00), True),  # seen at its own joint, hidden by worse joints in the sum
+    ],
+)  # fmt: skip
+def test_what_counts_as_help(torque: tuple[float, float], position: tuple[float, float], helps: bool) -> None:
+    """Each pair: change over the arm, change at the effect's own joint."""
+    from stopset.offline.revise import _helps
+
+    keys = ("held_out_torque_rmse", "held_out_position_rmse")
+    before = {k: 1.0 for key in keys for k in (key, f"{key}:a")}
+    after = {k: x for key, (all_, own) in zip(keys, (torque, position), strict=True) for k, x in ((key, all_), (f"{key}:a", own))}
+    assert _helps(before, after, ["a"], shift=False) is helps
