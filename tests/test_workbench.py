@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from stopset.artifact import load_model
-from stopset.errors import OutputError, RecordingError
+from stopset.errors import BusError, OutputError, RecordingError
 from stopset.offline.workbench import Loop, Server
 
 
@@ -111,6 +111,12 @@ def test_it_refuses_before_it_serves(planar: Any, tmp_path: Path) -> None:
         Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path)
     with pytest.raises(RecordingError):
         Loop(folder / "m.model.json", [folder / "robot.urdf"], tmp_path / "..")
+
+
+def test_a_port_that_cannot_be_had_is_said_in_a_sentence(server: Server) -> None:
+    for port in (99999, server.server_address[1]):  # no port number; taken already
+        with pytest.raises(BusError, match="choose another --port"):
+            Server(server.loop, "127.0.0.1", int(port))
 
 
 def test_the_page_in_a_browser(server: Server, browser: Any) -> None:

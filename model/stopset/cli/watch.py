@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         if args.port:
             try:
                 page = Page(view, args.host, args.port)
-            except OSError as e:
+            except (OSError, OverflowError) as e:
                 raise BusError(f"the page cannot be served on {args.host}:{args.port} ({e}); choose another --port") from e
             page.start()
             say(f"page: http://{args.host}:{args.port}/")

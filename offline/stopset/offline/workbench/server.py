@@ -30,7 +30,7 @@ class Server(http.server.ThreadingHTTPServer):
         self.loop, self.token = loop, secrets.token_urlsafe(16)
         try:
             super().__init__((host, port), _Handler)
-        except OSError as e:
+        except (OSError, OverflowError) as e:  # taken, not ours, or no port number at all
             raise BusError(f"the page cannot be served on {host}:{port} ({e}); choose another --port") from e
         here = int(self.server_address[1])
         self.url = f"http://{host}:{here}/"
