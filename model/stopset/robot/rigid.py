@@ -57,22 +57,26 @@ def _mtv(R: Array, v: Array) -> Array:
     return out
 
 
+@njit(cache=True, nogil=True)
+def turn(R0: Array, axis: Array, angle: float, out: Array) -> None:
+    """``out`` (3, 3): the rotation ``R0`` followed by one about ``axis`` by ``angle`` [rad] (Rodrigues)."""
+    s, c = np.sin(angle), np.cos(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    d = 1.0 - c
+    for r in range(3):
+        a0, a1, a2 = R0[r, 0], R0[r, 1], R0[r, 2]
+        out[r, 0] = a0 * (c + x * x * d) + a1 * (y * x * d + z * s) + a2 * (z * x * d - y * s)
+        out[r, 1] = a0 * (x * y * d - z * s) + a1 * (c + y * y * d) + a2 * (z * y * d + x * s)
+        out[r, 2] = a0 * (x * z * d + y * s) + a1 * (y * z * d - x * s) + a2 * (c + z * z * d)
+
+
 @njit(cache=True)
 def _joint_rotations(chain: Chain, q: Array) -> Array:
-    """(n, 3, 3): rotation of link frame i in link frame i-1 at ``q`` (Rodrigues)."""
+    """(n, 3, 3): rotation of link frame i in link frame i-1 at ``q``."""
     n = q.shape[0]
     out = np.empty((n, 3, 3))
-    E = np.empty((3, 3))
     for i in range(n):
-        s, c = np.sin(q[i]), np.cos(q[i])
-        x, y, z = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
-        d = 1.0 - c
-        E[0, 0], E[0, 1], E[0, 2] = c + x * x * d, x * y * d - z * s, x * z * d + y * s
-        E[1, 0], E[1, 1], E[1, 2] = y * x * d + z * s, c + y * y * d, y * z * d - x * s
-        E[2, 0], E[2, 1], E[2, 2] = z * x * d - y * s, z * y * d + x * s, c + z * z * d
-        for r in range(3):
-            for k in range(3):
-                out[i, r, k] = chain.R[i, r, 0] * E[0, k] + chain.R[i, r, 1] * E[1, k] + chain.R[i, r, 2] * E[2, k]
+        turn(chain.R[i], chain.axis[i], q[i], out[i])
     return out
 
 
@@ -241,19 +245,6 @@ def torques(chain: Chain, pi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     for k in range(q.shape[0]):
         out[k] = torque(chain, pi, q[k], dq[k], ddq[k])
     return out
-
-
-@njit(cache=True, nogil=True)
-def turn(R0: Array, axis: Array, angle: float, out: Array) -> None:
-    """``out`` (3, 3): the rotation ``R0`` followed by one about ``axis`` by ``angle`` [rad] (Rodrigues)."""
-    s, c = np.sin(angle), np.cos(angle)
-    x, y, z = axis[0], axis[1], axis[2]
-    d = 1.0 - c
-    for r in range(3):
-        a0, a1, a2 = R0[r, 0], R0[r, 1], R0[r, 2]
-        out[r, 0] = a0 * (c + x * x * d) + a1 * (y * x * d + z * s) + a2 * (z * x * d - y * s)
-        out[r, 1] = a0 * (x * y * d - z * s) + a1 * (c + y * y * d) + a2 * (z * y * d + x * s)
-        out[r, 2] = a0 * (x * z * d + y * s) + a1 * (y * z * d - x * s) + a2 * (c + z * z * d)
 
 
 @njit(cache=True, nogil=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -20,11 +21,12 @@ DISCLAIMER = (
 )
 
 STYLE = """
+:root{color-scheme:only light}
 body{font:15px/1.5 system-ui,sans-serif;color:#1d2733;background:#fff;max-width:1180px;margin:0 auto;padding:1.5rem}
 h1{font-size:1.6rem;margin:.2rem 0 1rem}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d5dce4}
 table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.9rem}
-td,th{border:1px solid #d5dce4;padding:.25rem .6rem;text-align:right}th{background:#f2f5f8;text-align:center}
-td:first-child,th:first-child{text-align:left}.wide{overflow-x:auto}
+td,th{border:1px solid #d5dce4;padding:.25rem .6rem;text-align:left;vertical-align:top}th{background:#f2f5f8;vertical-align:bottom}
+.n{text-align:right}td.n{white-space:nowrap}caption{text-align:left;color:#55606e;padding-bottom:.25rem}.wide{overflow-x:auto}
 .big{font-size:1.15rem;padding:.7rem 1rem;border-left:6px solid #2a6f97;background:#f2f7fa}
 .bad{border-color:#b3261e;background:#fdf3f2}.good{border-color:#2e7d32;background:#f2f8f2}
 footer{margin-top:3rem;font-size:.85rem;color:#55606e;border-top:1px solid #d5dce4;padding-top:.6rem}
@@ -34,11 +36,21 @@ footer{margin-top:3rem;font-size:.85rem;color:#55606e;border-top:1px solid #d5dc
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#4d4d4d")
 
 
+# a number, or several in a range, a share, a tolerance
+_FIGURE = re.compile(r"[\[\]±%,;\s\d.eE+\-−–]*\d[\[\]±%,;\s\d.eE+\-−–]*|[±+\-]?(inf|nan)")
+
+
 def number(x: Any, digits: int = 3) -> str:
     """A number for a table cell; a dash where there is none."""
     if x is None:
         return "–"
     return f"{x:.{digits}g}" if isinstance(x, float) else str(x)
+
+
+def _words(column: Sequence[Any]) -> bool:
+    """Whether most cells of a column that say anything are words rather than figures, ranges or shares."""
+    told = [str(c) for c in column if c is not None and str(c) not in ("", "-", "–")]
+    return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in told) < len(told) or not told
 
 
 class Page:
@@ -60,8 +72,13 @@ class Page:
         self._parts.append(f'<p class="big {kind}">{html.escape(text)}</p>')
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
-        top = "".join(f"<th>{html.escape(h)}</th>" for h in head)
-        body = "".join("<tr>" + "".join(f"<td>{html.escape(number(c))}</td>" for c in row) + "</tr>" for row in rows)
+        """Columns of figures are set to the right, columns of words to the left."""
+        side = ["" if _words([row[k] for row in rows]) else ' class="n"' for k in range(len(head))]
+        top = "".join(f"<th{s}>{html.escape(h)}</th>" for h, s in zip(head, side, strict=True))
+        body = "".join(
+            "<tr>" + "".join(f"<td{s}>{html.escape(number(c))}</td>" for c, s in zip(row, side, strict=True)) + "</tr>"
+            for row in rows
+        )
         title = f"<caption>{html.escape(caption)}</caption>" if caption else ""
         self._parts.append(f'<div class="wide"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>')
 
@@ -89,7 +106,7 @@ class Page:
             script = f"<script>{library}</script>"
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1"><link rel="icon" href="data:,">'
             f"<title>{html.escape(self._title)}</title><style>{STYLE}</style>{script}</head><body>"
             f"<h1>{html.escape(self._title)}</h1>{''.join(self._parts)}"
             f"<footer>stopset {version('stopset')}. {html.escape(DISCLAIMER)}</footer></body></html>"
