@@ -41,7 +41,8 @@ def plain_numpy(c: Certificate, dq: Array) -> tuple[Array, Array]:
     """The same comparison for the upper curves alone, as array operations: cumulative sums and running minima."""
     h = c.tube.t[1]
     rate = np.where(np.isfinite(c.tube.forward_hi), c.tube.forward_hi, 0.0)
-    Z = np.vstack([dq + c.dq_noise, dq + c.dq_noise + h * np.cumsum(rate, axis=0)])
+    high = dq + c.start.hi[len(dq) :]
+    Z = np.vstack([high, high + h * np.cumsum(rate, axis=0)])
     U = Z - np.minimum(0.0, np.minimum.accumulate(Z, axis=0))
     return U, np.cumsum(0.5 * h * (U[1:] + U[:-1]), axis=0)
 

@@ -7,14 +7,13 @@ until the next answer; a state that has left the box has no bound until a new on
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import multiprocessing as mp
 import os
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,9 @@ from stopset.artifact import load_model
 from stopset.errors import StopsetError
 from stopset.monitor.config import Stops
 from stopset.monitor.watch import Quantum
-from stopset.sets import Box
+
+if TYPE_CHECKING:  # its compiled code is for the other process
+    from stopset.reach.stops import StopBounds
 
 Array = NDArray[np.float64]
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
@@ -109,20 +110,21 @@ def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, 
             request = pipe.recv()
         if request is None:
             return
-        q, dq, q_radius, dq_radius = request
-        begin = time.monotonic()
-        numbers = {}
-        for category in categories:
-            try:
-                s = prepared.setting
-                wide = prepared
-                if s is not None:
-                    more = Box.symmetric(np.concatenate([q_radius, dq_radius]))
-                    wide = dataclasses.replace(prepared, setting=dataclasses.replace(s, noise=s.noise + more))
-                numbers[category] = _numbers(wide.bound(q, dq, cast(Any, category)), n)
-            except StopsetError as e:
-                numbers[category] = Numbers.none(n, str(e))
-        pipe.send(Answer(q, dq, q_radius, dq_radius, numbers, time.monotonic() - begin))
+        pipe.send(answer_for(prepared, categories, *request))
+
+
+def answer_for(
+    prepared: StopBounds, categories: tuple[str, ...], q: Array, dq: Array, q_radius: Array, dq_radius: Array
+) -> Answer:
+    """Bounds for every measured state no farther from ``q``, ``dq`` than these (n,) radii."""
+    begin = time.monotonic()
+    n, numbers = len(q), {}
+    for category in categories:
+        try:
+            numbers[category] = _numbers(prepared.bound(q, dq, cast(Any, category), q_radius, dq_radius), n)
+        except StopsetError as e:
+            numbers[category] = Numbers.none(n, str(e))
+    return Answer(q, dq, q_radius, dq_radius, numbers, time.monotonic() - begin)
 
 
 @dataclass(slots=True)

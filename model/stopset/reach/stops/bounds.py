@@ -11,6 +11,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
+from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import CELLS, NARROW, Cell, cover, failed_cells
 from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
@@ -50,9 +51,12 @@ class StopBounds:
         """
         return cls(model, setting_of(model, payload, payload_com, extrapolate), ramp or ramp_of(model), pieces)
 
-    def bound(self, q: ArrayLike, dq: ArrayLike, category: Category = "0") -> StopBound:
+    def bound(
+        self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
+    ) -> StopBound:
         """The stop from the measured state ``q`` [rad], ``dq`` [rad/s], (n,) each.
 
+        ``q_radius``, ``dq_radius`` (n,): the bound holds for every measured state that lies no farther away than these.
         Raises `NotCovered` for a state outside the robot's limits or of the wrong size.
         """
         if category not in CATEGORIES:
@@ -64,7 +68,8 @@ class StopBounds:
             return StopBound(category, False, NO_RAMP, assumptions=self.setting.assumptions)
         n, start = self.model.n, self.setting.start if category in ("0", "1 guaranteed") else self.setting.truth
         beyond = beyond_domain(self.model, q, dq)
-        box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n], start.radius[n:]
+        more_q, more_dq = np.zeros(n) if q_radius is None else q_radius, np.zeros(n) if dq_radius is None else dq_radius
+        box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq
         if category == "0":
             bound = self._power_off(*box)
         elif category == "1 guaranteed":
@@ -76,18 +81,17 @@ class StopBounds:
     def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
         """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
 
-        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in, measurement noise on top.
+        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in.
         """
         if self.setting is None:
             return None
         q, dq = self._checked(q, dq)
         n, start = self.model.n, self.setting.start
-        q, dq = q + start.centre[:n], dq + start.centre[n:]
-        q_radius, dq_radius = q_radius + start.radius[:n], dq_radius + start.radius[n:]
-        tube = tube_of(self.setting, q, dq, q_radius, dq_radius, knots=FAST_KNOTS)
-        if tube.end != OK:
-            return None
-        return Certificate(tube, q, dq, q_radius, dq_radius, start.radius[:n], start.radius[n:])
+        tube = tube_of(
+            self.setting, q + start.centre[:n], dq + start.centre[n:], q_radius + start.radius[:n], dq_radius + start.radius[n:],
+            knots=FAST_KNOTS,
+        )  # fmt: skip
+        return Certificate(tube, q, dq, q_radius, dq_radius, start) if tube.end == OK else None
 
     def _checked(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
         robot, n = self.model.robot, self.model.n
@@ -128,7 +132,7 @@ class StopBounds:
         extra = plant.coulomb_hi + plant.viscous_hi * fast + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
         refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, dq)
-        margin = self._margin(q)
+        margin = self._margin(q, q_radius)
         if refusal:
             return self._refused(category, refusal, q)
         tube = ramp_tube(ramp, dq - dq_radius, dq + dq_radius)
@@ -136,23 +140,22 @@ class StopBounds:
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
             tube = tube._replace(d_lo=tube.d_lo - after, d_hi=tube.d_hi + after)
-            fallback = self._fallback(q, tube)
+            fallback = self._fallback(q, q_radius, tube)
             then = "what that adds is told beside" if fallback else "for which no bound is proved here"
             assumptions = (*assumptions, f"if the window is left, noticed below {ramp.creep:g} rad/s, a STOP 0 follows, {then}")
         else:
-            end = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1])
-            margin = np.minimum(margin, self._margin(q + end))
+            end, half = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
+            margin = np.minimum(margin, self._margin(q + end, q_radius + half))
             if margin.min() <= 0:
                 return self._refused(category, no_certificate(self.model.joints, margin, self._reach()), q)
         time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
         return replace(self._told(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
 
-    def _fallback(self, q: Array, tube: Tube) -> tuple[float, float] | None:
+    def _fallback(self, q: Array, q_radius: Array, tube: Tube) -> tuple[float, float] | None:
         """Angle [rad] and time [s] that a STOP 0 from the creeping speed adds when the standstill window of a STOP 2 is left."""
         assert self.setting is not None and self.ramp is not None
         n = self.model.n
-        middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
-        radius = radius + self.setting.noise.radius[:n]
+        middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1]) + q_radius
         # where the ramp has led is a wide box of poses: cutting the brakes' intervals many times over would not close it
         pieces = min(self.pieces, FEW)
         tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), pieces)
@@ -233,12 +236,16 @@ class StopBounds:
         chain = self.model.robot.chain
         return float(np.linalg.norm(chain.p[1:], axis=1).sum() + np.linalg.norm(self.setting.payload_com))
 
-    def _margin(self, q: Array) -> Array:
-        """(n,) [N m]: what brakes and dry friction surely leave over when holding the arm at ``q``."""
+    def _margin(self, q: Array, radius: Array | None = None) -> Array:
+        """(n,) [N m]: what brakes and dry friction surely leave over when holding the arm anywhere in ``q +- radius``."""
         assert self.setting is not None
         p = self.setting.plant
         g = [gravity_torque(p.chain, p.pi + s * p.pi_half, q) for s in (-1.0, 1.0)]
-        low, high = np.minimum(*g) - p.u_hi, np.maximum(*g) - p.u_lo
+        more = np.zeros(self.model.n)
+        if radius is not None:
+            E = expand(p.chain, p.pi, p.pi_half, p.rotor, q)
+            more = (np.abs(E.dg) + np.abs(E.dgp)) @ radius + 0.5 * np.einsum("ikl,k,l->i", p.curvature.g, radius, radius)
+        low, high = np.minimum(*g) - p.u_hi - more, np.maximum(*g) - p.u_lo + more
         out: Array = p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high))
         return out
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stopset.errors import NotCovered
 from stopset.reach.stops.tube import Tube
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 
@@ -67,22 +68,21 @@ def follow(
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """A verified tube of the box ``q +- q_radius, dq +- dq_radius``, measurement noise included, good for states inside."""
+    """A verified tube for all measured states in the box ``q +- q_radius, dq +- dq_radius``.
+
+    ``start``: (2n,) what the stop starts from, less the measured state; it is in the tube on top of the box.
+    """
 
     tube: Tube
     q: Array
     dq: Array
     q_radius: Array
     dq_radius: Array
-    q_noise: Array
-    dq_noise: Array
+    start: Box
 
     def covers(self, q: Array, dq: Array) -> bool:
-        """Whether a measured state, noise included, lies in the box."""
-        return bool(
-            np.all(np.abs(q - self.q) + self.q_noise <= self.q_radius)
-            and np.all(np.abs(dq - self.dq) + self.dq_noise <= self.dq_radius)
-        )
+        """Whether a measured state lies in the box."""
+        return bool(np.all(np.abs(q - self.q) <= self.q_radius) and np.all(np.abs(dq - self.dq) <= self.dq_radius))
 
     def bound(self, q: Array, dq: Array) -> Array:
         """(4, n): stop time [s], angle forward and back [rad], largest speed [rad/s] from a measured state in the box.
@@ -91,10 +91,11 @@ class Certificate:
         """
         if not self.covers(q, dq):
             raise NotCovered("the state has left the certified box; expected one inside: certify a new box around it")
-        out = np.empty((4, len(q)))
+        n = len(q)
+        out = np.empty((4, n))
         t = self.tube
         follow(
             t.t, t.v_lo, t.v_hi, t.forward_lo, t.forward_hi, t.backward_lo, t.backward_hi,
-            dq - self.dq_noise, dq + self.dq_noise, out,
+            dq + self.start.lo[n:], dq + self.start.hi[n:], out,
         )  # fmt: skip
         return out
