@@ -1,4 +1,4 @@
-"""Recordings added to a model from its kept sums: the bits of all recordings read together, and refusals in one sentence."""
+"""Recordings added to a model from its kept sums, the nominal model kept: the bits of all recordings read together, and refusals in one sentence."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline import drift
-from stopset.offline.adaptive import from_scratch, load_state, save_state, update
+from stopset.offline.adaptive import from_scratch, save_state, update
 from stopset.offline.adaptive_file import ENVELOPE
+from stopset.offline.adaptive_file import load_sums as load_state
 from stopset.offline.identify import Identification, Settings, identify
 from stopset.offline.nominal import identify_nominal, solve_nominal
 from stopset.offline.sums import Kept
@@ -46,9 +47,9 @@ class Campaign:
 
 def campaign(folder: Path, suites: int, settings: Settings | None = None, **more: Any) -> Campaign:
     old = save_trials(folder / "old.parquet", recordings(J, v, suites, **more), JOINTS)
-    found = identify(ROBOT, [old], settings, keep=True)
+    found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, folder / "old.model.json")
-    assert found.kept is not None
+    assert isinstance(found.kept, Kept)
     save_state(folder / "old.state", found.kept, model)
     return Campaign(folder, old, model, folder / "old.state")
 
@@ -104,7 +105,7 @@ def test_one_by_one_equals_at_once(nine: Campaign) -> None:
     second = nine.write("second.parquet", recordings(J, v, 2, seed=12))
     step = update(nine.model, nine.kept(), [first])
     model = save_model(step.model, nine.folder / "step.model.json")
-    assert step.kept is not None
+    assert isinstance(step.kept, Kept)
     save_state(nine.folder / "step.state", step.kept, model)
     twice = update(load_model(nine.folder / "step.model.json"), load_state(nine.folder / "step.state", model), [second])
     same(twice, update(nine.model, nine.kept(), [first, second]))
@@ -130,10 +131,10 @@ def test_two_old_motions_that_prove_to_be_one_are_merged(tmp_path: Path) -> None
     old = [replace(r.cut(a, b), suite=k, t=r.t[: b - a]) for k, (a, b) in enumerate(pieces) for r in long]
     old += [replace(r, suite=r.suite + 2) for r in rest]
     path = save_trials(tmp_path / "old.parquet", old, JOINTS)
-    found = identify(ROBOT, [path], keep=True)
+    found = identify(ROBOT, [path], keep="sums")
     assert len(set(found.survey.motion.values())) == 6
     model = save_model(found.model, tmp_path / "m.json")
-    assert found.kept is not None
+    assert isinstance(found.kept, Kept)
     save_state(tmp_path / "s.state", found.kept, model)
     c = Campaign(tmp_path, path, model, tmp_path / "s.state")
     bridge = c.write("bridge.parquet", long)
@@ -157,9 +158,9 @@ def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> N
     settings = Settings(conform="position", margin=1.2, bands=2)
     old = tmp_path / "old.parquet"
     warming(old, seed=1)
-    found = identify(ROBOT, [old], settings, keep=True)
+    found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, tmp_path / "m.json")
-    assert found.kept is not None
+    assert isinstance(found.kept, Kept)
     save_state(tmp_path / "s.state", found.kept, model)
     new = tmp_path / "new.parquet"
     warming(new, seed=2, hottest=60.0)
@@ -189,8 +190,8 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
     """Ramps, the noise at rest and the guarantee line rest on old and new stops alike; stops alone can be added too."""
     moving = recordings(J, v, 3, seed=71)
     old = save_trials(tmp_path / "old.parquet", [*moving, *stops("stop1", 10, 1)], JOINTS, effort="motor_torque")
-    found = identify(ROBOT, [old], keep=True)
-    assert found.kept is not None and len(found.kept.stops) == 10
+    found = identify(ROBOT, [old], keep="sums")
+    assert isinstance(found.kept, Kept) and len(found.kept.stops) == 10
     model = save_model(found.model, tmp_path / "m.json")
     save_state(tmp_path / "s.state", found.kept, model)
     kept = load_state(tmp_path / "s.state", model)
@@ -207,7 +208,7 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
         line = [x for x in added.model.notes if x.startswith("STOP 1:")]
         assert len(line) == 1 and line == [x for x in whole.model.notes if x.startswith("STOP 1:")]
         assert line != [x for x in model.notes if x.startswith("STOP 1:")], "it rests on more stops than before"
-        assert added.kept is not None and len(added.kept.stops) == count
+        assert isinstance(added.kept, Kept) and len(added.kept.stops) == count
         assert f"{count - 10} stops added to 10" in added.model.revisions[-1].note
 
 
@@ -215,9 +216,9 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
 def motor(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     folder = tmp_path_factory.mktemp("motor")
     old = save_trials(folder / "old.parquet", recordings(J, v, 6, seconds=2.0, bias=0.0, seed=81), JOINTS, effort="motor_torque")
-    found = identify(ROBOT, [old], keep=True)
+    found = identify(ROBOT, [old], keep="sums")
     model = save_model(found.model, folder / "m.json")
-    assert found.kept is not None
+    assert isinstance(found.kept, Kept)
     save_state(folder / "s.state", found.kept, model)
     return Campaign(folder, old, model, folder / "s.state")
 
@@ -232,7 +233,7 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     # of what was kept alone it is the model's own nominal model
     assert np.all(drift.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
     added = update(motor.model, kept, [new])
-    assert added.kept is not None and added.kept.nominal.data is not None
+    assert isinstance(added.kept, Kept) and added.kept.nominal.data is not None
     held = added.survey.held_out
     read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.motion not in held]
     whole = identify_nominal(ROBOT, read)
@@ -266,7 +267,7 @@ def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytes
     (d / "arm.urdf").write_text(urdf(JOINTS))
     new = nine.write("cli.parquet", recordings(J, v, 2, seed=21))
     old = ["identify", "--robot", str(d / "arm.urdf"), "--data", str(nine.old), "--out", str(d / "c.json")]
-    assert main([*old, "--keep", str(d / "c.state")]) == 0
+    assert main([*old, "--keep", str(d / "c.state"), "--keep-as", "sums"]) == 0
     words = [
         "identify",
         "--update",

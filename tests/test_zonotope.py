@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as arrays
 
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
-from stopset.offline.adaptive import from_scratch, load_state, save_state, update
+from stopset.offline.adaptive import from_scratch, save_state, update
+from stopset.offline.adaptive_file import load_sums as load_state
 from stopset.offline.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear import Fit, fit_sets
@@ -212,7 +213,7 @@ def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Identifica
         out.append(replace(r, tau=r.tau - push))
     path = save_trials(folder / "r.parquet", out, names(2))
     robot = replace(robot_of(names(2)), tip=np.array([0.4, 0.0, 0.0]))  # a tool that both joints move
-    return path, identify(robot, [path], Settings(shape="zonotope"), keep=True)
+    return path, identify(robot, [path], Settings(shape="zonotope"), keep="sums")
 
 
 def test_from_recordings_to_the_model_file_and_back(together: tuple[Path, Identification], tmp_path: Path) -> None:

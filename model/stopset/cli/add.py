@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -33,9 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--joint", help="joint it acts at, for a single EFFECT (left out: every joint, or the whole arm)")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings to identify the revision from")
     parser.add_argument("--out", required=True, type=Path, metavar="M2", help="the new model file")
-    parser.add_argument(
-        "--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (identify --update)"
-    )
+    add_keep_options(parser)
     parser.add_argument("--force", action="store_true", help="add it even if it does not help on held-out data")
     add_output_options(parser)
 
@@ -51,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     def tell(text: str) -> None:
         sys.stderr.write(f"{text}\n")
 
-    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep is not None)
+    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:
@@ -79,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     saved = save_model(done.model, args.out)
     if args.keep and done.kept is not None:
-        from stopset.offline.adaptive_file import save_state
+        from stopset.offline.adaptive import save_state
 
         save_state(args.keep, done.kept, saved)
         say(f"state {args.keep}: with it, identify --update {args.out} adds recordings without reading these again")

@@ -21,6 +21,18 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
 
 
+def add_keep_options(parser: argparse.ArgumentParser) -> None:
+    """``--keep FILE.state`` and ``--keep-as``."""
+    parser.add_argument(
+        "--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (identify --update)"
+    )
+    parser.add_argument(
+        "--keep-as", choices=("signals", "sums"), default="signals",
+        help="signals (default): all recordings, compressed; an update is then the same as identifying from all of them. sums: "
+        "constant size for campaigns without end; an update then keeps the nominal model",
+    )  # fmt: skip
+
+
 def check_outputs(*paths: str | Path | None) -> None:
     """Refuse impossible output places before any work is done; raises `OutputError`."""
     for p in paths:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
@@ -71,14 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bands", type=bands, default=0, metavar="N", help="also sets for N temperature bands, where temperature is recorded"
     )
-    parser.add_argument("--keep", type=Path, metavar="FILE.state", help="keep what later recordings can be added to (--update)")
+    add_keep_options(parser)
     parser.add_argument(
         "--update",
         type=Path,
         metavar="M.model.json",
-        help="add the recordings of --data to this model without reading its old ones again; needs --state. Its nominal model "
-        "and settings stay: the sets, margin, guarantee, figures, brakes and ramps are those of identifying from old and new "
-        "recordings together with this nominal model, and it says when that model is out of date",
+        help="add the recordings of --data to this model without reading its old ones again; needs --state. With kept signals the "
+        "new model is that of identifying from old and new recordings together, to the last bit; with kept sums its nominal model "
+        "stays, all else is that of old and new recordings together, and it says when the nominal model is out of date",
     )
     parser.add_argument("--state", type=Path, metavar="FILE.state", help="what --keep wrote beside the model of --update")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the heavy pass on this Dask cluster (extra fleet)")
@@ -133,7 +133,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
         shape=args.shape,
     )  # fmt: skip
-    return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep is not None)
+    return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
@@ -143,8 +143,8 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     given = [
-        f"--{name}"
-        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape")
+        f"--{name.replace('_', '-')}"
+        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape", "keep_as")
         if getattr(args, name) != parser.get_default(name)
     ]
     if given:

@@ -1,10 +1,14 @@
-"""Add recordings to a model without reading its old ones again: their sums are kept in a file beside the model.
+"""Add recordings to a model without reading its old ones again: what they left is kept in a file beside the model.
 
-For a given nominal model the envelopes by motion, the figures by trial and the survey's counts are all that the sets,
-margin and guarantee are made from.  They are maxima, minima and rows summed in campaign order, so the result equals that
-of all recordings read together (`from_scratch`) to the last bit.  Recorded stops are kept whole, and brakes and ramps
-identified from old and new ones.  The nominal model stays as it is, and so do the settings (trap P18); motions it was fitted
-to are never held out to judge it.  `drift` says when it is time for a new one.
+*Signals* are kept whole and compressed (`signals_file`): everything is identified anew from them and the new recordings, so the
+model is that of all recordings read together, to the last bit, its history aside.
+
+*Sums* have a constant size (`adaptive_file`), for campaigns without end.  For a given nominal model the envelopes by motion,
+the figures by trial and the survey's counts are all that the sets, margin and guarantee are made from.  They are maxima,
+minima and rows summed in campaign order, so these equal those of all recordings read together with this nominal model
+(`from_scratch`) to the last bit.  Recorded stops are kept whole, and brakes and ramps identified from old and new ones.
+The nominal model stays as it is, and so do the settings (trap P18); motions it was fitted to are never held out to judge it.
+`drift` says when it is time for a new one.
 """
 
 from __future__ import annotations
@@ -18,14 +22,16 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline import drift
-from stopset.offline.adaptive_file import load_state, save_state
+from stopset.offline.adaptive_file import load_sums, save_sums
 from stopset.offline.assembly import STOPS, Identification, concluded, stopped
+from stopset.offline.identify import identified
 from stopset.offline.parts import Progress
 from stopset.offline.revise import description, settings_of
-from stopset.offline.sources import common_meta
+from stopset.offline.signals_file import MAGIC, Signals, load_signals, save_signals
+from stopset.offline.sources import campaign_of, continued, joined, numbered_on
 from stopset.offline.sums import Kept, Sums, sums_of
 from stopset.offline.survey import POWERED, Survey, Tally
-from stopset.recording import Meta, Recording, stream_recordings
+from stopset.recording import Recording
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
@@ -33,20 +39,62 @@ Tell = Callable[[str], None]
 UPDATED = "updated: "  # begins the note of an update
 
 
-def update(
-    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
-) -> Identification:
-    """``model`` with the recordings of ``paths`` added to those it was made from, whose sums are ``kept``.
+def save_state(path: str | Path, kept: Kept | Signals, model: Model) -> None:
+    """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
+    if isinstance(kept, Signals):
+        save_signals(path, kept, model)
+    else:
+        save_sums(path, kept, model)
 
-    Raises `RecordingError` for recordings that are part of it already, hold another kind of torque, or no powered motion.
+
+def load_state(path: str | Path, model: Model) -> Kept | Signals:
+    """Read what was kept for ``model``.
+
+    Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
     """
+    try:
+        with Path(path).open("rb") as file:
+            whole = file.read(len(MAGIC)) == MAGIC
+    except OSError as e:
+        raise ModelFileError(
+            f"{path} cannot be read ({e.strerror}); expected what `stopset identify --keep` wrote: identify again with it"
+        ) from e
+    return load_signals(path, model) if whole else load_sums(path, model)
+
+
+def update(
+    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+) -> Identification:
+    """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
+
+    From signals the result is that of all recordings, history aside; from sums that of all recordings with this nominal model.
+    Raises `RecordingError` for recordings that are part of it already or hold another kind of torque.
+    """
+    if isinstance(kept, Signals):
+        return _again(model, kept, paths, tell, scheduler)
+    return _folded(model, kept, paths, tell, scheduler)
+
+
+def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+    """Everything identified anew from the kept signals and the new recordings."""
+    robot, old = description(model), kept.campaign.meta
+    campaign = continued(kept.campaign, robot, paths, kept.places)
+    fresh = identified(robot, campaign, settings_of(model), tell, scheduler, kept.known, "signals")
+    names = ", ".join(name for name, _ in campaign.meta.sources[len(old.sources) :])
+    note = (
+        f"{names} added to {', '.join(name for name, _ in old.sources)}; everything is identified from all of these, as if they had "
+        "been read together"
+    )
+    return replace(fresh, model=_next_revision(model, fresh.model, f"recordings {names}", note))
+
+
+def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+    """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
     settings, robot = settings_of(model), replace(description(model), notes=())
-    meta = _joined(kept.meta, paths)
-    places, files = kept.tally.places, len(kept.meta.sources)
+    meta, files = joined(kept.meta, paths), len(kept.meta.sources)
 
     def source() -> Iterator[Recording]:
-        for r in stream_recordings(paths, robot):
-            yield replace(r, place=places + r.place, file=files + r.file)
+        return numbered_on(kept.meta, robot, paths, kept.tally.places)
 
     tell("reading the new recordings")
     tally = copy.deepcopy(kept.tally)
@@ -72,7 +120,7 @@ def update(
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
     fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
-    assert fresh.kept is not None
+    assert isinstance(fresh.kept, Kept)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
         f"{UPDATED}{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
@@ -94,11 +142,7 @@ def from_scratch(
     ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
     """
     settings, robot = settings_of(model), replace(description(model), notes=())
-    meta = common_meta(paths)
-
-    def source() -> Iterator[Recording]:
-        return stream_recordings(paths, robot)
-
+    meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
     tell("reading the recordings")
     tally = Tally(kept.tally.phase)
     stops = []
@@ -109,24 +153,6 @@ def from_scratch(
     found = tally.survey(kept.learnt, kept.session, kept.dt)
     sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
     return stopped(concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally), stops, tell)
-
-
-def _joined(old: Meta, paths: Sequence[str | Path]) -> Meta:
-    """What is known of old and new recordings together."""
-    new = common_meta(paths)
-    seen = {sha256: name for name, sha256 in old.sources}
-    for name, sha256 in new.sources:
-        if sha256 in seen:
-            raise RecordingError(
-                f"{name} (SHA-256 {sha256[:16]}...) is part of this model already, as {seen[sha256]}; expected new recordings: "
-                "leave it out"
-            )
-        seen[sha256] = name
-    if new.effort != old.effort:
-        raise RecordingError(
-            f"the new recordings hold {new.effort}, the model was identified from {old.effort}; give the same kind of torque"
-        )
-    return replace(old, sources=old.sources + new.sources, warnings=old.warnings + new.warnings)
 
 
 def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
@@ -156,11 +182,16 @@ def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
 
 
 def _revised(old: Model, fresh: Model, added: str, note: str) -> Model:
-    """``fresh`` as the next revision of ``old``, with what no recording tells anything about."""
+    """``fresh`` as the next revision of ``old``, with what no recording tells anything about; the note is among its notes too."""
+    fresh = replace(
+        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
+        notes=(*fresh.notes, note),
+    )  # fmt: skip
+    return _next_revision(old, fresh, added, note.removeprefix(UPDATED))
+
+
+def _next_revision(old: Model, fresh: Model, added: str, note: str) -> Model:
     number = old.revisions[-1].number + 1 if old.revisions else 1
     before = dict(old.revisions[-1].after) if old.revisions else {}
-    revision = Revision(number, added, before, dict(fresh.revisions[-1].after), note.removeprefix(UPDATED))
-    return replace(
-        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
-        revisions=(*old.revisions, revision), notes=(*fresh.notes, note),
-    )  # fmt: skip
+    revision = Revision(number, added, before, dict(fresh.revisions[-1].after), note)
+    return replace(fresh, revisions=(*old.revisions, revision))

@@ -26,12 +26,14 @@ from stopset.offline.conform.sets import Gathered
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.errors import Figures
 from stopset.offline.motions import Suite
-from stopset.offline.nominal.sums import load_sums, sums_bytes
+from stopset.offline.nominal.sums import load_sums as load_nominal
+from stopset.offline.nominal.sums import sums_bytes
 from stopset.offline.nominal_part import NominalPart
 from stopset.offline.revise import description, settings_of
+from stopset.offline.signals_file import meta_of
 from stopset.offline.sums import Kept, Sums
 from stopset.offline.survey import Tally
-from stopset.recording import Meta, Recording
+from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -42,7 +44,7 @@ SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
 
-def save_state(path: str | Path, kept: Kept, model: Model) -> None:
+def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
     arrays: Arrays = {}
     head = {
@@ -74,7 +76,7 @@ def save_state(path: str | Path, kept: Kept, model: Model) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def load_state(path: str | Path, model: Model) -> Kept:
+def load_sums(path: str | Path, model: Model) -> Kept:
     """Read what was kept for ``model``.
 
     Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
@@ -112,16 +114,9 @@ def load_state(path: str | Path, model: Model) -> Kept:
 
 
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
-    data = load_sums(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
+    data = load_nominal(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
     nominal = NominalPart(model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data)
-    m = head["meta"]
-    constant = m["torque_constant"]
-    meta = Meta(
-        **m | {
-            "joints": tuple(m["joints"]), "warnings": tuple(m["warnings"]), "sources": tuple((a, b) for a, b in m["sources"]),
-            "torque_constant": None if constant is None else tuple(constant),
-        }
-    )  # fmt: skip
+    meta = meta_of(head["meta"])
     dt = float(head["dt"])
     steps = round(settings_of(model).horizon / dt)
     bands = None if head["bands"] is None else Bands(_box(arrays["reference"]), tuple(head["bands"]))

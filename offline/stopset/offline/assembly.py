@@ -17,6 +17,7 @@ from stopset.offline.errors import Figures
 from stopset.offline.nominal_part import NominalPart
 from stopset.offline.settings import Settings
 from stopset.offline.sheet_brakes import assumed_brakes
+from stopset.offline.signals_file import Signals
 from stopset.offline.sums import Kept, Sums
 from stopset.offline.survey import Survey, Tally
 from stopset.recording import Meta, Recording
@@ -34,7 +35,7 @@ class Identification:
     conformance: Conformance
     survey: Survey
     settings: Settings
-    kept: Kept | None = None  # what later recordings can be added to, where that was asked for
+    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
 
 
 def concluded(
@@ -90,7 +91,7 @@ def packed(
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
     """With brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
-    kept = None if found.kept is None else replace(found.kept, stops=tuple(stops))
+    kept = replace(found.kept, stops=tuple(stops)) if isinstance(found.kept, Kept) else None
     if not stops or found.model.effort == "compensated_torque":
         return replace(found, kept=kept)
     tell(f"brakes and ramps from {len(stops)} recorded stops")

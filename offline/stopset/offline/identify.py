@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
@@ -18,33 +19,38 @@ from stopset.offline.nominal_part import NominalPart, fit_nominal, known_effects
 from stopset.offline.order import abstracted
 from stopset.offline.parts import Progress
 from stopset.offline.settings import Settings
-from stopset.offline.sources import common_meta
+from stopset.offline.signals_file import Signals
+from stopset.offline.sources import Campaign, campaign_of
 from stopset.offline.sums import sums_of, template_of
 from stopset.offline.survey import Source, Survey, Tally, tallied
-from stopset.recording import Meta, Recording, stream_recordings
+from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 
-__all__ = ["Identification", "Settings", "identify"]
+__all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
+
+Keep = Literal["signals", "sums"] | None
 
 
 def identify(
     robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: bool = False,
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
     ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
-    later recordings can be added to (`stopset.offline.adaptive`); ``known``: numbers of those of ``settings.effects``
-    that were estimated before (motor torque only).
+    later recordings can be added to (`stopset.offline.adaptive`), the signals themselves or sums of constant size;
+    ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
-    chosen = settings or Settings()
-    meta = common_meta(paths)
+    return identified(robot, campaign_of(robot, paths), settings or Settings(), tell, scheduler, known, keep)
 
-    def source() -> Iterator[Recording]:
-        return stream_recordings(paths, robot)
 
+def identified(
+    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell, scheduler: str | None, known: tuple[Fitted, ...], keep: Keep
+) -> Identification:
+    """`identify` from the trials of a ``campaign``, wherever they come from."""
+    meta, source = campaign.meta, campaign.trials
     tell("reading the recordings")
     tally = tallied(source)
     found = tally.survey()
@@ -64,13 +70,14 @@ def identify(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
             f"{nominal.abstraction.order}; leave --shape out, or take --model 1 --order 1"
         )
-    if keep and not nominal.abstraction.linear:
+    if keep == "sums" and not nominal.abstraction.linear:
         raise NotCovered(
-            f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; leave --keep "
-            "out, or take the linear model (--model 1 --order 1)"
+            f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; keep "
+            "signals, or take the linear model (--model 1 --order 1)"
         )
-    out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep else None)
-    return stopped(out, [r for r in source() if r.phase in STOPS], tell)
+    out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+    out = stopped(out, [r for r in source() if r.phase in STOPS], tell)
+    return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 
 
 def _with_sets(

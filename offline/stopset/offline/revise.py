@@ -23,7 +23,7 @@ from stopset.effects.base import Fitted
 from stopset.errors import EffectError
 from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.held_out import nominal_figures
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify import Keep, Settings, identify
 from stopset.offline.survey import survey
 from stopset.reach.stops import stop
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
@@ -31,6 +31,7 @@ from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 
 if TYPE_CHECKING:
+    from stopset.offline.signals_file import Signals
     from stopset.offline.sums import Kept
 
 Tell = Callable[[str], None]
@@ -63,7 +64,7 @@ class Revised:
     after: dict[str, float]
     judged: tuple[Judged, ...]
     judged_on: str
-    kept: Kept | None = None  # what later recordings can be added to, where that was asked for
+    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
 
     @property
     def helps(self) -> bool:
@@ -73,7 +74,7 @@ class Revised:
 
 def add(
     model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
-    tell: Tell = lambda _: None, keep: bool = False,
+    tell: Tell = lambda _: None, keep: Keep = None,
 ) -> Revised:  # fmt: skip
     """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
 
