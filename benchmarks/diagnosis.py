@@ -22,7 +22,7 @@ from stopset.robot import load_robot
 from stopset.simulation import prepare
 
 EFFECTS = (
-    "thermal_viscous", "stribeck", "load_coulomb", "asymmetric_coulomb", "cubic_viscous", "payload", "rotor_inertia",
+    "thermal_viscous", "warm_up", "self_heating", "stribeck", "load_coulomb", "asymmetric_coulomb", "cubic_viscous", "payload", "rotor_inertia",
     "elasticity", "torque_ripple", "hysteresis", "torque_gain", "delay", "base_tilt", "spring", "coupling",
 )  # fmt: skip
 OUTSIDE = ("outside_bump", "outside_walk", "outside_resonance", "outside_weave")

@@ -25,6 +25,7 @@ NAMES = [
     "thermal_viscous",
     "thermal_coulomb",
     "warm_up",
+    "self_heating",
     "stribeck",
     "load_coulomb",
     "asymmetric_coulomb",

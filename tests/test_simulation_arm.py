@@ -50,6 +50,7 @@ LAWS = {
     "ripple": {"ripple": 2.0, "ripple_order": 80.0},
     "elastic": {"stiffness": 2000.0, "twist_damping": 5.0},
     "presliding": {"presliding": 2e-3},
+    "film": {"film_heat": 0.05, "film_time": 0.5},
     "spring and bump": {"spring": 4.0, "bump": 3.0, "bump_width": 0.15},
     "drag": {"drag": 2.0, "partner": np.array([1, 2, 3, 4, 5, 0])},
     "outside": {"resonance": 4.0, "resonance_speed": 0.4, "weave": 3.0, "partner": np.array([1, 2, 3, 4, 5, 0])},
@@ -68,6 +69,24 @@ def test_half_the_step_gives_the_same_motion(law: str) -> None:
     assert np.abs(coarse[5] - fine[5]).max() < (1e-3 if late else 3e-4)
     if law != "healthy":
         assert np.abs(coarse[2] - play(plant(), s, 8)[2]).max() > 0.3  # [N m]: the law does something
+
+
+def test_a_drive_s_own_losses_warm_it_and_its_friction_falls_with_that() -> None:
+    """The film after two seconds against its differential equation along the speeds that were reached."""
+    from scipy.integrate import solve_ivp
+
+    p, s = plant(film_heat=0.05, film_time=0.5), script(500)
+    state = start(p, s.q[0], s.dq[0], WARM)
+    speed = np.abs(play(p, s, 8, state)[5])
+    t = np.arange(len(speed)) * PERIOD
+
+    def flow(now: float, film: Array) -> Array:
+        v = np.array([np.interp(now, t, c) for c in speed.T])
+        return (p.film_heat * v * (p.fc + p.fv * v) / (1 + film) - film) / p.film_time
+
+    want = solve_ivp(flow, (0, t[-1]), np.zeros(N), rtol=1e-6, max_step=PERIOD).y[:, -1]
+    assert want.min() > 0.05, "it warms"
+    assert state.film == pytest.approx(want, rel=0.02)  # its own step is a control tick, 0.8 % of its time constant
 
 
 def test_elastic_gears_agree_with_an_independent_integrator() -> None:

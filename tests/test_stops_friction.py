@@ -13,7 +13,7 @@ from stopset.artifact import Brakes
 from stopset.effects.base import Fitted
 from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.plant import Setting, friction_of
+from stopset.reach.stops.plant import FRICTION_TOLERANCE, SIGMAS, Setting, friction_of
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of
 from stopset.robot.rigid import torque
@@ -99,3 +99,14 @@ def test_no_quadrant_is_credited_and_the_load_is_payload_and_brake_too() -> None
 
 def test_a_share_that_may_be_negative_takes_friction_away() -> None:
     assert np.all(friction_of(loaded(0.1, -0.02), 0.0).dry.lo[:4] < friction_of(loaded(0.1, 0.0), 0.0).dry.lo[:4])
+
+
+def test_a_drive_that_warms_itself_may_have_lost_what_the_fastest_work_takes() -> None:
+    arm = prbt_like((0.0, 3.0))
+    warm = Fitted("self_heating", arm.joints[0], {"k_c": -2.0, "k_v": -1.0, "tau_w": 5.0}, {"k_c": 0.1, "k_v": 0.0})
+    before, after = friction_of(arm), friction_of(replace(arm, effects=(*arm.effects, warm)))
+    fastest = max(abs(arm.domain.dq.lo[0]), abs(arm.domain.dq.hi[0]))
+    taken = (1.0 - FRICTION_TOLERANCE) * (2.0 + SIGMAS * 0.1) * fastest
+    assert after.dry.lo[0] == pytest.approx(max(before.dry.lo[0] - taken, 0.0))
+    assert after.viscous.lo[0] == pytest.approx(max(before.viscous.lo[0] - (1.0 - FRICTION_TOLERANCE) * fastest, 0.0))
+    assert after.dry.hi[0] == before.dry.hi[0] and not after.left_out

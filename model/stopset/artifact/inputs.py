@@ -7,7 +7,7 @@ identified offset and effects added later are taken off it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
 from stopset.effects.base import Effect, Fitted, Signals
+from stopset.effects.memory import along
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
+from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
 
 Array = NDArray[np.float64]
+Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
 
 # these enter the abstraction itself (its damping, its inertia) or the recorded torque's scale, not the compensation
 IN_ABSTRACTION = frozenset({"viscous", "rotor_inertia", "payload", "torque_gain"})
@@ -68,16 +71,22 @@ class InputMap:
     standstill: Array
 
     def __call__(
-        self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None
-    ) -> Array:
-        """``u`` (N, n) [N m] for samples ``q, dq, tau`` (N, n) in time order; ``temp`` (N, n) [degC], ``warm`` 0 to 1."""
+        self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
+        memories: Memories | None = None,
+    ) -> Array:  # fmt: skip
+        """``u`` (N, n) [N m] for samples ``q, dq, tau`` (N, n) in time order; ``temp`` (N, n) [degC], ``warm`` 0 to 1.
+
+        Effects with memory need the times ``t`` (N,) [s], or their states ``memories`` where the caller carries these.
+        """
         u = tau / self.gain - self.offset
         if self.effort != "compensated_torque":
             u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
         active = self.effects
         if not active:
             return np.asarray(u)
-        more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t}
+        if memories is None:
+            memories = memories_along(self.robot, active, q, dq, temp=temp, warm=warm, t=t)
+        more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t, "memories": memories}
         still = np.abs(dq) <= self.standstill
         moving = u - effect_torques(self.robot, active, q, dq, **more)
         if self.effort == "compensated_torque" or not still.any():
@@ -104,21 +113,21 @@ def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstractio
 def effect_torques(
     robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, ddq: Array | None = None, *,
     temp: Array | None = None, warm: float = 0.0, t: Array | None = None, way: float | None = None,
+    memories: Memories | None = None,
 ) -> Array:  # fmt: skip
     """Torque (N, n) [N m] of all ``effects`` together at samples in time order; accelerations are zero if left out.
 
-    ``way``: direction of motion to assume in place of the sign of ``dq`` (at rest: the side friction is about to take).
+    ``way``: direction of motion to assume in place of the sign of ``dq`` (at rest: the side friction is about to take);
+    ``memories``: the states of effects with memory, else from their start along ``t``.
     """
     laws = [(f, get(f.effect)) for f in effects]
-    needs = {name for _, e in laws for name in e.needs}
-    rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
-    signals = arm_signals(
-        robot, q, dq, np.zeros_like(q) if ddq is None else ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"}
-    )
+    signals = _signals(robot, laws, q, dq, ddq, temp=temp, warm=warm, t=t)
+    if memories is None:
+        memories = memories_along(robot, effects, q, dq, temp=temp, warm=warm, t=t)
     if way is not None:
         signals = tuple(replace(s, way=np.full(len(q), way)) for s in signals)
     out = np.zeros_like(q)
-    for f, effect in laws:
+    for k, (f, effect) in enumerate(laws):
         values = dict(f.values)
         if effect.scope == "arm" or f.joint is None:
             for j in range(robot.n):
@@ -130,11 +139,40 @@ def effect_torques(
             out[:, j] += effect.torque(b, values)
         else:
             j = robot.joints.index(f.joint)
-            s: Signals = signals[j]
-            if effect.states and t is not None:
-                s = replace(s, memory=_memory(effect.name, s, values, t))
-            out[:, j] += effect.torque(s, values)
+            out[:, j] += effect.torque(replace(signals[j], memory=memories.get(k, ())), values)
     return out
+
+
+def memories_along(
+    robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, *,
+    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
+) -> Memories:  # fmt: skip
+    """States of the effects with memory along one recording, each from its own start; empty where none has a memory."""
+    laws = [(f, get(f.effect)) for f in effects]
+    lasting = {k: (f, e) for k, (f, e) in enumerate(laws) if e.states and f.joint is not None}
+    if not lasting:
+        return {}
+    if t is None:
+        names = ", ".join(f.label for f, _ in lasting.values())
+        raise EffectError(f"{names} has a memory, and the samples have no times; give the times, or the states themselves")
+    signals = _signals(robot, list(lasting.values()), q, dq, None, temp=temp, warm=warm, t=t)
+    first = np.arange(len(t)) == 0
+    step = np.diff(t, append=t[-1:])
+    out = {}
+    for k, (f, effect) in lasting.items():
+        assert f.joint is not None
+        out[k] = along(effect, signals[robot.joints.index(f.joint)], f.values, first, step)
+    return out
+
+
+def _signals(
+    robot: Robot, laws: Sequence[tuple[Fitted, Effect]], q: Array, dq: Array, ddq: Array | None, *,
+    temp: Array | None, warm: float, t: Array | None,
+) -> tuple[Signals, ...]:  # fmt: skip
+    needs = {name for _, e in laws for name in e.needs}
+    rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
+    ddq = np.zeros_like(q) if ddq is None else ddq
+    return arm_signals(robot, q, dq, ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"})
 
 
 def _pair(robot: Robot, joint: str) -> tuple[int, int]:
@@ -142,17 +180,3 @@ def _pair(robot: Robot, joint: str) -> tuple[int, int]:
     names = joint.split("+")
     i = robot.joints.index(names[0])
     return (i, robot.joints.index(names[1])) if len(names) > 1 else (i, min(i + 1, robot.n - 1))
-
-
-def _memory(name: str, s: Signals, values: dict[str, float], t: Array) -> tuple[Array, ...]:
-    """Memory states along the recording, from zero at its start, by the effect's own flow (explicit midpoint)."""
-    effect = get(name)
-    assert effect.flow is not None
-    count = len(effect.states)
-    z = np.zeros((len(t), count))
-    for k in range(len(t) - 1):
-        dt = float(t[k + 1] - t[k])
-        here = replace(s, q=s.q[k], dq=s.dq[k], ddq=s.ddq[k], temp=s.temp[k], memory=tuple(z[k]))
-        rate = np.array([float(r) for r in effect.flow(here, values)])
-        z[k + 1] = np.clip(z[k] + dt * rate, [x.lo for x in effect.states], [x.hi for x in effect.states])
-    return tuple(z.T)

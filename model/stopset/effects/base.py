@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Literal
 
 from stopset.errors import EffectError
@@ -23,9 +24,10 @@ REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that bas
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A parameter the torque is linear in. ``lo``, ``hi``: the admissible range, in ``unit``.
+    """A parameter the torque is linear in, or a state. ``lo``, ``hi``: the admissible range, in ``unit``.
 
     ``typical``: its usual size where that is known beforehand; else the diagnosis expects a third of the joint's friction.
+    Of a state: its value where a recording begins; else the middle of its range.
     """
 
     symbol: str
@@ -103,7 +105,7 @@ class Effect:
     ``looks_like``: names of effects it is easily taken for; ``tell_apart``: the experiment that separates them;
     ``enters``: where it goes in the reachset model; ``law``: see the module; ``needs``: the fields of `Signals` the law
     reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in
-    docs/references.bib.
+    docs/references.bib; ``instead_of``: a signal it does without, so it is looked for only where that is not recorded.
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
     """
 
@@ -122,6 +124,7 @@ class Effect:
     states: tuple[Term, ...] = ()
     flow: Law | None = None
     base: bool = False  # part of every model from the start: friction that each drive has
+    instead_of: str = ""
 
     def columns(self, s: Signals, shapes: Mapping[str, Number] | None = None) -> tuple[Number, ...]:
         """One column per term, for the signals of one joint; ``shapes`` default to the middle of each grid.
@@ -148,6 +151,11 @@ class Effect:
     def rates(self, s: Signals, values: Mapping[str, Number]) -> tuple[Number, ...]:
         """Derivatives of the states [1/s times their units]; ``s.memory`` holds the states."""
         return tuple(self.flow(s, self.shape_values(values))) if self.flow else ()
+
+    @property
+    def at_start(self) -> tuple[float, ...]:
+        """The states where a recording begins and nothing is known of what came before."""
+        return tuple(x.typical if isfinite(x.typical) else 0.5 * (x.lo + x.hi) for x in self.states)
 
     def shape_values(self, values: Mapping[str, Number] | None) -> dict[str, Number]:
         """The shapes' values out of ``values``, the middle of the grid where it says nothing."""

@@ -24,6 +24,7 @@ EFFECT = Effect(
     needs=("dq", "warm"),
     enters="viscous",
     source="bittencourt2012",
-    looks_like=("thermal_viscous", "thermal_coulomb"),
+    looks_like=("thermal_viscous", "thermal_coulomb", "self_heating"),
     tell_apart="Record the drive temperature, or repeat the first motion at the end and again after a cold night.",
+    instead_of="temp",
 )

@@ -29,6 +29,8 @@ from stopset.simulation.plant import (
     ELEMENTS,
     ENCODER_OFFSET,
     FC,
+    FILM_HEAT,
+    FILM_TIME,
     FV,
     GAIN,
     LIMIT,
@@ -90,6 +92,7 @@ class State(NamedTuple):
     slip: Array  # (n, ELEMENTS) [N m] forces of the Maxwell elements
     load: Array  # (n,) [N m] torque the gears transmit to the links
     temp: Array  # (n,) [degC]
+    film: Array  # (n,) how much the drives' own losses have warmed their oil, as friction sees it
 
 
 class Scratch(NamedTuple):
@@ -131,7 +134,7 @@ def start(plant: Plant, q: Array, dq: Array, temp: Array) -> State:
     stiff = np.where(plant.stiffness > 0.0, plant.stiffness, np.inf)
     x[: len(q)], v[: len(q)] = q - g / stiff, dq
     x[motor], v[motor] = q, dq
-    return State(x, v, np.zeros(N), np.zeros((len(q), ELEMENTS)), np.abs(g), temp.copy())
+    return State(x, v, np.zeros(N), np.zeros((len(q), ELEMENTS)), np.abs(g), temp.copy(), np.zeros(len(q)))
 
 
 @njit(cache=True)
@@ -269,6 +272,7 @@ def _run(
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     K, n = script.q.shape
     T, motor = body.T, body.motor
+    cold = T[:, FC : FV + 1].copy()
     c = scratch(n, s.x.shape[0])
     q_log, dq_log, tau_log = np.empty((K, n)), np.empty((K, n)), np.empty((K, n))
     temp_log, link_log, speed_log = np.empty((K, n)), np.empty((K, n)), np.empty((K, n))
@@ -276,6 +280,7 @@ def _run(
     h = script.period / steps_per_tick
     for k in range(K):
         for i in range(n):
+            T[i, FC], T[i, FV] = cold[i] / (1.0 + s.film[i])
             f = motor[i]
             reading = encoder(T, i, s.x[f]) + script.q_noise[k, i]
             if script.resolution > 0.0:
@@ -297,4 +302,5 @@ def _run(
             v = abs(s.v[motor[i]])
             power = v * (T[i, FC] + T[i, FV] * v)
             s.temp[i] += script.period * (heating[i] * power - cooling * (s.temp[i] - ambient))
+            s.film[i] += script.period / T[i, FILM_TIME] * (T[i, FILM_HEAT] * power - s.film[i])
     return q_log, dq_log, tau_log, temp_log, link_log, speed_log

@@ -37,6 +37,7 @@ RISE = 22.0  # [K] over ambient in the end
 COOLING = 1.0 / 900.0  # [1/s] of a joint's housing
 WORK_BETWEEN = 1800.0  # [s] of work between the recordings, in all
 STATIC_WORK = 0.1  # of it before a static pose, compared with other recordings
+REST = (8.0, 20.0)  # [s] a drive rests between its work and a recording
 RUN_UP = 0.1  # [s] before a stop request
 RAN_AWAY = 12.0  # [rad]
 SATURATED = 0.1  # share of a recording at the torque limit that makes it useless
@@ -185,7 +186,11 @@ def play(cell: Cell, job: Job, temp: Array, rng: np.random.Generator) -> Log:
     state = start(plant, _motor_angle(plant, q0), v0, temp)
     # the friction power of steady work at half speed heats by `Cell.warmth` in the end
     half = 0.5 * cell.space.speed
-    heating = COOLING * cell.warmth / (half * (plant.fc + plant.fv * half))
+    power = half * (plant.fc + plant.fv * half)
+    heating = COOLING * cell.warmth / power
+    if plant.film_heat.any():  # what steady work has left of the film's warmth after a rest of its own length
+        rest = cell.random("rest", job.phase, job.suite, job.trial).uniform(*REST)
+        state.film[:] = plant.film_heat * power * np.exp(-rest / plant.film_time)
     log = Log(*run(plant, script, state, heating, AMBIENT, COOLING, STEPS_PER_TICK))
     _check(cell, job, log.link, log.tau)
     return log

@@ -93,6 +93,15 @@ def _warm_up(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) ->
     return replace(t, run_in=_entry(t.run_in, j, size), thermometer=False), {"lost_share": size, "law": law}
 
 
+def _self_heating(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    """``size``: the film's rise under steady work at half speed; friction then falls to 1 / (1 + size)."""
+    half, time = 0.5 * float(space_of(r).speed[j]), float(g.uniform(2.0, 5.0))
+    power = half * float(t.plant.fc[j] + t.plant.fv[j] * half)
+    law = "friction falls as 1 / (1 + x), time_constant dx/dt = rise (friction loss / loss at half speed) - x"
+    truth = _plant(t, j, film_heat=size / power, film_time=time)
+    return replace(truth, thermometer=False), {"rise_at_half_speed": size, "time_constant_s": time, "law": law}
+
+
 def _stribeck(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
     speed, extra = float(g.uniform(0.04, 0.1)), size * float(t.plant.fc[j])
     truth = _plant(t, j, breakaway=extra, stribeck_speed=speed)
@@ -262,6 +271,7 @@ KINDS: dict[str, Kind] = {
     "thermal_viscous": Kind(_thermal_viscous, 0.02, 0.06),
     "thermal_coulomb": Kind(_thermal_coulomb, 0.01, 0.04),
     "warm_up": Kind(_warm_up, 0.15, 0.6),
+    "self_heating": Kind(_self_heating, 0.3, 2.0),
     "stribeck": Kind(_stribeck, 0.2, 0.8, top=0.15),
     "load_coulomb": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
     "asymmetric_coulomb": Kind(_asymmetric, 0.05, 0.6),

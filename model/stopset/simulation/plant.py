@@ -65,6 +65,8 @@ class Plant(NamedTuple):
     resonance: Array  # [N m] outside the catalogue: friction peak at one speed only
     resonance_speed: Array  # [rad/s]
     weave: Array  # [N m s/rad] outside the catalogue: sin(3 q) times the partner's speed
+    film_heat: Array  # [1/W] friction falls as 1 / (1 + film); this is the film's rise under a steady loss, per watt
+    film_time: Array  # [s] the film's time constant
 
 
 def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
@@ -92,7 +94,7 @@ def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
         ripple=none, ripple_order=none, ripple_phase=none, stiffness=none, twist_damping=none, presliding=none,
         gain=np.ones(n), spring=none, spring_centre=none, drag=none, partner=np.zeros(n, np.int64),
         encoder_offset=none, eccentricity=none, eccentricity_phase=none, bump=none, bump_centre=none, bump_width=far,
-        resonance=none, resonance_speed=far, weave=none,
+        resonance=none, resonance_speed=far, weave=none, film_heat=none, film_time=far,
     )  # fmt: skip
 
 
@@ -129,8 +131,8 @@ def torque_limit(robot: Robot) -> Array:
     ROTOR, FC, FV, LIMIT, BRAKE_TORQUE, BRAKE_DELAY, BRAKE_RISE, FV_SLOPE, FC_SLOPE, BREAKAWAY, STRIBECK_SPEED,
     TOOTH, SKEW, THINNING_SPEED, RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, STIFFNESS, TWIST_DAMPING, PRESLIDING, GAIN,
     SPRING, SPRING_CENTRE, DRAG, PARTNER, ENCODER_OFFSET, ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE,
-    BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, COLUMNS,
-) = range(35)  # fmt: skip
+    BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, FILM_HEAT, FILM_TIME, COLUMNS,
+) = range(37)  # fmt: skip
 
 
 def table(plant: Plant) -> Array:

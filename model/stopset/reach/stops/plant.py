@@ -108,6 +108,10 @@ def friction_of(model: Model, payload: float | None = None, lever: float | None 
             for array, symbol in ((F, "k_c"), (D, "k_v")):
                 lo, hi = _interval(f, symbol)
                 array[i] += (min(lo, 0.0), max(hi, 0.0))
+        elif f.effect == "self_heating":
+            # between cold and as warm as sliding for ever at the fastest speed makes it
+            for array, symbol in ((F, "k_c"), (D, "k_v")):
+                array[i, 0] += min(_interval(f, symbol)[0], 0.0) * fast[i]
         elif f.effect in ("thermal_coulomb", "thermal_viscous"):
             array, symbol = (F, "k_C") if f.effect == "thermal_coulomb" else (D, "k_T")
             # levelling off only brings the change closer to zero where warm, and away from it where cold

@@ -99,7 +99,7 @@ def _whole(engine: Engine, effect: Effect) -> str | None:
             return UNRECORDED
         if float(np.ptp(temp, axis=0).max()) < WARMER:
             return EVEN
-    if "warm" in effect.needs and temp is not None:
+    if effect.instead_of == "temp" and temp is not None:
         return ""  # the recorded temperature tells it better
     if effect.name == "residual_gravity" and not engine.source.compensated:
         return ""  # the whole rigid body is in the base model

@@ -25,7 +25,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             continue
         if effect.name == "residual_gravity" and not engine.source.compensated:
             continue  # the whole rigid body is in the base model
-        if ("temp" in effect.needs and d.temp is None) or ("warm" in effect.needs and d.temp is not None):
+        if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):
             continue
         places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > 50]
         if effect.scope == "arm":

@@ -1,0 +1,97 @@
+"""States of laws with memory along samples, the signals held over each step as a recording holds them.
+
+Identification, diagnosis, monitor and FMU all step states by this rule (trap P18).  A single state whose flow is affine in
+it, ``dz/dt = b + a z``, is stepped exactly: friction that builds up over a way, a drive that warms.  The step then keeps the
+order of two states, so the ends of an interval enclose all states in between, and the middle stays the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stopset.effects.base import Effect, Number, Signals
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@cache
+def affine(effect: Effect) -> bool:
+    """Whether the effect has one state and its flow is affine in it, tried at random signals."""
+    if len(effect.states) != 1:
+        return False
+    rng = np.random.default_rng(0)
+    z = effect.states[0]
+    drawn: dict[str, Any] = {f.name: rng.uniform(-2.0, 2.0, 20) for f in fields(Signals) if f.name not in ("memory", "tip", "tilt", "way")}
+    ends = [float(np.clip(x, z.lo, z.hi)) for x in (-1.0, 1.0)]
+    lo, middle, hi = (_rate(effect, Signals(**drawn), {}, x) for x in (ends[0], 0.5 * sum(ends), ends[1]))
+    return bool(np.allclose(middle, 0.5 * (lo + hi), rtol=1e-9, atol=1e-9))
+
+
+def _rate(effect: Effect, s: Signals, shapes: Mapping[str, Number], z: float) -> Array:
+    return np.asarray(effect.rates(replace(s, memory=(z,)), shapes)[0], float)
+
+
+def coefficients(effect: Effect, s: Signals, shapes: Mapping[str, Number]) -> tuple[Array, Array]:
+    """``b`` [1/s times the state's unit] and ``a`` [1/s] of an affine flow ``dz/dt = b + a z``, sample by sample."""
+    b = _rate(effect, s, shapes, 0.0)
+    return b, _rate(effect, s, shapes, 1.0) - b
+
+
+def stepped(z: Array, b: Array, a: Array, dt: float) -> Array:
+    """The state after ``dt`` [s] of an affine flow; exact for signals held over the step."""
+    x = a * dt
+    slow = np.abs(x) < 1e-12  # (e^x - 1) / x is 1 there, and 0 / 0 in numbers
+    return np.asarray(z + (b + a * z) * dt * np.where(slow, 1.0, np.expm1(x) / np.where(slow, 1.0, x)))
+
+
+def along(effect: Effect, s: Signals, shapes: Mapping[str, Number], first: Mask, dt: Array) -> tuple[Array, ...]:
+    """The states at every sample, from `Effect.at_start` where ``first`` (N,) marks the beginning of a trial.
+
+    ``dt`` (N,): time from each sample to the next [s].  States without an affine flow: Heun's method.
+    """
+    if affine(effect):
+        b, a = (np.broadcast_to(x, first.shape) for x in coefficients(effect, s, shapes))
+        return (_walk(b, a, dt, first, effect.at_start[0]),)
+    return _heun(effect, s, shapes, first, dt)
+
+
+@njit(cache=True)
+def _walk(b: Array, a: Array, dt: Array, first: Mask, start: float) -> Array:
+    z = np.empty(first.shape[0])
+    for k in range(z.shape[0]):
+        if k == 0 or first[k]:
+            z[k] = start
+            continue
+        x = a[k - 1] * dt[k - 1]
+        grown = np.expm1(x) / x if abs(x) >= 1e-12 else 1.0
+        z[k] = z[k - 1] + (b[k - 1] + a[k - 1] * z[k - 1]) * dt[k - 1] * grown
+    return z
+
+
+def _heun(effect: Effect, s: Signals, shapes: Mapping[str, Number], first: Mask, dt: Array) -> tuple[Array, ...]:
+    """All trials beside each other; states stay within their ranges."""
+    begin = np.flatnonzero(first)
+    length = np.diff(np.append(begin, len(first)))
+    lo, hi = (np.array([[getattr(x, end)] for x in effect.states]) for end in ("lo", "hi"))
+    states = np.tile(np.array(effect.at_start)[:, None], (1, len(first)))
+    arrays = {f.name: v for f in fields(s) if f.name not in ("tip", "tilt", "memory") and np.ndim(v := getattr(s, f.name))}
+
+    def rate(x: Array, at: NDArray[np.intp]) -> Array:
+        here = replace(s, memory=tuple(x), **{name: v[at] for name, v in arrays.items()})
+        return np.stack([np.broadcast_to(r, (len(at),)) for r in effect.rates(here, shapes)])
+
+    for k in range(int(length.max(initial=0)) - 1):
+        at = begin[length > k + 1] + k
+        x, h = states[:, at], dt[at]
+        slope = rate(x, at)
+        slope = 0.5 * (slope + rate(x + h * slope, at + 1))
+        states[:, at + 1] = np.clip(x + h * slope, lo, hi)
+    return tuple(states)
