@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
-from stopset.offline.diagnose import Diagnosis, diagnose
+from stopset.offline.diagnose import Diagnosis, diagnose, swing
 from stopset.offline.diagnose.candidate import Candidate
 from stopset.offline.diagnose.diagnosis import QUIET, WANDER
-from stopset.offline.diagnose.engine import Engine
-from stopset.offline.diagnose.evidence import JointGram, gain, project
+from stopset.offline.diagnose.engine import Engine, _put
+from stopset.offline.diagnose.evidence import SIGMAS, JointGram, gain, project
 from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, whiten
 from stopset.offline.diagnose.prepare import Kernel
 from stopset.offline.diagnose.residual import slow_excess
@@ -149,6 +149,35 @@ def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:
     assert found.verdict == "unknown" and not found.ranked
     assert any("q_a" in name for name in found.depends_on)
     assert found.next_experiment
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    """Of a healthy arm's short session."""
+    scenario = prepare(robot_from_text(ARM), [], 33, "short")
+    meta = dataclasses.replace(scenario.meta, sources=())
+    return Engine.build(scenario.robot, Recordings(meta, tuple(scenario.recordings())))
+
+
+@pytest.mark.parametrize(("joint", "rate"), [(0, 20.0), (0, 30.0), (1, 25.0)])
+def test_two_rounds_bend_a_soft_gear_as_many_do(engine: Engine, joint: int, rate: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Soft gears: they swing with ``rate`` [rad/s]."""
+    source = engine.source
+    M = float(np.median(source.mass[:, joint, joint]))
+    K, dt = M * rate**2, engine.data.step * engine.data.kernel.dt
+    few = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M), dt)
+    monkeypatch.setattr(swing, "SWING_ROUNDS", 9)
+    many = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M), dt)
+    assert np.sqrt(np.mean((few - many) ** 2) / np.mean(many**2)) < 5e-3
+
+
+def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> None:
+    hyper, _ = engine.fit()
+    view = engine.view()
+    for j in range(engine.data.n):
+        choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, float(s))) for s in SIGMAS]
+        best = max(choices, key=lambda h: view.criterion(view._project(h)[0], h, view._project(h)[1]))
+        assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
 
 
 SHEET = {"joints": {  # of the arm above, so that a rotor can differ from what is stated

@@ -66,5 +66,7 @@ def test_a_bordered_gram_is_the_gram_of_all_columns() -> None:
     assert np.allclose(whole.G, grown.G) and np.allclose(whole.g, grown.g)
     theta = RNG.normal(size=5)
     assert np.allclose(whole.residual(theta, 0.3, 1.2), grown.residual(theta, 0.3, 1.2))
+    sums = JointGram.of(X[:, :2], f, trial, folds, 2, index[:2]).bordered(X[:, 2:], index[2:], rows=False)
+    assert np.allclose(whole.G, sums.G) and np.allclose(whole.at(0.3, 1.2)[0], sums.at(0.3, 1.2)[0])
     few = grown.keep(np.array([1, 4]), rows=False)
     assert np.allclose(few.at(0.3, 1.2)[0], whole.at(0.3, 1.2)[0][np.ix_([1, 4], [1, 4])])

@@ -251,12 +251,19 @@ class Engine:
         return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h)), logdet
 
     def _best(self, now: Hyper, choices: Sequence[Hyper]) -> Hyper:
-        """The choice of highest evidence."""
-        values = []
-        for h in choices:
-            p, logdet = self._project(h)
-            values.append(self.criterion(p, h, logdet))
-        return choices[int(np.argmax(values))] if values else now
+        """The choice of highest evidence uphill from ``now``: it has a single top along the choices, which stand in order."""
+        values: dict[int, float] = {}
+
+        def value(k: int) -> float:
+            if k not in values:
+                p, logdet = self._project(choices[k])
+                values[k] = self.criterion(p, choices[k], logdet)
+            return values[k]
+
+        at = choices.index(now) if now in choices else len(choices) // 2
+        while better := [k for k in (at - 1, at + 1) if 0 <= k < len(choices) and value(k) > value(at)]:
+            at = max(better, key=value)
+        return choices[at]
 
     def kappa(self, joint: int, theta: Array, sigma: float) -> float:
         """Residual variance of a joint's rows over the sensors' own noise; 1 where nothing is missing."""

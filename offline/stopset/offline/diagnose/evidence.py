@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from stopset.offline.diagnose.prepare import Array, Index
 
@@ -70,16 +71,17 @@ class JointGram:
         out = [np.add.reduceat(w[:last] * self.f[:last, c, None], self.starts, axis=0) for c in range(self.f.shape[1])]
         return np.stack(out, axis=1)
 
-    def bordered(self, w: Array, index: Index) -> JointGram:
-        """With the further columns ``w`` (K, k)."""
+    def bordered(self, w: Array, index: Index, rows: bool = True) -> JointGram:
+        """With the further columns ``w`` (K, k); without any ``rows`` where only the sums are asked for."""
         k, c = w.shape[1], self.X.shape[1]
-        X = np.concatenate([self.X, w], axis=1)
         G = np.zeros((len(self.G), c + k, c + k))
         G[:, :c, :c] = self.G
         runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
-        for start, end in zip(runs, np.append(runs[1:], len(X)), strict=True):
-            G[self.row_fold[start], :, c:] += X[start:end].T @ w[start:end]
+        for start, end in zip(runs, np.append(runs[1:], len(w)), strict=True):
+            G[self.row_fold[start], :c, c:] += self.X[start:end].T @ w[start:end]
+            G[self.row_fold[start], c:, c:] += w[start:end].T @ w[start:end]
         G[:, c:, :c] = G[:, :c, c:].transpose(0, 2, 1)
+        X = np.concatenate([self.X, w], axis=1) if rows else self.X[:, :0]
         return JointGram(
             X, self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
             np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
@@ -136,11 +138,11 @@ def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array) ->
     # 1e-10: columns that repeat each other (a joint that never turns) leave the matrix singular
     L = np.linalg.cholesky(A * np.outer(scale, scale) + 1e-10 * np.eye(len(A)))
     B = np.column_stack([G[np.ix_(nuisance, rest)], G[nuisance, y]]) * scale[:, None]
-    W = np.linalg.solve(L, B)
+    W = solve_triangular(L, B, lower=True, check_finite=False)
     S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]
     s = G[rest, y] - W[:, :-1].T @ W[:, -1]
     rss = float(G[y, y] - W[:, -1] @ W[:, -1])
-    theta = scale * np.linalg.solve(L.T, W[:, -1])
+    theta = scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)
     return Projection(S, s, rss, theta, float(2 * np.log(np.diag(L)).sum() - 2 * np.log(scale).sum()))
 
 

@@ -93,5 +93,5 @@ def score_new(
     candidate, parts = made
     view = engine.view()
     candidate = replace(candidate, cols=np.arange(view.size, view.size + len(candidate.cols)))
-    grams = [g.bordered(parts[i], candidate.cols) if i in parts else g for i, g in enumerate(view.grams)]
+    grams = [g.bordered(parts[i], candidate.cols, rows=False) if i in parts else g for i, g in enumerate(view.grams)]
     return scores(replace(view, grams=grams, size=view.size + len(candidate.cols)), [candidate], hyper, quick)[0]

@@ -10,7 +10,7 @@ from stopset.offline.diagnose.prepare import Array, Mask
 from stopset.offline.diagnose.smooth import calm
 from stopset.offline.diagnose.source import Source
 
-SWING_ROUNDS = 4  # each round shrinks the error by about the bend in radians, 0.1 at worst
+SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
 
@@ -37,15 +37,17 @@ def swing(source: Source, joint: int, K: float, D: float, exact: bool) -> dict[i
 def _true_swing(source: Source, joint: int, K: float, D: float, dt: float) -> Array:
     """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
 
-    A joint's own inertia does not depend on its own position, so it is the same in every round.
+    A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small
+    bend is solved for, so that a round only mends what is not linear in it.
     """
     d, chain, first = source.data, source.robot.chain, source.first
-    x = dx = ddx = np.zeros(len(d.q))
-    none, M = np.zeros_like(x), np.ascontiguousarray(source.mass[:, joint, joint])
+    M = np.ascontiguousarray(source.mass[:, joint, joint])
+    stiff = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
     rest, lead = source.start(joint)
+    x = ddx = np.zeros(len(d.q))
     bent = source.link.copy()
     for k in range(SWING_ROUNDS):
-        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx, M, none, first, rest, lead, K, D, dt, SUBSTEPS)
+        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx - stiff * x, M, stiff, first, rest, lead, K, D, dt, SUBSTEPS)
         lowest = joint if k + 1 < SWING_ROUNDS else 0
         bent_torques(chain, source.robot.pi, d.q, d.dq, d.ddq, joint, x, dx, ddx, lowest, bent)
     out: Array = bent - source.link
