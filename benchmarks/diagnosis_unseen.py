@@ -22,8 +22,10 @@ from typing import Any
 import numpy as np
 from diagnosis_labelled import right
 from independent_arm import Arm, read_arm
-from independent_effects import EFFECTS, OUTSIDE, RATIO, hide
+from independent_effects import EFFECTS, OTHER_LAWS
+from independent_outside import OUTSIDE
 from independent_sets import Truth, random_truth, write_set
+from independent_sizing import RATIO, hide
 from scipy.stats import beta
 
 from stopset.offline.diagnose import diagnose
@@ -34,6 +36,7 @@ from stopset.robot import load_robot
 
 ENOUGH = {"easy": 2.0, "hard": 1.25}  # ratio below which another joint is drawn: there the effect can't be made that large
 CHANCES = 6
+KINDS = EFFECTS | OTHER_LAWS | OUTSIDE
 OTHER_ARM = 0.4  # share of sets whose arm is no near relative of a template
 
 
@@ -50,14 +53,14 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
     healthy = random_truth(arms[rng.choice(len(arms), p=weights / weights.sum())], seed, bool(rng.random() < OTHER_ARM))
     truth, effects, free = healthy, [], list(range(healthy.arm.n))
     for name, level in wanted:
-        kind = (EFFECTS | OUTSIDE)[name]
+        kind = KINDS[name]
         count = 2 if not kind.whole_arm and not kind.pair and len(wanted) == 1 and name in EFFECTS and rng.random() < 0.25 else 1
         for _ in range(count):
             best: tuple[float, float, int, Truth] | None = None
             for _chance in range(CHANCES):
                 joint = int(rng.choice([j for j in free if not kind.pair or j + 1 in free] or free))
                 joint = min(joint, healthy.arm.n - 2) if kind.pair else joint
-                made, size, ratio = hide(truth, name, joint, level, rng.random(4))
+                made, size, ratio = hide(truth, kind, joint, level, rng.random(4))
                 if best is None or ratio > best[0]:
                     best = (ratio, size, joint, made)
                 if ratio > ENOUGH[level]:
@@ -67,7 +70,8 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
             at = [joint, joint + 1] if kind.pair else [joint]
             free = [j for j in free if j not in at]
             names = [] if kind.whole_arm else [healthy.arm.joints[j] for j in at]
-            effects.append({"effect": name, "joints": names, "level": level, "size": size, "ratio": ratio})
+            effect, _, law = name.partition("~")
+            effects.append({"effect": effect, "law": law, "joints": names, "level": level, "size": size, "ratio": ratio})
     write_set(truth, folder)
     outside = any(e["effect"] in OUTSIDE for e in effects)
     merged: list[dict[str, Any]] = []
@@ -84,16 +88,21 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
     }  # fmt: skip
 
 
-def cases(rounds: int, healthy: int, outside: int, pairs: int, seed: int, walks: int = 0) -> list[list[tuple[str, str]]]:
-    """What each set hides."""
+def cases(
+    rounds: int, healthy: int, outside: int, pairs: int, seed: int, walks: int = 0, others: int = 0, level: str = "easy"
+) -> list[list[tuple[str, str]]]:
+    """What each set hides; ``level``: of the causes outside the catalogue."""
     rng = np.random.default_rng([seed, 9])
     out = [[(name, level)] for _ in range(rounds) for level in RATIO for name in EFFECTS]
     out += [[] for _ in range(healthy)]
-    out += [[(list(OUTSIDE)[k % len(OUTSIDE)], "easy")] for k in range(outside)]
+    out += [[(list(OUTSIDE)[k % len(OUTSIDE)], level)] for k in range(outside)]
     for _ in range(pairs):
         a, b = rng.choice(list(EFFECTS), 2, replace=False)
         out.append([(str(a), "easy"), (str(b), "easy")])
-    return out + [[("walk", "hard")]] * walks
+    out += [[("walk", "hard")]] * walks
+    return out + [
+        [(list(OTHER_LAWS)[k % len(OTHER_LAWS)], "hard" if k // len(OTHER_LAWS) % 2 else "easy")] for k in range(others)
+    ]
 
 
 def interval(good: int, of: int) -> tuple[float, float]:
@@ -105,8 +114,9 @@ def interval(good: int, of: int) -> tuple[float, float]:
 def kind_of(label: dict[str, Any]) -> str:
     """What a set counts as in the table."""
     if label["verdict"] != "missing":
-        return {"none": "healthy", "unknown": "outside the catalogue"}[label["verdict"]]
-    return "pair" if len(label["effects"]) > 1 else str(label["effects"][0]["level"])
+        return "healthy" if label["verdict"] == "none" else f"outside the catalogue, {label['effects'][0]['level']}"
+    first = label["effects"][0]
+    return "pair" if len(label["effects"]) > 1 else f"{first['level']}{', another law' if first.get('law') else ''}"
 
 
 def ask(folder: Path, out: Path, only: Sequence[str]) -> None:
@@ -185,8 +195,9 @@ def main() -> None:
     m.add_argument("arms", type=Path)
     m.add_argument("sets", type=Path)
     m.add_argument("--seed", type=int, default=10000)
-    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5), ("walks", 0)):
+    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5), ("walks", 0), ("others", 0)):
         m.add_argument(f"--{name}", type=int, default=default)
+    m.add_argument("--level", choices=tuple(RATIO), default="easy", help="of the causes outside the catalogue")
     a = commands.add_parser("ask")
     a.add_argument("sets", type=Path)
     a.add_argument("--out", type=Path, required=True)
@@ -204,7 +215,8 @@ def main() -> None:
     if args.command == "ask":
         return ask(args.sets, args.out, [x for x in args.only.split(",") if x])
     arms, labels = templates(args.arms), {}
-    for k, wanted in enumerate(cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks)):
+    chosen = cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks, args.others, args.level)
+    for k, wanted in enumerate(chosen):
         name, start = f"s{k:03d}", time.process_time()
         labels[name] = make(arms, wanted, args.seed + k, args.sets / name)
         print(name, labels[name], f"{time.process_time() - start:.1f} s", flush=True)

@@ -17,7 +17,8 @@ T_REF = 30.0  # [degC]
 # columns of the friction table, one row per joint
 FC_POS, FC_NEG, FV, CUBIC, STICK, V_S, BETA, MOTOR_LOAD, BRAKE_LOAD, DAHL, RIPPLE, RIPPLE_N, RIPPLE_PHASE = range(13)
 SPRING, SPRING_Q0, STIFF, DAMP, BUMP, BUMP_AT, BUMP_WIDTH, RESONANCE, RES_AT, RES_WIDTH = range(13, 23)
-CROSS, CROSS_JOINT, WEAVE, WEAVE_JOINT, WEAVE_N, UNEVEN, UNEVEN_Q0, COLUMNS = range(23, 31)
+CROSS, CROSS_JOINT, WEAVE, WEAVE_JOINT, WEAVE_N, UNEVEN, UNEVEN_Q0 = range(23, 30)
+THIN, THIN_V, STICK_P, LUGRE, BOUC, STIFFEN, HARDEN, ROUGH, ROUGH_N, CHATTER, CHATTER_HZ, SNAG, SNAG_Q0, COLUMNS = range(30, 44)
 
 
 @njit(cache=True)
@@ -45,15 +46,22 @@ def friction(row, v, q, dT, load, sc, sv, F):  # type: ignore[no-untyped-def]
     """Torque against motion of one joint and its slope in v; ``F``: Dahl's state."""
     s = np.tanh(v / STICTION)
     fc = row[FC_POS] if v > 0 else row[FC_NEG]
-    fc += row[STICK] * np.exp(-((v / row[V_S]) ** 2))
+    fc += row[STICK] * np.exp(-((abs(v) / row[V_S]) ** (2.0 if row[STICK_P] == 0 else row[STICK_P])))
     fc += (row[MOTOR_LOAD] if v * load > 0 else row[BRAKE_LOAD]) * abs(load)
     fc += row[RESONANCE] * np.exp(-(((abs(v) - row[RES_AT]) / row[RES_WIDTH]) ** 2))
-    fc += row[UNEVEN] * np.tanh((q - row[UNEVEN_Q0]) / 0.05)
+    fc += row[UNEVEN] * np.tanh((q - row[UNEVEN_Q0]) / 0.05) + row[ROUGH] * np.sin(row[ROUGH_N] * q)
     fv = row[FV] * np.exp(-row[BETA] * dT) * sv
     out = fv * v + row[CUBIC] * v**3
     slope = fv + 3 * row[CUBIC] * v**2
+    if row[THIN] > 0:  # a share of the viscous torque thins: linear when slow, logarithmic when fast
+        out += row[THIN] * fv * (row[THIN_V] * np.arcsinh(v / row[THIN_V]) - v)
+        slope -= row[THIN] * fv * (1 - 1 / np.sqrt(1 + (v / row[THIN_V]) ** 2))
     if row[DAHL] > 0:
         out += sc * F
+        if row[LUGRE] > 0:  # bristles that are damped while they bend
+            damped = row[LUGRE] * (1 - F * s / row[FC_POS])
+            out += sc * damped * v
+            slope += sc * damped
     else:
         out += sc * fc * s
         slope += sc * fc * (1 - s * s) / STICTION
@@ -63,19 +71,23 @@ def friction(row, v, q, dT, load, sc, sv, F):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def position_torque(row, q):  # type: ignore[no-untyped-def]
     """Torque of springs, ripple and bumps that the motor has to overcome."""
-    out = row[RIPPLE] * np.sin(row[RIPPLE_N] * q + row[RIPPLE_PHASE]) + row[SPRING] * (q - row[SPRING_Q0])
+    d = q - row[SPRING_Q0]
+    out = row[RIPPLE] * np.sin(row[RIPPLE_N] * q + row[RIPPLE_PHASE]) + row[SPRING] * d * (1 + row[HARDEN] * d * d)
+    out += row[SNAG] * max(0.0, q - row[SNAG_Q0])
     return out + row[BUMP] * np.exp(-0.5 * ((q - row[BUMP_AT]) / row[BUMP_WIDTH]) ** 2)
 
 
 @njit(cache=True)
-def _others(T, C, th, dth):  # type: ignore[no-untyped-def]
-    """(n,) torques by other joints' motion: coupling, friction that another joint's speed changes, a product."""
+def _others(T, C, th, dth, t):  # type: ignore[no-untyped-def]
+    """(n,) torques by other joints' motion (coupling, friction that another joint's speed changes, a product), by time: chatter."""
     out = C @ dth
     for i in range(len(th)):
         if T[i, CROSS] != 0:
             out[i] += T[i, CROSS] * np.tanh(dth[i] / STICTION) * abs(dth[int(T[i, CROSS_JOINT])])
         if T[i, WEAVE] != 0:
             out[i] += T[i, WEAVE] * np.sin(T[i, WEAVE_N] * th[i]) * dth[int(T[i, WEAVE_JOINT])]
+        if T[i, CHATTER] != 0:
+            out[i] += T[i, CHATTER] * np.sin(2 * np.pi * T[i, CHATTER_HZ] * t) * np.exp(-((dth[i] / 0.2) ** 2))
     return out
 
 
@@ -113,13 +125,14 @@ def simulate(R0, p, axis, pi, rotor, gravity, T, C, sc, sv, temp, extra, ff, qd,
                 Q[k], V[k], U[k] = th, dth, tau
             newton_euler(R, p, axis, pi, gravity, dq, zero, bias, W)
             mass_matrix(R, p, axis, pi, M, W, B)
-            drive = tau - extra[k] - _others(T, C, th, dth)
+            drive = tau - extra[k] - _others(T, C, th, dth, (k + w) * DT)
             net = -bias
             for i in range(n):
                 f, slope = friction(T[i], dth[i], th[i], temp[k, i] - T_REF, load[i], sc[i], sv[i], F[i])
                 f += position_torque(T[i], th[i])
                 if elastic[i]:
-                    g = T[i, STIFF] * (th[i] - q[i]) + T[i, DAMP] * (dth[i] - dq[i])
+                    d = th[i] - q[i]
+                    g = T[i, STIFF] * d * (1 + T[i, STIFFEN] * d * d) + T[i, DAMP] * (dth[i] - dq[i])
                     dth[i] += h * (drive[i] - f - g) / (rotor[i] + h * slope)
                     net[i] += g
                 else:
@@ -136,5 +149,9 @@ def simulate(R0, p, axis, pi, rotor, gravity, T, C, sc, sv, temp, extra, ff, qd,
                 if T[i, DAHL] > 0:
                     way = np.sign(dth[i])
                     fc = T[i, FC_POS]
-                    F[i] = way * fc + (F[i] - way * fc) * np.exp(-T[i, DAHL] / fc * abs(dth[i]) * h)
+                    if T[i, BOUC] > 0:  # Bouc and Wen's curve: stiff until close to sliding
+                        F[i] += T[i, DAHL] * (1 - np.sign(F[i] * way) * (abs(F[i]) / fc) ** T[i, BOUC]) * dth[i] * h
+                        F[i] = min(max(F[i], -fc), fc)
+                    else:
+                        F[i] = way * fc + (F[i] - way * fc) * np.exp(-T[i, DAHL] / fc * abs(dth[i]) * h)
     return Q, V, U

@@ -27,12 +27,14 @@ from independent_plant import (
     FV,
     RES_WIDTH,
     STIFF,
+    STIFFEN,
     T_REF,
     V_S,
     friction,
     position_torque,
     simulate,
 )
+from scipy.signal import lfilter
 
 Columns = dict[str, Array]
 
@@ -52,7 +54,13 @@ class Truth:
     hot: Array  # (n,) warming [K]
     reach: Array  # (n,) range of motion +- [rad]
     seed: int
-    notes: dict[str, object] = field(default_factory=dict)
+    faults: dict[str, Array] = field(
+        default_factory=dict
+    )  # (n,) each: push [N m], wear, frozen, saturation, lag [s], slow_sensor
+
+    def fault(self, name: str) -> Array:
+        """(n,) size of a fault at every joint."""
+        return self.faults.get(name, np.zeros(self.arm.n))
 
 
 def _scaled(arm: Arm, s: float) -> Arm:
@@ -86,8 +94,8 @@ def random_truth(template: Arm, seed: int, other_arm: bool) -> Truth:
         arm = _scaled(arm, float(rng.uniform(0.75, 1.3)))
         if arm.n == 6 and rng.random() < 0.4:
             arm = _with_twist(arm, 1)
-    arm = _jittered(arm, rng, 0.08, 0.005, 0.08)
-    told = arm if rng.random() < 0.7 else _jittered(arm, rng, 0.0, 0.0, 0.04, wrong=True)
+    arm = jittered(arm, rng, 0.08, 0.005, 0.08)
+    told = arm if rng.random() < 0.7 else jittered(arm, rng, 0.0, 0.0, 0.04, wrong=True)
     T = np.zeros((arm.n, COLUMNS))
     fc = 0.42 * arm.limit**0.65 * rng.uniform(0.8, 1.25, arm.n)
     T[:, FC_POS] = T[:, FC_NEG] = fc
@@ -100,7 +108,7 @@ def random_truth(template: Arm, seed: int, other_arm: bool) -> Truth:
     )  # fmt: skip
 
 
-def _jittered(arm: Arm, rng: Generator, mass: float, centre: float, rotor: float, wrong: bool = False) -> Arm:
+def jittered(arm: Arm, rng: Generator, mass: float, centre: float, rotor: float, wrong: bool = False) -> Arm:
     """Masses, centres and rotors that differ; ``wrong``: as a description is off, 2 to 5 % in mass and 3 mm in centre."""
     pi = []
     for row in arm.pi:
@@ -142,8 +150,8 @@ def _simulate(truth: Truth, temp, sc, sv, extra, ff, qd, dqd, kp, kd, q0, dq0): 
     )  # fmt: skip
 
 
-def _trial(truth: Truth, rng: Generator, warm: float, N: int) -> tuple[Array, Array, Array, Array]:
-    """Temperature (N, n), friction scales (n,), and torque from outside (N, n) of one trial."""
+def _trial(truth: Truth, rng: Generator, warm: float, N: int, worn: float = 1.0) -> tuple[Array, Array, Array, Array]:
+    """Temperature (N, n), friction scales (n,), and torque from outside (N, n) of one trial; ``worn``: how far wear has gone."""
     n = truth.arm.n
     start = 23.5 + warm * truth.hot + rng.normal(0, 0.5, n)
     temp = start + np.linspace(0, 0.4 * max(0.0, 1 - warm), N)[:, None]
@@ -157,13 +165,29 @@ def _trial(truth: Truth, rng: Generator, warm: float, N: int) -> tuple[Array, Ar
             for k in range(N):
                 x += -x * DT / tau + sigma * np.sqrt(2 * DT / tau) * e[k]
                 extra[k, j] = x
+    sc = sc * (1 + worn * truth.fault("wear"))
+    for j in np.flatnonzero(truth.fault("push")):
+        extra[:, j] += truth.fault("push")[j] * _contact(rng, N)
     return temp, sc, sv, extra
+
+
+def _contact(rng: Generator, N: int) -> Array:
+    """(N,) one push of up to a second at some time of two trials in three."""
+    at, wide, way = rng.uniform(0, N), rng.uniform(0.1, 0.3) / DT, rng.choice([-1.0, 0.0, 1.0])
+    return np.asarray(way * np.exp(-(((np.arange(N) - at) / wide) ** 4)))
 
 
 def _measured(truth: Truth, rng: Generator, q: Array, dq: Array, tau: Array, temp: Array) -> Columns:
     """What the sensors say: gain and delay of the torque, noise, quantisation."""
     t = np.arange(len(q)) * DT
+    tau = tau / (1 - truth.fault("saturation") * (tau / truth.arm.limit) ** 2)  # a motor constant that falls with the current
     late = np.stack([np.interp(t - d, t, tau[:, j] / truth.gain[j]) for j, d in enumerate(truth.delay)], axis=1)
+    for j in np.flatnonzero(truth.fault("lag")):
+        a = np.exp(-DT / truth.fault("lag")[j])
+        late[:, j] = lfilter([1 - a], [1, -a], late[:, j], zi=[a * late[0, j]])[0]
+    for j in np.flatnonzero(truth.fault("frozen")):
+        late[:, j] = _held(late[:, j], rng, truth.fault("frozen")[j])
+    temp = temp - truth.fault("slow_sensor") * (temp - 23.5) * np.exp(-np.maximum(temp - 23.5, 0.0) / 8)
     lsb = np.where(truth.arm.limit < 30, 2**-5, 2**-4)
     noisy = late + truth.noise * rng.normal(size=q.shape)
     return {
@@ -175,6 +199,17 @@ def _measured(truth: Truth, rng: Generator, q: Array, dq: Array, tau: Array, tem
     }
 
 
+def _held(x: Array, rng: Generator, share: float) -> Array:
+    """A reading that stands still for 40 to 200 ms, ``share`` of the time."""
+    out, k = x.copy(), 0
+    while k < len(x):
+        wide = int(rng.integers(10, 50))
+        if rng.random() < share:
+            out[k : k + wide] = out[k]
+        k += wide
+    return out
+
+
 def closed_loop(truth: Truth) -> list[tuple[int, int, Columns]]:
     """Twelve trials of 6 s: suite 0 slow and 2 fast point to point, 1 slow and 3 fast Fourier, in random order, warming."""
     rng = np.random.default_rng([truth.seed, 2])
@@ -182,7 +217,7 @@ def closed_loop(truth: Truth) -> list[tuple[int, int, Columns]]:
     for k, kind in enumerate(rng.permutation(np.repeat(np.arange(4), 3))):
         make = point_to_point if kind % 2 == 0 else fourier
         q = make(truth.reach, 0.4 if kind < 2 else 1.2, 6.0, rng)
-        temp, sc, sv, extra = _trial(truth, rng, 1 - np.exp(-k / 5), len(q))
+        temp, sc, sv, extra = _trial(truth, rng, 1 - np.exp(-k / 5), len(q), k / 52)
         out.append((int(kind), k, _measured(truth, rng, *_run(truth, q, temp, sc, sv, extra), temp)))
     return out
 
@@ -199,7 +234,7 @@ def open_loop(truth: Truth) -> list[tuple[int, int, Columns]]:
             first, N = 75 * part, int(rng.integers(510, 690))
             here = slice(first, first + N)
             for k in range(5):
-                temp, sc, sv, extra = _trial(truth, rng, k / 4, N)
+                temp, sc, sv, extra = _trial(truth, rng, k / 4, N, (12 + 20 * motion + 5 * part + k) / 52)
                 z = np.zeros(n)
                 got = _simulate(truth, temp, sc, sv, extra, U[here], Q[here], V[here], z, z, Q[first], V[first])
                 near = (np.abs(got[0] - Q[here]).max(axis=1) <= 0.8) & (np.abs(got[1]).max(axis=1) <= 3.0)
@@ -240,12 +275,13 @@ def static(truth: Truth) -> list[tuple[int, int, Columns]]:
     for k in range(150):
         pose = rng.uniform(-1, 1, n) * truth.reach
         for side, way in enumerate((1.0, -1.0)):
-            temp, sc, _, extra = _trial(truth, rng, 0.45 + 0.5 * k / 150, 4)
+            temp, sc, _, extra = _trial(truth, rng, 0.45 + 0.5 * k / 150, 4, 0.0)
             built = 1 - 0.03 * rng.exponential(size=n)
             link, z = pose.copy(), np.zeros(n)
             for _round in range(20):
                 load = torques(truth.arm, link[None], z[None], z[None])[0]
-                link = np.where(truth.T[:, STIFF] > 0, pose - load / np.maximum(truth.T[:, STIFF], 1e-9), pose)
+                stiff = truth.T[:, STIFF] * (1 + truth.T[:, STIFFEN] * (pose - link) ** 2)
+                link = np.where(truth.T[:, STIFF] > 0, pose - load / np.maximum(stiff, 1e-9), pose)
             tau, held = np.empty(n), np.empty(n)
             for j in range(n):
                 row = truth.T[j].copy()
