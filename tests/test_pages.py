@@ -2,24 +2,98 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from nominal_cases import arm
 from stopset.cli.main import main
+from stopset.offline.plan import Wishes, design
+from stopset.offline.plan.page import page as plan_page
+from stopset.offline.report import Page
+from synthetic import names, save_trials
+
+NARROW = 420  # [px] a telephone
 
 
-def test_the_comparison_draws_itself_from_its_own_file(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    folder = planar[0]
-    model, data = next(folder.glob("*.model.json")), next(folder.glob("*.parquet"))
-    page = tmp_path / "compare.html"
-    assert main(["compare", str(model), "--data", str(data), "--report", str(page)]) in (0, 1)
-    browser.get(page.as_uri())
-    figures = browser.execute_script("return document.querySelectorAll('.js-plotly-plot .main-svg').length")
-    assert figures > 0, "no figure was drawn"
+def drawn(browser: Any, page: Path) -> str:
+    """Open a page wide and narrow, hold what every page promises; its text."""
+    for width in (NARROW, 1250):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get(page.as_uri())
+        beyond = browser.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert beyond <= 0, f"the page is {beyond} px wider than a screen of {width} px"
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     loaded = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
     assert [x for x in loaded if not x.startswith(("data:", "blob:"))] == []
     assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
-    text = browser.execute_script("return document.body.innerText")
-    assert "Monitoring aid. Not a safety function" in text and "Identified sets" in text
+    text = str(browser.execute_script("return document.body.innerText"))
+    assert "Monitoring aid. Not a safety function" in text
+    return text
+
+
+def figures(browser: Any) -> int:
+    return int(browser.execute_script("return document.querySelectorAll('.js-plotly-plot .main-svg').length"))
+
+
+def test_the_comparison_draws_itself_from_its_own_file(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder, page = planar[0], tmp_path / "compare.html"
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(folder / "rec.parquet"), "--report", str(page)]) == 0
+    text = drawn(browser, page)
+    assert figures(browser) > 0, "no figure was drawn"
+    assert "Identified sets" in text
+    assert crosses(browser) == 0
+
+
+def crosses(browser: Any) -> int:
+    return int(browser.execute_script("return document.querySelectorAll('.js-plotly-plot .points path.point').length && "
+                                      "Array.from(document.querySelectorAll('.js-plotly-plot')).flatMap(p => p.data)"
+                                      ".filter(t => t.marker && t.marker.symbol == 'x').length"))  # fmt: skip
+
+
+def test_a_violation_is_drawn_where_it_is_and_its_joint_named(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder, trials, _ = planar
+    wrong = [replace(r, tau=r.tau * np.array([1.0, 2.0])) for r in trials if r.trial == 0]  # no repetition, so no floor
+    save_trials(tmp_path / "wrong.parquet", wrong, names(2))
+    page, data = tmp_path / "compare.html", str(tmp_path / "wrong.parquet")
+    assert main(["compare", str(folder / "m.model.json"), "--data", data, "--report", str(page)]) == 1
+    text = drawn(browser, page)
+    assert "Not conformant" in text
+    assert crosses(browser) == len(wrong) > 0
+    worst = [line.split()[3] for line in text.splitlines() if line.startswith("motion ")]
+    assert worst == ["axis_2"] * len(wrong)
+
+
+def test_an_inspection_in_a_browser(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder, page = planar[0], tmp_path / "inspect.html"
+    code = main(["inspect", str(folder / "rec.parquet"), "--robot", str(folder / "robot.urdf"), "--report", str(page)])
+    assert code in (0, 1)
+    assert "missing for identification" in drawn(browser, page)
+    assert figures(browser) > 0
+
+
+def test_a_plan_in_a_browser(browser, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    wishes = Wishes(motions=2, repeats=2, poses=6, excitations=1, period=5.0, evaluations=20, floor=-0.3)
+    plan_page(design(arm(), wishes)).save(tmp_path / "plan.html")
+    text = drawn(browser, tmp_path / "plan.html")
+    assert figures(browser) >= 3  # excitation, slow, fast
+    assert "kg m²" in text and "Collisions with itself" in text
+
+
+def test_words_stand_left_and_figures_right(browser, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    page = Page("Table")
+    long = "a sentence that is long enough to be broken into several lines on any screen " * 3
+    rows = [("a", 1.5, "[-1e-05, 2.5]", "9 of 9", long, None, ""), ("b", 20.0, "[0, 1]", "0 of 3", "short", None, "")]
+    page.table(("word", "number", "range [N m]", "share", "sentence", "dash", "empty"), rows)
+    page.save(tmp_path / "t.html")
+    drawn(browser, tmp_path / "t.html")
+    script = "return Array.from(document.querySelectorAll('tbody tr:first-child td')).map(c => getComputedStyle(c).textAlign)"
+    left, right = ("left", "start"), ("right", "end")
+    wanted = (left, right, right, right, left, right, left)
+    assert all(side in sides for side, sides in zip(browser.execute_script(script), wanted, strict=True))
 
 
 def test_a_refused_effect_leaves_a_page_with_its_numbers(planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
@@ -28,7 +102,7 @@ def test_a_refused_effect_leaves_a_page_with_its_numbers(planar, tmp_path: Path)
     code = main(["add", *words, "--out", str(tmp_path / "m2.model.json"), "--report", str(page)])
     assert code == (0 if (tmp_path / "m2.model.json").exists() else 1)
     text = page.read_text()
-    assert "Tried just now" in text and "spring:axis_1" in text
+    assert ("spring:axis_1 is refused" if code else "spring:axis_1 is added") in text
 
 
 def test_recordings_made_here_come_with_their_inspection(tmp_path: Path) -> None:

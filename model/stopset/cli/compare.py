@@ -30,7 +30,8 @@ def run(args: argparse.Namespace) -> int:
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
     for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
         say(
-            f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} at age {v.age_s:.3f} s (start {v.start_s:.3f} s)"
+            f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} {v.unit} "
+            f"at age {v.age_s:.3f} s (start {v.start_s:.3f} s)"
         )
     say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
     for name, (held, out) in found.bands.items():

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
+from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
-from stopset.offline.errors import joint_figures, torque_error
+from stopset.offline.errors import Figures, torque_error
 from stopset.offline.nominal_part import roller
 from stopset.offline.survey import Survey, on_grid, survey
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
@@ -35,6 +36,11 @@ class Violation:
     age_s: float
     excess: float  # [rad] or [rad/s]
     relative: float  # in half-widths of the tube there
+
+    @property
+    def unit(self) -> str:
+        """Of the excess."""
+        return "rad/s" if self.state.startswith("dq_") else "rad"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,78 +76,104 @@ class Comparison:
 
 def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) -> Iterator[tuple[int, Recording, Array]]:
     """Trials of the surveyed phase on the model's grid with their input ``u``, as (motion, trial, u)."""
+    # a nonlinear model's sets live on a coarser grid; its inputs are means over the steps
+    every = _every(model, found, dt)
+    for r in _on_grid(paths, model, found, dt / every):
+        u = model.input(r.q, r.dq, r.tau, r.temp, found.warm(r), r.t)
+        g, u = (r, u) if every == 1 else thinned(r, u, every)
+        yield found.motion[r.motion], g, u
+
+
+def _every(model: Model, found: Survey, dt: float) -> int:
+    return 1 if model.abstraction.linear else max(1, round(dt / found.dt))
+
+
+def _on_grid(paths: Sequence[str | Path], model: Model, found: Survey, dt: float) -> Iterator[Recording]:
     for r in stream_recordings(paths, model.robot):
-        if r.phase == found.phase and len(r.t) >= 3:
-            # a nonlinear model's sets live on a coarser grid; its inputs are means over the steps
-            every = 1 if model.abstraction.linear else max(1, round(dt / found.dt))
-            g = on_grid(r, dt if every == 1 else dt / every)
-            if len(g.t) < 3:
-                continue
-            u = model.input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
-            if every > 1:
-                g, u = thinned(g, u, every)
-            yield found.motion[r.motion], g, u
+        if r.phase == found.phase and len(r.t) >= 3 and len((g := on_grid(r, dt)).t) >= 3:
+            yield g
 
 
 def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
-    """Hold the recordings against the model over all window starts and ages.
+    """Hold the recordings against the model over all window starts and ages; one trial in memory at a time.
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
     check_effort(model, paths)
     found = survey(lambda: stream_recordings(paths, model.robot))
     dt = model.powered.dt
-
-    def pairs() -> Iterator[tuple[int, Recording, Array]]:
-        return inputs(model, paths, found, dt)
-
-    if not model.abstraction.linear:
-        return _compare_nonlinear(model, found, list(pairs()))
-    zonotope = model.powered.zonotope
-    across = None if zonotope is None else zonotope.directions
-    tube = deviation_tube(model.abstraction, model.powered, across)
-    deviations = Deviations(model.abstraction, dt, len(tube.ages) - 1, model.powered.windows, across)
-    names = state_names(model.joints, len(deviations.across))
-    banded = {k: (s.temp, deviation_tube(model.abstraction, s, across)) for k, s in model.sets.items() if s.temp is not None}
-    bands = dict.fromkeys(banded, (0, 0))
+    judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
+    figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
     rows = []
-    for motion, r, u in pairs():
+    for motion, r, u in inputs(model, paths, found, dt):
+        figures.add(r, u)
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
-        env = deviations.of(r, u)
-        rows.append(Row(r.label, motion, r.place, rms, covered, _worst(names, env, tube, r.label)))
-        for k, (band, of_band) in banded.items():
+        rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
+    return Comparison(figures.result(model.joints), tuple(rows), found, judge.tube, judge.bands)
+
+
+class _Linear:
+    """Trials against the tube of a linear model, the same for all of them, and against those of its temperature bands."""
+
+    def __init__(self, model: Model) -> None:
+        sets = model.powered
+        across = None if sets.zonotope is None else sets.zonotope.directions
+        self.tube = deviation_tube(model.abstraction, sets, across)
+        self._deviations = Deviations(model.abstraction, sets.dt, len(self.tube.ages) - 1, sets.windows, across)
+        self._names = state_names(model.joints, len(self._deviations.across))
+        self._banded = {
+            k: (s.temp, deviation_tube(model.abstraction, s, across)) for k, s in model.sets.items() if s.temp is not None
+        }
+        self.bands = dict.fromkeys(self._banded, (0, 0))
+
+    def violation(self, r: Recording, u: Array) -> Violation | None:
+        env = self._deviations.of(r, u)
+        for k, (band, of_band) in self._banded.items():
             if r.temp is not None and band is not None and band.covers(r.temp).all():
-                held, out = bands[k]
-                bands[k] = held + 1, out + (_worst(names, env, of_band, r.label) is not None)
-    figures = joint_figures(pairs, model.abstraction, model.joints, dt, roller(model, model.effort, found))
-    return Comparison(figures, tuple(rows), found, tube, bands)
+                held, out = self.bands[k]
+                self.bands[k] = held + 1, out + (_worst(self._names, env, of_band, r.label) is not None)
+        return _worst(self._names, env, self.tube, r.label)
 
 
-def _compare_nonlinear(model: Model, found: Survey, trials: list[tuple[int, Recording, Array]]) -> Comparison:
-    """The same for a nonlinear model, whose tube is another one along every trial: it is that of the first."""
-    sets, n = model.powered, model.n
-    data = [(np.hstack([r.q, r.dq]), u) for _, r, u in trials]
-    excesses = worst_excess(model.abstraction, sets, data)
-    rows = []
-    for (motion, r, u), e in zip(trials, excesses, strict=True):
-        error = torque_error(model.abstraction, sets.dt, r.q, r.dq, u)
-        covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
-        rms = np.sqrt(np.mean(error**2, axis=0)) if len(error) else np.full(n, np.nan)
-        violation = None
-        if e is not None:
-            name = f"{'q' if e.state < n else 'dq'}_{model.joints[e.state % n]}"
-            side = "above" if e.above else "below"
-            violation = Violation(r.label, name, side, e.start * sets.dt, e.age * sets.dt, e.size, e.size / e.half)
-        rows.append(Row(r.label, motion, r.place, rms, covered, violation))
-    x, u = data[0]
-    last = min(round(sets.horizon / sets.dt), len(x) - 1)
-    lo, hi = predicted_tube(model.abstraction, sets, x[0], u[:last])
-    path = predict(model.abstraction, sets.dt, x[0], u[: last + 1])
-    tube = Tube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
-    figures = joint_figures(lambda: iter(trials), model.abstraction, model.joints, sets.dt)
-    return Comparison(figures, tuple(rows), found, tube)
+class _Along:
+    """Trials against a nonlinear model's tube, which is another one along every trial; the one shown is the first trial's.
+
+    The window starts are those of the identification, ``stride`` samples apart.
+    """
+
+    def __init__(self, model: Model, stride: int) -> None:
+        self._model, self._stride, self._seen = model, stride, 0
+        self.tube = Tube(np.zeros(1), np.zeros((1, 2 * model.n)), np.zeros((1, 2 * model.n)))
+        self.bands: dict[str, tuple[int, int]] = {}
+
+    def violation(self, r: Recording, u: Array) -> Violation | None:
+        model, sets, x = self._model, self._model.powered, np.hstack([r.q, r.dq])
+        if not self._seen:
+            self.tube = self._first(x, u)
+        where = starts_in(self._seen, len(x), sets.windows, self._stride)
+        self._seen += 1
+        e = worst_excess(model.abstraction, sets, (x, u), where)
+        if e is None:
+            return None
+        name = f"{'q' if e.state < model.n else 'dq'}_{model.joints[e.state % model.n]}"
+        side = "above" if e.above else "below"
+        return Violation(r.label, name, side, e.start * sets.dt, e.age * sets.dt, e.size, e.size / e.half)
+
+    def _first(self, x: Array, u: Array) -> Tube:
+        model, sets = self._model.abstraction, self._model.powered
+        last = min(round(sets.horizon / sets.dt), len(x) - 1)
+        lo, hi = predicted_tube(model, sets, x[0], u[:last])
+        path = predict(model, sets.dt, x[0], u[: last + 1])
+        return Tube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
+
+
+def _stride(model: Model, paths: Sequence[str | Path], found: Survey) -> int:
+    """Distance of window starts, in steps of a nonlinear model's grid, over all trials of the surveyed phase."""
+    every = _every(model, found, model.powered.dt)
+    trials = _on_grid(paths, model, found, model.powered.dt / every)
+    return stride_of(sum((len(r.t) - 1) // every for r in trials), WINDOWS)
 
 
 def check_effort(model: Model, paths: Sequence[str | Path]) -> None:

@@ -83,12 +83,13 @@ def _tubes(out: Page, model: Model, found: Comparison, paths: Sequence[str | Pat
         if trials:
             first = trials[0][0]
             by = "temperature" if trials[0][0].temp is not None else "order of the trials"
+            count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
             caption = (
-                f"{first.phase} suite {first.suite}, {len(trials)} trials, coloured by {by} (blue first or cold, red last or hot). "
+                f"{first.phase} suite {first.suite}, {count}, coloured by {by} (blue first or cold, red last or hot). "
                 "Grey: all states conformant; dark: position only. Crosses: where a recording leaves the sets most, of a prediction "
                 "that may have started later."
             )
-            out.figure(_tube_figure(model, trials, found), caption)
+            out.figure(_tube_figure(model, trials, found), caption, 160 * model.n)
 
 
 def _band(figure: go.Figure, t: Array, lo: Array, hi: Array, row: int, column: int, colour: str, name: str) -> None:
@@ -169,7 +170,7 @@ def _crosses(figure: go.Figure, model: Model, trials: list[Recording], found: Co
         r, i = drawn[v.recording], names.index(v.state)
         at = v.start_s + v.age_s
         y = np.interp(at, r.t - r.t[0], np.hstack([r.q, r.dq])[:, i])
-        mark = {"symbol": "x", "size": 9, "color": COLOURS[7]}
+        mark = {"symbol": "x", "size": 10, "color": "black", "line": {"width": 1, "color": "white"}}
         row, column = divmod(i, model.n)
         cross = go.Scatter(
             x=[round(at, 4)], y=[round(float(y), 5)], mode="markers", marker=mark, name=v.recording, showlegend=False
@@ -209,8 +210,8 @@ def _heat_map(out: Page, model: Model, found: Comparison, paths: Sequence[str | 
     panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
     for column, j in enumerate(worst, start=1):
         p = partial_residual(shares, int(j))
-        keep = np.unique(np.linspace(0, len(p.x) - 1, 3000).astype(int))
-        dots = go.Scattergl(
+        keep = np.unique(np.linspace(0, len(p.x) - 1, 1500).astype(int))
+        dots = go.Scatter(
             x=p.x[keep].round(4), y=p.y[keep].round(4), mode="markers", marker={"size": 3, "opacity": 0.4, "color": COLOURS[0]},
             showlegend=False,
         )  # fmt: skip
@@ -232,7 +233,13 @@ def _heat_map(out: Page, model: Model, found: Comparison, paths: Sequence[str | 
 def _table2(out: Page, model: Model) -> None:
     out.heading("Identified sets (the paper's Table II)")
     n = model.n
+    seen: list[str] = []
     for name, s in model.sets.items():
+        twin = next((k for k in seen if _same(s, model.sets[k])), None)
+        if twin is not None:
+            out.text(f"{name} ({_scope(s.conform)}): the same sets as {twin}, to what is printed.")
+            continue
+        seen.append(name)
         rows = [
             [j, *(f"[{b.lo[i]:.4g}, {b.hi[i]:.4g}]" for b, i in ((s.X0, k), (s.X0, n + k), (s.U, k), (s.V, k), (s.V, n + k)))]
             for k, j in enumerate(model.joints)
@@ -241,7 +248,7 @@ def _table2(out: Page, model: Model) -> None:
         out.table(
             head,
             rows,
-            f"{name}: {s.conform} states, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m",
+            f"{name}: {_scope(s.conform)}, {s.windows} windows, margin {s.margin:.2f}, U widths {s.U.width.sum():.2f} N m",
         )
     bands = narrower(model)
     if bands:
@@ -268,19 +275,35 @@ def _table2(out: Page, model: Model) -> None:
     )
 
 
+def _scope(conform: str) -> str:
+    return "all states" if conform == "all" else "position only"
+
+
+def _same(a: UncertaintySets, b: UncertaintySets) -> bool:
+    """Whether the sets of two cases differ by less than a thousandth of their widths."""
+    pairs = ((a.X0, b.X0), (a.U, b.U), (a.V, b.V))
+    return all(np.all(np.abs(x - y) <= 1e-3 * p.width) for p, o in pairs for x, y in ((p.lo, o.lo), (p.hi, o.hi)))
+
+
 def _violations(out: Page, found: Comparison) -> None:
     if found.violations:
         out.heading("Violations")
         worst = sorted(found.violations, key=lambda v: -v.relative)[:50]
         out.table(
-            ["recording", "state", "side", "from [s]", "age [s]", "excess", "excess / half-width"],
-            [[v.recording, v.state, v.side, v.start_s, v.age_s, v.excess, v.relative] for v in worst],
+            ["recording", "state", "side", "from [s]", "age [s]", "excess", "unit", "excess / half-width"],
+            [[v.recording, v.state, v.side, v.start_s, v.age_s, v.excess, v.unit, v.relative] for v in worst],
         )
+
+
+def _known(model: Model, joint: str) -> float:
+    row = model.errors.get(joint, {})
+    return row.get("torque_rmse_floor") or row.get("torque_rmse") or 1.0
 
 
 def _ranking(out: Page, model: Model, found: Comparison) -> None:
     out.heading("Motions ranked by misfit")
-    floor = np.array([row["torque_rmse_floor"] or row["torque_rmse"] or 1.0 for row in found.figures.values()])
+    # without repetitions here, what the identification's own repetitions showed, or its error
+    floor = np.array([row["torque_rmse_floor"] or _known(model, j) for j, row in found.figures.items()])
     motions: dict[int, list[Array]] = {}
     for row in found.rows:
         motions.setdefault(row.motion, []).append(row.torque_rms)

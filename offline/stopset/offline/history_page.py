@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from stopset.artifact import Model
 from stopset.offline.report import COLOURS, Page
-from stopset.offline.revise import Revised
+from stopset.offline.revise import Judged, Revised
 
 FIGURES = (
     ("held_out_torque_rmse", "torque error on held-out data [N m]"),
@@ -20,34 +20,49 @@ FIGURES = (
 def page(model: Model) -> Page:
     """The report of ``stopset history``."""
     out = Page(f"{model.robot.name}: history of the model")
-    floor = [row.get("torque_rmse_floor") for row in model.errors.values()]
-    level = float(np.sqrt(np.mean([f**2 for f in floor]))) if floor and all(f is not None for f in floor) else None
-    for key, title in FIGURES:
-        names, values = _chain(model, key)
-        if len(values) > 1:
-            out.heading(title)
-            out.figure(_waterfall(names, values, level if key == "held_out_torque_rmse" else None))
-    out.heading("Revisions")
-    keys = [k for k, _ in FIGURES]
-    out.table(
-        ["revision", "added", *(t for _, t in FIGURES), "note"],
-        [[str(r.number), r.added or "first identification", *(r.after.get(k) for k in keys), r.note] for r in model.revisions],
-    )
-    out.text(model.guarantee.text)
+    _history(out, model)
     return out
 
 
 def tried(model: Model, done: Revised) -> Page:
     """The report of ``stopset add``: what was tried on held-out data, then the history of ``model``."""
-    out = page(model)
-    out.heading(f"Tried just now, judged on {done.judged_on}")
-    rows = []
+    out = Page(f"{model.robot.name}: {', '.join(j.name for j in done.judged)} tried")
     for j in done.judged:
-        for key, title in FIGURES:
-            if key in j.before and key in j.after:
-                rows.append((j.name, title, j.before[key], j.after[key], "refused: " + j.why if j.why else "enters " + j.enters))
-    out.table(("effect", "figure", "before", "after", "outcome"), rows)
+        out.verdict(f"{j.name} {_outcome(j)}.", "bad" if j.why else "good")
+    out.text(f"Judged on {done.judged_on}.")
+    rows = [
+        (j.name, title, j.before[key], j.after[key])
+        for j in done.judged
+        for key, title in FIGURES
+        if key in j.before and key in j.after
+    ]
+    out.table(("effect", "figure", "before", "after"), rows)
+    _history(out, model)
     return out
+
+
+def _outcome(j: Judged) -> str:
+    if j.why:
+        return f"is refused: {j.why}"
+    return f"is added ({j.enters})" + ("" if j.helps else ", though it does not lower the error on held-out data")
+
+
+def _history(out: Page, model: Model) -> None:
+    """Waterfalls and the table of revisions."""
+    floor = [row.get("torque_rmse_floor") for row in model.errors.values()]
+    level = float(np.sqrt(np.mean([f**2 for f in floor]))) if floor and all(f is not None for f in floor) else None
+    for key, title in FIGURES:
+        names, values = _chain(model, key)
+        if len(values) > 1:
+            out.heading(title[0].upper() + title[1:])
+            out.figure(_waterfall(names, values, level if key == "held_out_torque_rmse" else None))
+    out.heading("Revisions")
+    keys = [k for k, _ in FIGURES]
+    out.table(
+        ["revision", "added", *(t for _, t in FIGURES), "note"],
+        [[r.number, r.added or "first identification", *(r.after.get(k) for k in keys), r.note] for r in model.revisions],
+    )
+    out.text(model.guarantee.text)
 
 
 def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
@@ -73,6 +88,9 @@ def _waterfall(names: list[str], values: list[float], floor: float | None) -> go
         )
     )  # fmt: skip
     if floor is not None:
-        figure.add_hline(y=floor, line_dash="dot", annotation_text="repeatability floor")
+        figure.add_hline(
+            y=floor, line_dash="dot", annotation_text="repeatability floor", annotation_bgcolor="rgba(255,255,255,0.8)",
+            annotation_position="bottom right",
+        )  # fmt: skip
     figure.update_layout(height=360, showlegend=False)
     return figure

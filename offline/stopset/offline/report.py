@@ -26,7 +26,7 @@ body{font:15px/1.5 system-ui,sans-serif;color:#1d2733;background:#fff;max-width:
 h1{font-size:1.6rem;margin:.2rem 0 1rem}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d5dce4}
 table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.9rem}
 td,th{border:1px solid #d5dce4;padding:.25rem .6rem;text-align:left;vertical-align:top}th{background:#f2f5f8;vertical-align:bottom}
-.n{text-align:right}td.n{white-space:nowrap}caption{text-align:left;color:#55606e;padding-bottom:.25rem}.wide{overflow-x:auto}
+.n{text-align:right}td.n,td.s{white-space:nowrap}caption{text-align:left;color:#55606e;padding-bottom:.25rem}.wide{overflow-x:auto}
 .big{font-size:1.15rem;padding:.7rem 1rem;border-left:6px solid #2a6f97;background:#f2f7fa}
 .bad{border-color:#b3261e;background:#fdf3f2}.good{border-color:#2e7d32;background:#f2f8f2}
 footer{margin-top:3rem;font-size:.85rem;color:#55606e;border-top:1px solid #d5dce4;padding-top:.6rem}
@@ -36,8 +36,10 @@ footer{margin-top:3rem;font-size:.85rem;color:#55606e;border-top:1px solid #d5dc
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#4d4d4d")
 
 
-# a number, or several in a range, a share, a tolerance
-_FIGURE = re.compile(r"[\[\]±%,;\s\d.eE+\-−–]*\d[\[\]±%,;\s\d.eE+\-−–]*|[±+\-]?(inf|nan)")
+# a number, or several in a range, a share ("9 of 9"), a tolerance
+_PART = r"[\[\]±%,;\s\d.eE+\-−–]*"
+_FIGURE = re.compile(rf"{_PART}\d{_PART}( of \d+)?|[±+\-]?(inf|nan)")
+SHORT = 36  # letters of a cell that is not broken into lines
 
 
 def number(x: Any, digits: int = 3) -> str:
@@ -50,7 +52,15 @@ def number(x: Any, digits: int = 3) -> str:
 def _words(column: Sequence[Any]) -> bool:
     """Whether most cells of a column that say anything are words rather than figures, ranges or shares."""
     told = [str(c) for c in column if c is not None and str(c) not in ("", "-", "–")]
-    return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in told) < len(told) or not told
+    if not told:
+        return "" in column  # a column of dashes is one of figures
+    return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in told) < len(told)
+
+
+def _cell(value: Any, words: bool) -> str:
+    text = number(value)
+    kind = "" if words and len(text) > SHORT else ' class="s"' if words else ' class="n"'
+    return f"<td{kind}>{html.escape(text)}</td>"
 
 
 class Page:
@@ -67,31 +77,37 @@ class Page:
     def text(self, text: str) -> None:
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
+    def points(self, texts: Sequence[str]) -> None:
+        """Sentences one below the other, each with a bullet."""
+        self._parts.append("<ul>" + "".join(f"<li>{html.escape(t)}</li>" for t in texts) + "</ul>")
+
     def verdict(self, text: str, kind: str = "") -> None:
         """A sentence that must be seen; ``kind``: '' | 'good' | 'bad'."""
         self._parts.append(f'<p class="big {kind}">{html.escape(text)}</p>')
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
         """Columns of figures are set to the right, columns of words to the left."""
-        side = ["" if _words([row[k] for row in rows]) else ' class="n"' for k in range(len(head))]
-        top = "".join(f"<th{s}>{html.escape(h)}</th>" for h, s in zip(head, side, strict=True))
-        body = "".join(
-            "<tr>" + "".join(f"<td{s}>{html.escape(number(c))}</td>" for c, s in zip(row, side, strict=True)) + "</tr>"
-            for row in rows
+        words = [_words([row[k] for row in rows]) for k in range(len(head))]
+        # a unit stays in one piece
+        names = [re.sub(r"\[[^]]*\]", lambda unit: unit[0].replace(" ", "\u00a0"), h) for h in head]
+        top = "".join(
+            (f"<th>{html.escape(h)}</th>" if w else f'<th class="n">{html.escape(h)}</th>')
+            for h, w in zip(names, words, strict=True)
         )
+        body = "".join("<tr>" + "".join(_cell(c, w) for c, w in zip(row, words, strict=True)) + "</tr>" for row in rows)
         title = f"<caption>{html.escape(caption)}</caption>" if caption else ""
         self._parts.append(f'<div class="wide"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>')
 
-    def figure(self, figure: go.Figure, caption: str = "") -> None:
+    def figure(self, figure: go.Figure, caption: str = "", least_width: int = 560) -> None:
+        """A figure as wide as the page; on a screen narrower than ``least_width`` [px] it is scrolled, not squeezed."""
         self._figures += 1
-        figure.update_layout(
-            template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 50}, font={"family": "system-ui, sans-serif"}
-        )
-        self._parts.append(
-            figure.to_html(
-                full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}", config={"displayModeBar": False}
-            )
-        )
+        margin = {"l": 60, "r": 20, "t": figure.layout.margin.t or 40, "b": 50}
+        figure.update_layout(template="plotly_white", margin=margin, font={"family": "system-ui, sans-serif"})
+        drawn = figure.to_html(
+            full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}",
+            config={"displayModeBar": False, "responsive": True},
+        )  # fmt: skip
+        self._parts.append(f'<div class="wide"><div style="min-width:{least_width}px">{drawn}</div></div>')
         if caption:
             self._parts.append(f"<p><small>{html.escape(caption)}</small></p>")
 

@@ -51,16 +51,18 @@ def _file(out: Page, r: Inspection) -> None:
         f"{o['clock']} clock; channels {', '.join(o['channels'])}."
     )
     order = {"error": 0, "warning": 1, "note": 2}
-    out.table(
-        ("what is wrong", "joint", "seen", "expected", "do"),
-        [(f"{f.kind} ({f.severity})", f.joint or "all", f.seen, f.expected, f.do)
-         for f in sorted(r.findings, key=lambda f: order[f.severity])]
-        or [("nothing", "", "", "", "")],
-    )  # fmt: skip
-    out.table(
-        ("missing for identification", "what is lacking", "do"),
-        [(m.part, m.lacking, m.do) for m in r.missing] or [("nothing", "", "")],
-    )
+    if r.findings:
+        out.table(
+            ("what is wrong", "joint", "seen", "expected", "do"),
+            [(f"{f.kind} ({f.severity})", f.joint or "all", f.seen, f.expected, f.do)
+             for f in sorted(r.findings, key=lambda f: order[f.severity])],
+        )  # fmt: skip
+    else:
+        out.text("Nothing is wrong with it.")
+    if r.missing:
+        out.table(("missing for identification", "what is lacking", "do"), [(m.part, m.lacking, m.do) for m in r.missing])
+    else:
+        out.text("Nothing is missing for identification.")
     if o["phases"]:
         out.table(
             ("phase", "trials", "motions", "most trials of a motion", "seconds"),

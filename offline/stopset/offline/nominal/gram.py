@@ -81,6 +81,12 @@ class Layout:
         rotor = [f"{j}.rotor" for j in self.joints]
         return (*link, *rotor, *(f"{c.effect.name}:{self.joints[c.joint]}.{c.symbol}" for cs in self.columns for c in cs))
 
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter, in the order of `names`."""
+        link = ("kg", *["kg m"] * 3, *["kg m²"] * 6)
+        friction = (t.unit for cs in self.columns for c in cs for t in c.effect.terms if t.symbol == c.symbol)
+        return (*link * self.n, *["kg m²"] * self.n, *friction)
+
 
 def layout_of(robot: Robot, effects: Sequence[str | Effect], compensated: bool) -> Layout:
     """The parameters of ``effects`` (names, ``name:joint``, or effects) at every joint, in the order given.

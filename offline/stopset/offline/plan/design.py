@@ -241,10 +241,11 @@ def _parameters(
     n = robot.n
     before = np.sqrt(np.diag(np.linalg.inv(prior.precision)))
     rows = []
-    for k, name in enumerate(total.layout.names()):
+    for k, (name, unit) in enumerate(zip(total.layout.names(), total.layout.units(), strict=True)):
         rows.append(
             {
                 "parameter": name,
+                "unit": unit,
                 "before": float(f"{before[k]:.4g}") if k < 11 * n else None,
                 "now": None if now is None else float(f"{np.sqrt(now[k, k]):.4g}"),
                 "after": float(f"{np.sqrt(after[k, k]):.4g}"),

@@ -25,7 +25,7 @@ def page(plan: Plan) -> Page:
     minutes = sum(p.seconds for p in plan.parts) / 60
     out.verdict(f"{minutes:.0f} minutes of motion in {len(plan.parts)} parts; moving to start points is not counted.")
     for w in plan.warnings:
-        out.verdict(w, "bad")
+        out.verdict(f"{w[0].upper()}{w[1:]}.", "bad")
     out.heading("What to drive, and what it tells")
     rows = []
     for p in plan.parts:
@@ -34,7 +34,16 @@ def page(plan: Plan) -> Page:
         rotor, dry = (t.get(k) for k in ("rotor_std_percent", "F_c_std_Nm"))
         rows.append((p.name, count(plan, p), p.repeats, p.seconds / 60, p.identifies, base, rotor, dry))
     out.table(
-        ("part", "motions", "repeats", "minutes", "identifies", "base parameters with half the error", "rotor ± %", "F_c ± N m"),
+        (
+            "part",
+            "motions",
+            "repeats",
+            "minutes",
+            "identifies",
+            "base parameters with half the error",
+            "rotor ± [%]",
+            "F_c ± [N m]",
+        ),
         rows,
     )
     out.text(
@@ -43,7 +52,7 @@ def page(plan: Plan) -> Page:
     )
     if plan.gaps is not None:
         out.heading("What today's data leave undetermined")
-        out.table(("parameter and reason",), [(g,) for g in plan.gaps] or [("nothing",)])
+        out.points(plan.gaps or ["nothing"])
     for part in plan.parts:
         if part.motions:
             out.heading(part.name)
@@ -56,8 +65,8 @@ def page(plan: Plan) -> Page:
     )  # fmt: skip
     out.heading("Standard error of every parameter")
     out.table(
-        ("parameter", "description alone", "with today's data", "after this campaign"),
-        [(row["parameter"], row["before"], row["now"], row["after"]) for row in plan.outlook],
+        ("parameter", "unit", "description alone", "with today's data", "after this campaign"),
+        [(row["parameter"], row["unit"], row["before"], row["now"], row["after"]) for row in plan.outlook],
     )
     return out
 

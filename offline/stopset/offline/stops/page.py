@@ -8,7 +8,7 @@ from stopset.artifact import Model
 from stopset.offline.report import COLOURS, Page
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, poses, seen, terms, up, worst
+from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, of_category, poses, seen, terms, up, worst
 from stopset.offline.stops.table import Row, holding
 from stopset.reach.stops import Category
 
@@ -39,11 +39,10 @@ def build_page(
     if measured:
         _measured_part(page, measured, model)
     page.heading("What the numbers rest on")
-    for sentence in assumptions:
-        page.text(sentence)
+    page.points([sentence[0].upper() + sentence[1:] for sentence in assumptions])
     for category in dict.fromkeys(r.category for r in rows):
         page.heading(f"Every row of {NAMES[category]}")
-        page.table(HEAD, [_cells(r) for r in rows if r.category == category])
+        page.table(HEAD, [_cells(r) for r in of_category(rows, category)])
     page.heading("Test poses")
     page.table(*poses(rows, model))
     return page
@@ -85,7 +84,9 @@ def _pictures(page: Page, model: Model, rows: Sequence[Row], measured: Sequence[
             below = "speed [rad/s]" if row == len(joints) else None
             figure.update_xaxes(title_text=below, rangemode="tozero", row=row, col=column)
             figure.update_yaxes(title_text=title, rangemode="tozero", row=row, col=column)
-    figure.update_layout(height=110 + 270 * len(joints), legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0.35})
+    height = 140 + 270 * len(joints)
+    legend = {"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0.0}  # above the pictures' titles
+    figure.update_layout(height=height, margin={"t": 70}, legend=legend)
     page.heading(NAMES[category])
     page.figure(figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension.")
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 WIDTH, HEIGHT, MARGIN = 595.0, 842.0, 42.0  # [pt] A4
+PICTURE = 170.0  # [pt] height of a picture with its words
 INKS = ("0 0.45 0.7", "0.84 0.37 0", "0 0.62 0.45", "0.8 0.47 0.65")
 
 
@@ -55,8 +56,9 @@ class Document:
         if self._y - height < MARGIN:
             self._new_page()
 
-    def heading(self, text: str, size: float = 13.0) -> None:
-        self._room(3 * size)
+    def heading(self, text: str, size: float = 13.0, keep: float = 0.0) -> None:
+        """``keep``: height [pt] of what must stand below it on the same page."""
+        self._room(3 * size + keep)
         self._y -= 1.5 * size
         self._put(MARGIN, self._y, text, size, bold=True)
         self._y -= 0.5 * size
@@ -101,13 +103,13 @@ class Document:
         if rule:
             self._pages[-1].append(f"0.8 G 0.3 w {MARGIN:.1f} {self._y - 2:.2f} m {WIDTH - MARGIN:.1f} {self._y - 2:.2f} l S 0 G")
 
-    def plots(self, plots: Sequence[Plot], height: float = 118.0) -> None:
+    def plots(self, plots: Sequence[Plot]) -> None:
         """Pictures side by side."""
-        self._room(height + 52)
+        self._room(PICTURE)
         width = (WIDTH - 2 * MARGIN) / len(plots)
         for k, plot in enumerate(plots):
-            self._plot(plot, MARGIN + k * width, width - 14.0, height)
-        self._y -= height + 52
+            self._plot(plot, MARGIN + k * width, width - 14.0, PICTURE - 52.0)
+        self._y -= PICTURE
 
     def _plot(self, p: Plot, left: float, width: float, height: float) -> None:
         x0, y0, w = left + 34.0, self._y - 18.0 - height, width - 34.0

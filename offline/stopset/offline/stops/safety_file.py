@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from stopset.artifact import Model
 from stopset.offline.report import DISCLAIMER
 from stopset.offline.stops.measured import Measured
-from stopset.offline.stops.pdf import Document, Plot
+from stopset.offline.stops.pdf import PICTURE, Document, Plot
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, poses, seen, terms, up, worst
+from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, of_category, poses, seen, terms, up, worst
 from stopset.offline.stops.table import Row, holding
 
 
@@ -35,7 +35,7 @@ def build_pdf(
     for category in dict.fromkeys(r.category for r in rows):
         drawn = [j for j in joints_of(rows, category) if lines(rows, category, j, "time_s")]
         if drawn:
-            doc.heading(NAMES[category])
+            doc.heading(NAMES[category], keep=PICTURE)
         for joint in drawn:
             doc.plots([
                 Plot(f"{axis_name(joint)}, full extension", lines(rows, category, joint, quantity),
@@ -48,10 +48,10 @@ def build_pdf(
     for a in assumptions:
         doc.text(a)
     for category in dict.fromkeys(r.category for r in rows):
-        doc.heading(f"Every row of {NAMES[category]}")
+        doc.heading(f"Every row of {NAMES[category]}", keep=60.0)
         doc.table(
             ("axis", "speed %", "kg", "ext. %", "time s", "angle rad", "TCP m", "remark"),
-            [_cells(r) for r in rows if r.category == category], (2.4, 1, 0.8, 0.8, 1.1, 1.3, 1.1, 6),
+            [_cells(r) for r in of_category(rows, category)], (2.4, 1, 0.8, 0.8, 1.1, 1.3, 1.1, 6),
         )  # fmt: skip
     columns, table = poses(rows, model)
     if table:

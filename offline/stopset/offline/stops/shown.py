@@ -56,6 +56,12 @@ def joints_of(rows: Sequence[Row], category: Category) -> list[str]:
     return sorted(dict.fromkeys(r.joint for r in rows if r.category == category), key=lambda j: ("+" in j, j))
 
 
+def of_category(rows: Sequence[Row], category: Category) -> list[Row]:
+    """A category's rows, axis by axis."""
+    axes = joints_of(rows, category)
+    return sorted((r for r in rows if r.category == category), key=lambda r: axes.index(r.joint))
+
+
 def worst(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved."""
     for category in dict.fromkeys(r.category for r in rows):

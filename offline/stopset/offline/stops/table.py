@@ -230,9 +230,9 @@ def _row(
     )  # fmt: skip
 
 
-def _up(x: float) -> float:
-    """Rounded outward to 1e-6, so that a printed number is still a bound."""
-    return float(np.ceil(x * 1e6) / 1e6)
+def _up(x: float, digits: int = 6) -> float:
+    """Rounded outward, so that a printed number is still a bound."""
+    return float(np.ceil(x * 10**digits) / 10**digits)
 
 
 def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list[Row], dict[Category, StopBound]]:
@@ -295,8 +295,8 @@ def holding(model: Model, rows: Sequence[Row]) -> list[str]:
     left = [r.fallback for r in rows if r.fallback is not None]
     if left:
         out.append(
-            f"STOP 2, standstill window left: the STOP 0 that follows adds at most {_up(max(x[0] for x in left)):g} rad and "
-            f"{_up(max(x[1] for x in left)):g} s, worst of all rows"
+            f"STOP 2, standstill window left: the STOP 0 that follows adds at most {_up(max(x[0] for x in left), 3):.3f} rad and "
+            f"{_up(max(x[1] for x in left), 3):.3f} s, worst of all rows"
         )
     return out
 
