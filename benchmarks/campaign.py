@@ -52,37 +52,52 @@ def trials(count: int, joints: int, seed: int = 0, scatter: float = 1.0) -> Iter
         place += 1
 
 
-def measure(count: int, folder: Path) -> tuple[float, float]:
-    """Wall seconds and peak MiB of `stopset identify` on ``count`` trials, in a process of its own."""
+def record(path: Path, count: int, seed: int = 0) -> Path:
+    """``count`` trials in a file."""
     robot = load_robot("lwa4p")
-    data = folder / f"{count}.parquet"
     meta = Meta(joints=robot.joints, robot="LWA-4P, synthetic", effort="compensated_torque", rate_hz=RATE)
-    write_recordings(data, meta, trials(count, robot.n))
+    write_recordings(path, meta, trials(count, robot.n, seed))
+    return path
+
+
+def identify(*words: str | Path) -> tuple[float, float]:
+    """Wall seconds of `stopset identify` in a process of its own, and the highest peak MiB of any such process so far."""
     start = time.monotonic()
-    command = [
-        sys.executable,
-        "-m",
-        "stopset.cli.main",
-        "identify",
-        "--robot",
-        "lwa4p",
-        "--data",
-        str(data),
-        "--out",
-        str(folder / "m.json"),
-    ]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "stopset.cli.main", "identify", *map(str, words)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+
+
+def kept(folder: Path, old: Path, new: Path, how: str) -> None:
+    """What keeping costs, and what an update by the trials in ``new``."""
+    state, model = folder / how, folder / f"{how}.json"
+    seconds, memory = identify("--robot", "lwa4p", "--data", old, "--out", model, "--keep", state, "--keep-as", how)
+    size = state.stat().st_size / 1e6
+    print(
+        f"keep {how}: {seconds:.1f} s, peak {memory:.0f} MiB, state {size:.1f} MB (recordings {old.stat().st_size / 1e6:.1f} MB)"
+    )
+    seconds, memory = identify("--update", model, "--state", state, "--data", new, "--out", folder / "updated.json")
+    print(f"  update: {seconds:.1f} s, peak {memory:.0f} MiB")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=2280)
-    whole = parser.parse_args().trials
+    parser.add_argument("--kept", action="store_true", help="measure --keep and --update too")
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        for count in (whole // 10, whole // 3, whole):
-            seconds, memory = measure(count, Path(name))
-            print(f"{count:6d} trials: {seconds:7.1f} s, {1e3 * seconds / count:6.1f} ms per trial, peak {memory:6.0f} MiB")
+        folder = Path(name)
+        for count in (args.trials // 10, args.trials // 3, args.trials):
+            data = record(folder / f"{count}.parquet", count)
+            seconds, memory = identify("--robot", "lwa4p", "--data", data, "--out", folder / "m.json")
+            print(
+                f"{count:6d} trials: {seconds:7.1f} s, {1e3 * seconds / count:6.1f} ms per trial, peak {memory:6.0f} MiB",
+                flush=True,
+            )
+        if args.kept:
+            new = record(folder / "new.parquet", args.trials // 10, seed=7)
+            for how in ("sums", "signals"):
+                kept(folder, data, new, how)
 
 
 if __name__ == "__main__":

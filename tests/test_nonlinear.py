@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
+from stopset.offline import survey
 from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
 from stopset.offline.compare import compare
 from stopset.offline.conform import cooperative as co
@@ -29,6 +31,7 @@ from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulati
 from stopset.recording import Recording
 from stopset.robot import load_robot
 from stopset.sets import Box
+from synthetic import arm, recordings, save_trials
 from test_abstraction import ROTOR, two_link
 
 DT = 0.01
@@ -326,12 +329,13 @@ def test_trials_beyond_those_in_memory_are_enclosed_and_what_fixes_the_sets_is_n
     monkeypatch.setattr(nonlinear_sets, "TOGETHER", 3)
     monkeypatch.setattr(nonlinear, "WINDOWS", 200)
     got = conform_nonlinear(motions(data, 8), fitted, ("a", "b"), Box.symmetric(NOISE), 0.02, 0.6, Options(margin=1.0), 16)
-    assert not any(worst_excess(fitted, got.sets, data))
+    where = [[s for k, s in nonlinear.starts(data, "sliding", 200) if k == trial] for trial in range(16)]
+    assert not any(worst_excess(fitted, got.sets, x, at) for x, at in zip(data, where, strict=True))
     assert any("found on 4 of 16 trials" in x for x in got.notes) and "All 16 recorded trials" in got.guarantee.text
     assert any("all trials, held-out ones too, are enclosed" in x for x in got.notes)
     few = got.table["all"]  # fitted to what was kept, it does not hold the last one: the check is what encloses it
     small = UncertaintySets(few.X0, few.U, few.V, 0.02, 0.6)
-    assert worst_excess(fitted, small, data)[-1] is not None
+    assert worst_excess(fitted, small, data[-1], where[-1]) is not None
     # what fixes U, and what it would be without one of the two motions
     sides = {x.bound for x in got.sets.active}
     assert {"U[a].lo", "U[a].hi", "U[b].lo", "U[b].hi"} <= sides
@@ -361,6 +365,26 @@ def test_the_abstraction_of_an_identified_arm() -> None:
         assert model.kind == kind and model.standstill[0] == 0.01
         rest = model.ddq(poses.mean(axis=0)[None], np.zeros((1, 2)), np.ones((1, 2)))
         assert np.all(np.isfinite(rest))
+
+
+def test_comparing_holds_one_trial_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five times as many recordings take no more memory."""
+    monkeypatch.setattr(survey, "KEEP", 4)
+    few, many = (
+        save_trials(tmp_path / f"{count}.parquet", recordings((1.0, 0.5), (4.0, 2.0), 2, count, 1.5, bias=0.0), ("a", "b"),
+                    effort="motor_torque")
+        for count in (8, 40)
+    )  # fmt: skip
+    found = identify(arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0))
+    assert not compare(found.model, [few]).violations  # compiled by now, which takes memory too
+    peaks = []
+    for path in (few, many):
+        tracemalloc.start()
+        assert len(compare(found.model, [path]).rows) == (16 if path == few else 80)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    trial = 8 * 376 * 7  # bytes of t, q, dq, tau
+    assert peaks[1] - peaks[0] < 10 * trial, peaks
 
 
 @pytest.mark.shared

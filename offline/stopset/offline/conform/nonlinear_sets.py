@@ -8,7 +8,7 @@ time, held-out motions are judged, and the sets grow until every window that was
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -144,7 +144,7 @@ def _left(
 ) -> tuple[dict[int, Array], int]:
     """What encloses each motion still asks of the sets, one factor each; and of how many window starts.
 
-    All trials pass by, at most `TOGETHER` in memory.  The starts are those that `worst_excess` looks at, and many more in
+    All trials pass by, at most `TOGETHER` in memory.  The starts are those that `compare` looks at, and many more in
     the motions held out.
     """
     out: dict[int, Array] = {}
@@ -232,16 +232,16 @@ class Excess(NamedTuple):
     half: float
 
 
-def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trials: Sequence[Trial]) -> list[Excess | None]:
-    """Per trial, the reading furthest outside (in half-widths), or None; the windows are those of the identification.
+def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trial: Trial, starts: Iterable[int]) -> Excess | None:
+    """The reading of a trial furthest outside its predicted tube (in half-widths) over these window starts, None if none is.
 
-    ``trials`` on the sets' grid.  A decoupled model, whose every start was identified on, is checked at evenly spread
+    ``trial`` on the sets' grid.  A decoupled model, whose every start was identified on, may be checked at evenly spread
     ones.
     """
     n, steps = abstraction.n, round(sets.horizon / sets.dt)
-    out: list[Excess | None] = [None] * len(trials)
-    for k, s in along.starts(trials, sets.windows, along.WINDOWS):
-        x, u = trials[k]
+    worst: Excess | None = None
+    x, u = trial
+    for s in starts:
         last = min(steps, len(x) - 1 - s)
         lo, hi = predicted_tube(abstraction, sets, x[s], u[s : s + last])
         seen = x[s : s + last + 1]
@@ -251,11 +251,10 @@ def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trials: Sequen
         relative = np.maximum(above, below) / half
         age, state = np.unravel_index(int(np.argmax(relative)), relative.shape)
         size = float(max(above[age, state], below[age, state]))
-        before = out[k]
-        if size > 0.0 and (before is None or size / half[age, state] > before.size / before.half):
+        if size > 0.0 and (worst is None or size / half[age, state] > worst.size / worst.half):
             up = bool(above[age, state] >= below[age, state])
-            out[k] = Excess(s, int(age) + 1, int(state), up, size, float(half[age, state]))
-    return out
+            worst = Excess(s, int(age) + 1, int(state), up, size, float(half[age, state]))
+    return worst
 
 
 def thinned(r: Recording, u: Array, every: int) -> tuple[Recording, Array]:
