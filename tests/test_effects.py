@@ -125,6 +125,8 @@ def test_interval_encloses_every_sample(effect: Effect) -> None:
         inside = {k: rng.uniform(b.lo, b.hi) for k, b in boxes.items()}
         torque = np.broadcast_to(effect.torque(signals(inside, effect), values), 50)
         assert np.all(torque >= np.broadcast_to(bound.lo, 50)) and np.all(torque <= np.broadcast_to(bound.hi, 50))
+        for rate, range_ in zip(*(effect.rates(signals(x, effect), values) for x in (inside, boxes)), strict=True):
+            assert np.all((rate >= range_.lo) & (rate <= range_.hi)), "the states' flow"
 
 
 def compiler() -> list[str]:
@@ -144,6 +146,8 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
         text = {k: CText(f"s[{i}]") for i, k in enumerate(s)}
         torque = e.torque(signals(text, e), {k: CText(f"v[{i}]") for i, k in enumerate(values)})
         lines.append(f"double {e.name}(const double *s, const double *v) {{ return {torque}; }}")
+        rates = e.rates(signals(text, e), {k: CText(f"v[{i}]") for i, k in enumerate(values)})
+        lines += [f"double {e.name}_rate{k}(const double *s, const double *v) {{ return {r}; }}" for k, r in enumerate(rates)]
     folder = tmp_path_factory.mktemp("laws")
     source, library = folder / "laws.c", folder / "laws.so"
     source.write_text("\n".join(lines))
@@ -153,15 +157,17 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 
 def test_c_text_computes_the_same(effect: Effect, compiled: ctypes.CDLL) -> None:
-    function = getattr(compiled, effect.name)
-    function.restype = ctypes.c_double
     s, values = drawn(effect, np.random.default_rng(4))
-    numeric = np.broadcast_to(effect.torque(signals(s, effect), values), 50)
     v = (ctypes.c_double * len(values))(*values.values())
-    for k in range(50):
-        row = (ctypes.c_double * len(s))(*(x[k] for x in s.values()))
-        # sin, cos and exp of two libraries differ by a few units in the last place; sums of ten products add as many
-        assert function(row, v) == pytest.approx(numeric[k], rel=1e-12, abs=1e-11)
+    sig = signals(s, effect)
+    wanted = {"": effect.torque(sig, values)} | {f"_rate{k}": r for k, r in enumerate(effect.rates(sig, values))}
+    for what, numeric in wanted.items():
+        function = getattr(compiled, effect.name + what)
+        function.restype = ctypes.c_double
+        for k in range(50):
+            row = (ctypes.c_double * len(s))(*(x[k] for x in s.values()))
+            # sin, cos and exp of two libraries differ by a few units in the last place; sums of ten products add as many
+            assert function(row, v) == pytest.approx(np.broadcast_to(numeric, 50)[k], rel=1e-12, abs=1e-11)
 
 
 def test_payload_tilt_and_offset_are_the_rigid_body_s_derivatives() -> None:

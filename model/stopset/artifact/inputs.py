@@ -121,7 +121,7 @@ def effect_torques(
     ``memories``: the states of effects with memory, else from their start along ``t``.
     """
     laws = [(f, get(f.effect)) for f in effects]
-    signals = _signals(robot, laws, q, dq, ddq, temp=temp, warm=warm, t=t)
+    signals = law_signals(robot, laws, q, dq, ddq, temp=temp, warm=warm, t=t)
     if memories is None:
         memories = memories_along(robot, effects, q, dq, temp=temp, warm=warm, t=t)
     if way is not None:
@@ -155,7 +155,7 @@ def memories_along(
     if t is None:
         names = ", ".join(f.label for f, _ in lasting.values())
         raise EffectError(f"{names} has a memory, and the samples have no times; give the times, or the states themselves")
-    signals = _signals(robot, list(lasting.values()), q, dq, None, temp=temp, warm=warm, t=t)
+    signals = law_signals(robot, list(lasting.values()), q, dq, temp=temp, warm=warm, t=t)
     first = np.arange(len(t)) == 0
     step = np.diff(t, append=t[-1:])
     out = {}
@@ -165,10 +165,11 @@ def memories_along(
     return out
 
 
-def _signals(
-    robot: Robot, laws: Sequence[tuple[Fitted, Effect]], q: Array, dq: Array, ddq: Array | None, *,
-    temp: Array | None, warm: float, t: Array | None,
+def law_signals(
+    robot: Robot, laws: Sequence[tuple[Fitted, Effect]], q: Array, dq: Array, ddq: Array | None = None, *,
+    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
 ) -> tuple[Signals, ...]:  # fmt: skip
+    """Signals of every joint as far as ``laws`` read them."""
     needs = {name for _, e in laws for name in e.needs}
     rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
     ddq = np.zeros_like(q) if ddq is None else ddq

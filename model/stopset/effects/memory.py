@@ -2,7 +2,8 @@
 
 Identification, diagnosis, monitor and FMU all step states by this rule (trap P18).  A single state whose flow is affine in
 it, ``dz/dt = b + a z``, is stepped exactly: friction that builds up over a way, a drive that warms.  The step then keeps the
-order of two states, so the ends of an interval enclose all states in between, and the middle stays the middle.
+order of two states, so the ends of an interval enclose all states in between, and the middle stays the middle.  So what was
+identified from one start holds for a monitor that does not know the start and carries both ends.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stopset.effects.base import Effect, Number, Signals
+from stopset.ring import Interval
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,25 +26,52 @@ Mask = NDArray[np.bool_]
 
 @cache
 def affine(effect: Effect) -> bool:
-    """Whether the effect has one state and its flow is affine in it, tried at random signals."""
+    """Whether the effect has one state, and its flow and its columns are affine in it, tried at random signals."""
     if len(effect.states) != 1:
         return False
     rng = np.random.default_rng(0)
     z = effect.states[0]
-    drawn: dict[str, Any] = {f.name: rng.uniform(-2.0, 2.0, 20) for f in fields(Signals) if f.name not in ("memory", "tip", "tilt", "way")}
-    ends = [float(np.clip(x, z.lo, z.hi)) for x in (-1.0, 1.0)]
-    lo, middle, hi = (_rate(effect, Signals(**drawn), {}, x) for x in (ends[0], 0.5 * sum(ends), ends[1]))
-    return bool(np.allclose(middle, 0.5 * (lo + hi), rtol=1e-9, atol=1e-9))
+    left_out = ("memory", "tip", "tilt", "way")
+    drawn: dict[str, Any] = {f.name: rng.uniform(-2.0, 2.0, 20) for f in fields(Signals) if f.name not in left_out}
+    lo, hi = (float(np.clip(x, z.lo, z.hi)) for x in (-1.0, 1.0))
+
+    def values(x: float) -> Array:
+        s = Signals(**drawn, memory=(x,))
+        return np.array([c + np.zeros(20) for c in (*effect.columns(s), *effect.rates(s, {}))])
+
+    return bool(np.allclose(values(0.5 * (lo + hi)), 0.5 * (values(lo) + values(hi)), rtol=1e-9, atol=1e-9))
 
 
-def _rate(effect: Effect, s: Signals, shapes: Mapping[str, Number], z: float) -> Array:
-    return np.asarray(effect.rates(replace(s, memory=(z,)), shapes)[0], float)
+def whole(effect: Effect, shapes: Mapping[str, Number], fastest: float) -> tuple[float, float]:
+    """Where the state of an affine effect can be if the joint never moved faster than ``fastest`` [rad/s].
+
+    The admissible range, made smaller where the flow leads back from beyond (a drive is no warmer than its fastest work).
+    """
+    z, start = effect.states[0], effect.at_start[0]
+    if not set(effect.needs) <= {"dq", "memory"}:
+        return z.lo, z.hi
+    s = Signals(dq=_between(-fastest, fastest), way=_between(-1.0, 1.0))
+
+    def end(beyond: float, sign: float) -> float:
+        near = start
+        for _ in range(50):  # bisection: ``beyond`` leads back if the flow does there, whatever the speed
+            middle = 0.5 * (near + beyond)
+            rate = sign * effect.rates(replace(s, memory=(_between(middle, middle),)), shapes)[0]
+            near, beyond = (near, middle) if rate.hi <= 0.0 else (middle, beyond)
+        return beyond
+
+    return end(z.lo, -1.0), end(z.hi, 1.0)
+
+
+def _between(lo: float, hi: float) -> Interval:
+    return Interval(np.array(lo), np.array(hi))
 
 
 def coefficients(effect: Effect, s: Signals, shapes: Mapping[str, Number]) -> tuple[Array, Array]:
     """``b`` [1/s times the state's unit] and ``a`` [1/s] of an affine flow ``dz/dt = b + a z``, sample by sample."""
-    b = _rate(effect, s, shapes, 0.0)
-    return b, _rate(effect, s, shapes, 1.0) - b
+    zero_one = np.array([[0.0], [1.0]])
+    rate, _ = np.broadcast_arrays(effect.rates(replace(s, memory=(zero_one,)), shapes)[0], zero_one)
+    return rate[0], rate[1] - rate[0]
 
 
 def stepped(z: Array, b: Array, a: Array, dt: float) -> Array:

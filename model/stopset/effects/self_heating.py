@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from stopset.effects.base import Effect, Number, Shape, Signals, Term
+from stopset.ring import absolute
 
 
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
@@ -22,7 +23,7 @@ def flow(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
     ``w`` is counted in the sliding speed that would keep it up for ever, so no heat capacity and no kelvin are needed.
     """
     (w,) = s.memory
-    return ((abs(s.dq) - w) * (1.0 / shape["tau_w"]),)
+    return ((absolute(s.dq) - w) * (1.0 / shape["tau_w"]),)
 
 
 EFFECT = Effect(

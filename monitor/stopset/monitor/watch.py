@@ -219,6 +219,7 @@ class Watch:
         self._age[:] = -1
         self._u = None
         self._since = self._next = 0
+        self._inputs.forget()
 
     def step(self, sample: Sample) -> Verdict:
         """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
