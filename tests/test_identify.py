@@ -155,6 +155,24 @@ def test_an_arm_of_which_one_joint_stands_still(tmp_path: Path) -> None:
     np.testing.assert_allclose(1 / result.model.abstraction.Minv[0, 0], 2.0, rtol=0.1)
 
 
+def test_a_joint_held_by_stiction_keeps_the_inertia_of_the_description(tmp_path: Path) -> None:
+    """Torque that moves nothing fits an infinite inertia: sets of any width would then enclose it, and nothing else."""
+    trials = recordings((2.0, 0.7), (9.0, 4.0), trials=6)
+    stuck = []
+    for r in trials:
+        q, dq, tau = r.q.copy(), r.dq.copy(), 0.3 * r.tau
+        q[:, 1], dq[:, 1] = 0.2 + 1e-3 * tau[:, 1], np.gradient(1e-3 * tau[:, 1], DT)
+        stuck.append(dataclasses.replace(r, q=q, dq=dq, tau=np.column_stack([r.tau[:, 0], tau[:, 1]])))
+    result = found(tmp_path, stuck)
+    assert enclosed(result, tmp_path)
+    described = 2 * 0.15**2 + 0.02
+    inertia = 1 / np.diag(result.model.abstraction.Minv)
+    assert described / 3 < inertia[1] < 3 * described
+    assert result.model.powered.U.width[1] < 1.5 * np.ptp([r.tau[:, 1] for r in stuck])
+    assert any("undetermined" in note and "axis_2" in note for note in result.model.notes)
+    np.testing.assert_allclose(inertia[0], 2.0, rtol=0.1)
+
+
 def test_a_stuck_signal_in_one_trial(tmp_path: Path) -> None:
     """A frozen encoder under full torque: conformant sets become wide and say which trial made them so."""
     trials = recordings((2.0, 0.7), (9.0, 4.0), trials=4)

@@ -83,16 +83,23 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
     sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
     batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
     wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
+    expected = np.diag(_mean_inertia(robot, robot.rotor, found))
     fits = []
-    for joint, batch in zip(robot.joints, batches, strict=True):
+    for joint, batch, J in zip(robot.joints, batches, expected, strict=True):
         terms = [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
-        fits.append(fit_joint(batch, joint, terms))
+        fits.append(fit_joint(batch, joint, terms, float(J)))
     inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
     abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
     viscous = tuple(Fitted("viscous", j, {"F_v": f.damping}, {"F_v": f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
     notes = (
         "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
         "off before recording and are not known to this model",
+        *(
+            f"undetermined: inertia and damping of {j}, which moves over {np.ptp(b.q[b.inside > 0]):.2f} rad only; kept near the "
+            "description's inertia and a usual damping: record motions that move it"
+            for j, b, f in zip(robot.joints, batches, fits, strict=True)
+            if not f.determined
+        ),
     )
     return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
 
@@ -113,16 +120,22 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")
     arm = nominal.robot(cad)
-    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
-    inertia = np.mean([mass_matrix(arm.chain, arm.pi, q) for q in poses], axis=0) + np.diag(nominal.rotor)
+    inertia = _mean_inertia(arm, nominal.rotor, found)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
     abstraction = Abstraction(
-        1, 1, np.linalg.inv(inertia), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
+        1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
     )
     notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data)
+
+
+def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
+    """(n, n) [kg m^2]: ``M(q) + rotor`` in the mean over the poses seen."""
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    mean: Array = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
+    return mean
 
 
 def _shows(fitted: Fitted) -> bool:

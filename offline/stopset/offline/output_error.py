@@ -25,11 +25,19 @@ Array = NDArray[np.float64]
 VELOCITY_TIME = 0.3
 ITERATIONS = 15  # of the damped Gauss-Newton steps with effects; they start from the fit without
 PROGRESS = 1e-5  # relative fall of the cost below which the fit is done
+# a joint that hardly moves fits any inertia, as the infinite one explains standing still best of all; where the relative
+# standard deviation says so the description's inertia and a drive's usual time constant J / v decide, each within a factor e
+UNDETERMINED = 0.5
+NOT_FELT = 1e-6  # of the strongest parameter's influence on the simulation: less is a rounded zero
+USUAL_TIME = 0.2  # [s]; the joints of a real arm (LWA-4P) have 0.1 to 0.7 s
 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """One joint: values and standard deviations of inertia, damping, offset; its effects; RMS errors of the simulation."""
+    """One joint: values and standard deviations of inertia, damping, offset; its effects; RMS errors of the simulation.
+
+    ``determined``: whether inertia and damping come from the recordings; else they are near the description's.
+    """
 
     inertia: float
     damping: float
@@ -38,21 +46,26 @@ class JointFit:
     effects: tuple[Fitted, ...]
     q_rmse: float
     dq_rmse: float
+    determined: bool = True
 
 
-def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = ()) -> JointFit:
-    """Fit one joint over all trials of the batch."""
-    base = fit_lag(batch)
-    columns = sum(len(t.effect.terms) for t in terms)
-    p = np.concatenate([base, np.zeros(columns)])
-    if columns:
-        p = gauss_newton(batch, terms, p)
-    e, jacobian = residuals(batch, terms, p, with_jacobian=True)
-    return _packed(batch, joint, terms, p, e, jacobian)
+def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), described: float | None = None) -> JointFit:
+    """Fit one joint over all trials of the batch.
+
+    ``described``: inertia of the joint by the robot's description [kg m^2], for a joint that these trials hardly move.
+    """
+    p = fit_lag(batch)
+    determined = described is None or bool(np.all(_spread(batch, (), p)[:2] < UNDETERMINED))
+    if not determined:
+        p = fit_lag(batch, described)
+    p = np.concatenate([p, np.zeros(sum(len(t.effect.terms) for t in terms))])
+    if terms:
+        p = gauss_newton(batch, terms, p, lag_known=not determined)
+    return _packed(batch, joint, terms, p, determined)
 
 
-def fit_lag(batch: JointBatch) -> Array:
-    """``log J, log v, offset`` without effects: linear filters over the whole batch."""
+def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
+    """``log J, log v, offset`` without effects: linear filters over the whole batch; ``described``: inertia expected [kg m^2]."""
     dt, weight = batch.dt, batch.inside
     impulse = np.cumsum(batch.u * dt, axis=0)
     elapsed = dt * np.arange(len(batch.u))[:, None]
@@ -67,6 +80,15 @@ def fit_lag(batch: JointBatch) -> Array:
         q = batch.q[0] + (moved - J * (dq - dq[0])) / v
         return np.concatenate([((batch.q - q) * weight).ravel(), (VELOCITY_TIME * (batch.dq - dq) * weight).ravel()])
 
+    if described is not None:
+        expected = np.array([np.log(described), np.log(described / USUAL_TIME), 0.0])
+        # the trial is the independent unit: what is expected weighs as much as one of them
+        weigh = np.sqrt(np.sum(misfit(expected) ** 2) / batch.inside.shape[1])
+
+        def with_expected(p: Array) -> Array:
+            return np.concatenate([misfit(p), weigh * np.array([p[0] - expected[0], p[1] - p[0] + np.log(USUAL_TIME)])])
+
+        return np.asarray(least_squares(with_expected, expected, method="lm").x)
     starts = ((1.0, 5.0), (5.0, 20.0), (12.0, 30.0))
     fits = [least_squares(misfit, [np.log(J), np.log(v), 0.0], method="lm") for J, v in starts]
     return np.asarray(min(fits, key=lambda r: float(r.cost)).x)
@@ -87,13 +109,20 @@ def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jac
     return e[0], ((e[1:] - e[0]) / step[: len(e) - 1, None]).T
 
 
-def gauss_newton(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps: int = ITERATIONS) -> Array:
-    """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more."""
+def gauss_newton(
+    batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps: int = ITERATIONS, lag_known: bool = False
+) -> Array:
+    """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more.
+
+    ``lag_known``: inertia and damping stay as they are.
+    """
     damping = 1e-3
     lo = np.array([-np.inf] * 3 + [t.lo for x in terms for t in x.effect.terms])
     hi = np.array([np.inf] * 3 + [t.hi for x in terms for t in x.effect.terms])
     for _ in range(steps):
         e, D = residuals(batch, terms, p, with_jacobian=True)
+        if lag_known:
+            D[:, :2] = 0.0
         cost, A, g = float(e @ e), D.T @ D, D.T @ e
         for _ in range(6):
             trial = np.clip(p - np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g), lo, hi)
@@ -110,23 +139,40 @@ def gauss_newton(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps
     return p
 
 
-def _packed(batch: JointBatch, joint: str, terms: Sequence[EffectTerm], p: Array, e: Array, jacobian: Array) -> JointFit:
+def _spread(batch: JointBatch, terms: Sequence[EffectTerm], p: Array) -> Array:
+    """Standard deviations of ``p``: trials, not samples, are independent, so scatter is taken by trial (sandwich).
+
+    Infinite for what the simulation does not depend on.
+    """
+    e, jacobian = residuals(batch, terms, p, with_jacobian=True)
+    size = np.linalg.norm(jacobian, axis=0)
+    felt = size > NOT_FELT * size.max()
+    scaled = jacobian[:, felt] / size[felt]  # else a weak parameter drowns in the inverse
     N, B = batch.inside.shape
-    # trials, not samples, are independent: scatter by trial (sandwich), not by row
-    by_trial = (jacobian.reshape(2, N, B, -1) * e.reshape(2, N, B, 1)).sum(axis=(0, 1))
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    std = np.sqrt(np.maximum(np.diag(bread @ (by_trial.T @ by_trial) @ bread), 0.0))
+    by_trial = (scaled.reshape(2, N, B, -1) * e.reshape(2, N, B, 1)).sum(axis=(0, 1))
+    bread = np.linalg.pinv(scaled.T @ scaled)
+    std = np.full(len(p), np.inf)
+    std[felt] = np.sqrt(np.maximum(np.diag(bread @ (by_trial.T @ by_trial) @ bread), 0.0)) / size[felt]
+    return std
+
+
+def _packed(batch: JointBatch, joint: str, terms: Sequence[EffectTerm], p: Array, determined: bool) -> JointFit:
+    e, std = residuals(batch, terms, p, with_jacobian=False)[0], _spread(batch, terms, p)
+    if not determined:
+        std[:2] = 1.0  # what is expected holds within a factor e
     rows = int(batch.inside.sum())
     q_sum, dq_sum = (float(x @ x) for x in np.split(e, 2))
     effects, at = [], 3
     for term in terms:
         names = [t.symbol for t in term.effect.terms]
         values = dict(zip(names, p[at : at + len(names)].tolist(), strict=True)) | dict(term.shapes)
-        spread = dict(zip(names, std[at : at + len(names)].tolist(), strict=True))
+        admissible = [t.hi - t.lo for t in term.effect.terms]  # all that is known of what these trials do not show
+        spread = dict(zip(names, np.minimum(std[at : at + len(names)], admissible).tolist(), strict=True))
         effects.append(Fitted(term.effect.name, joint, values, spread))
         at += len(names)
     J, v = float(np.exp(p[0])), float(np.exp(p[1]))
     return JointFit(
         inertia=J, damping=v, offset=float(p[2]), std=(J * std[0], v * std[1], float(std[2])), effects=tuple(effects),
         q_rmse=float(np.sqrt(q_sum / rows)), dq_rmse=float(np.sqrt(dq_sum / rows) / VELOCITY_TIME),
+        determined=determined,
     )  # fmt: skip
