@@ -28,7 +28,7 @@ JOINTS = names(2)
 # every message tells what to do or what was expected in one of these words
 MEND = (
     "expected", "give", "choose", "create", "convert", "identify again", "restore", "free space", "add ", "record", "copy",
-    "run ", "remove", "sort", "make them agree", "change",
+    "run ", "remove", "sort", "make them agree", "change", "check ",
 )  # fmt: skip
 
 
@@ -385,6 +385,55 @@ def test_a_file_that_cannot_be_written_is_an_output_error(tmp_path: Path, monkey
     long = tmp_path / ("n" * 300)
     with pytest.raises(OutputError, match="nnn"):
         write_text(long, "x")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["identify", "--robot", "robot.urdf", "--data", "rec.parquet", "--out", "rec.parquet"], "read by this command"),
+        (["identify", "--robot", "robot.urdf", "--data", "rec.parquet", "--out", "./robot.urdf"], "read by this command"),
+        (["identify", "--robot", "robot.urdf", "--data", "rec.parquet", "--out", "x", "--report", "x"], "the place of --"),
+        (["compare", "m.model.json", "--data", "rec.parquet", "--report", "m.model.json"], "read by this command"),
+        (["diagnose", "m.model.json", "--data", "rec.parquet", "--json", "link"], "read by this command"),
+        (["history", "m.model.json", "--json", "m.model.json"], "read by this command"),
+        (["stops", "m.model.json", "--csv", "m.model.json"], "read by this command"),
+        (["export-fmu", "m.model.json", "--out", "m.model.json"], "read by this command"),
+        (["inspect", "rec.parquet", "--json", "rec.parquet"], "read by this command"),
+    ],
+)
+def test_nothing_that_is_read_is_overwritten(cell: Path, planar, words: list[str], says: str) -> None:
+    (cell / "m.model.json").write_bytes((planar[0] / "m.model.json").read_bytes())
+    (cell / "link").symlink_to("rec.parquet")
+    refused(words, cell, says, alone=False)
+
+
+@pytest.mark.parametrize("command", ["diagnose", "stops", "workbench"])
+def test_recordings_of_another_robot_are_refused_everywhere(planar, tmp_path: Path, command: str) -> None:
+    t = {k.replace("axis_", "achse_"): v for k, v in table().items()}
+    save(tmp_path / "bad.parquet", t, meta(("achse_1", "achse_2")))
+    more = {"stops": ["--report", "x.html"], "workbench": ["--port", "0"]}.get(command, [])
+    refused(
+        [command, planar[0] / "m.model.json", "--data", "bad.parquet", *more], tmp_path, "do not belong together", alone=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["stops", "m.model.json", "--data", "rec.parquet"], "--report"),
+        (["stops", "m.model.json", "--separation"], "v_h"),
+        (["export-fmu", "m.model.json", "--out", "x.zip"], ".fmu"),
+        (["plan", "--robot", "robot.urdf", "--out", "x", "--floor", "99"], "lower --floor"),
+        (["import", "here", "--out", "x.parquet"], "is a directory"),
+        (["watch", "--connect", "nonsense", "--port", "0"], "nonsense"),
+        (["watch", "--connect", "tcp/127.0.0.1:1", "--port", "0"], "127.0.0.1:1"),
+    ],
+)
+def test_a_question_that_cannot_be_answered_is_told_before_the_work(cell: Path, planar, words: list[str], says: str) -> None:
+    (cell / "m.model.json").write_bytes((planar[0] / "m.model.json").read_bytes())
+    (cell / "here").mkdir()
+    text = refused(words, cell, says, alone=False)
+    assert ".rs" not in text  # no library's own source
 
 
 # ---- the command line itself

@@ -115,7 +115,7 @@ def test_it_refuses_before_it_serves(planar: Any, tmp_path: Path) -> None:
 
 def test_a_port_that_cannot_be_had_is_said_in_a_sentence(server: Server) -> None:
     for port in (99999, server.server_address[1]):  # no port number; taken already
-        with pytest.raises(BusError, match="choose another --port"):
+        with pytest.raises(BusError, match="choose another --host or --port"):
             Server(server.loop, "127.0.0.1", int(port))
 
 

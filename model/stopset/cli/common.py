@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stopset.errors import OutputError
 from stopset.files import writable, write_text
 
 T = TypeVar("T")
@@ -38,6 +39,30 @@ def check_outputs(*paths: str | Path | None) -> None:
     for p in paths:
         if p is not None:
             writable(p)
+
+
+# what a command may write, by option; everything else that names a file is read
+OUTPUTS = ("out", "json", "report", "csv", "pdf", "keep")
+
+
+def check_apart(args: argparse.Namespace) -> None:
+    """Refuse to write over what the same command reads or writes besides; raises `OutputError`."""
+    named: dict[Path, str] = {}
+    for name, value in sorted(vars(args).items(), key=lambda item: item[0] in OUTPUTS):
+        for p in value if isinstance(value, list) else [value]:
+            if not isinstance(p, str | Path) or (name not in OUTPUTS and not _is_file(p)):
+                continue
+            target, option = Path(p).absolute().resolve(), f"--{name.replace('_', '-')}"
+            if name in OUTPUTS and target in named:
+                raise OutputError(f"{option} {p} is also {named[target]}; expected a file of its own: choose another name")
+            named[target] = f"the place of {option}" if name in OUTPUTS else "read by this command"
+
+
+def _is_file(p: str | Path) -> bool:
+    try:
+        return Path(p).is_file()
+    except (OSError, ValueError):  # no name a file could have
+        return False
 
 
 def write_json(path: str | Path, data: Any) -> None:

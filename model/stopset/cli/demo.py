@@ -20,7 +20,7 @@ import numpy as np
 
 from stopset.cli.common import say
 
-HELP = "the whole story on a simulated arm: no file, no hardware, no network; under three minutes"
+HELP = "the whole story on a simulated arm: no file, no hardware, no network; a few minutes"
 
 HIDDEN = "spring:arm_4_joint"  # a dress pack that nobody told the model about
 ARM = "demo/cell/arm"

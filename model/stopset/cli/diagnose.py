@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args.json, args.report)
     model = load_model(args.model)
     names = [get(name).name for name in args.effects.split(",")] if args.effects else None
-    recordings = read_recordings(args.data)
+    recordings = read_recordings(args.data, model.robot)
     found, against = diagnose_model(model, recordings, names)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for rank, r in enumerate(found.ranked, start=1):

@@ -28,9 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Export; exit code 0."""
     from stopset.artifact import load_model
+    from stopset.errors import OutputError
     from stopset.fmu import export, reference_paths, write_reference
     from stopset.fmu.build import chosen
 
+    if args.out.suffix != ".fmu":
+        raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
     beside = [] if args.no_reference else list(reference_paths(args.out))
     check_outputs(args.out, args.json, args.report, *beside)
     platforms = [p.name for p in chosen(args.platform)]

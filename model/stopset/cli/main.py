@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import NoReturn
 
 from stopset import cli
+from stopset.cli.common import check_apart
 from stopset.errors import StopsetError
 
 # matrices here are small: threads of the linear algebra library would only wait for each other
@@ -64,7 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         module = importlib.import_module(f"stopset.cli.{words[0].replace('-', '_')}")
         parser.description = module.HELP
         module.add_arguments(parser)
-        return int(module.run(parser.parse_args(words[1:])))
+        args = parser.parse_args(words[1:])
+        check_apart(args)
+        return int(module.run(args))
     except StopsetError as e:
         sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")
         return 2

@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.artifact import load_model
     from stopset.cli.common import check_outputs, say, write_json
+    from stopset.errors import OutputError
     from stopset.files import write_bytes, write_text
     from stopset.offline.stops.measured import measured_stops
     from stopset.offline.stops.page import build_page
@@ -63,17 +64,20 @@ def run(args: argparse.Namespace) -> int:
     from stopset.recording import read_recordings
 
     check_outputs(args.json, args.report, args.csv, args.pdf)
+    if args.data and not (args.report or args.pdf):
+        raise OutputError("--data draws measured stops into pictures; add --report FILE.html or --pdf FILE")
     model = load_model(args.model)
+    recordings = list(read_recordings(args.data, model.robot)) if args.data else []
+    terms = _terms(args)
     rows, assumptions, question = _answer(args, model)
-    separations = _separations(args, rows)
+    separations = _separations(terms, rows) if args.separation else []
     if args.json:
         write_json(args.json, [r.as_json() for r in rows])
     if args.csv:
         write_text(args.csv, as_csv(rows))
     if args.report or args.pdf:
         measured = []
-        if args.data:
-            recordings = read_recordings(args.data, model.robot)
+        if recordings:
             kg = loads(model, question)[-1][1]
             measured = measured_stops(prepared(model, kg, question), recordings)
         if args.report:
@@ -173,20 +177,28 @@ def _numbers(text: str, count: int, option: str) -> Any:
     return values
 
 
-def _separations(args: argparse.Namespace, rows: Sequence[Any]) -> list[Any]:
-    from dataclasses import replace
-
+def _terms(args: argparse.Namespace) -> dict[str, float | None]:
+    """The separation distance's terms as given; what is missing is told before the work."""
     from stopset.errors import NotCovered
-    from stopset.offline.stops.separation import approach_distance, approach_distance_2024, protective_separation
+    from stopset.offline.stops.separation import protective_separation
 
     given = {
         "v_h": args.v_human, "T_r": args.reaction, "C": args.intrusion, "Z_d": args.person_uncertainty,
         "Z_r": args.robot_uncertainty, "D_DS": args.device_distance, "Z": args.supplement,
     }  # fmt: skip
-    if not args.separation:
-        if any(v is not None for v in given.values()):
-            raise NotCovered("terms of a separation distance were given without --separation; add it")
-        return []
+    if args.separation:
+        protective_separation(0.0, 0.0, 0.0, given)
+    elif any(v is not None for v in given.values()):
+        raise NotCovered("terms of a separation distance were given without --separation; add it")
+    return given
+
+
+def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[Any]:
+    from dataclasses import replace
+
+    from stopset.errors import NotCovered
+    from stopset.offline.stops.separation import approach_distance, approach_distance_2024, protective_separation
+
     out = []
     for category in dict.fromkeys(r.category for r in rows):
         mine = [r for r in rows if r.category == category]

@@ -39,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
             try:
                 page = Page(view, args.host, args.port)
             except (OSError, OverflowError) as e:
-                raise BusError(f"the page cannot be served on {args.host}:{args.port} ({e}); choose another --port") from e
+                raise BusError(
+                    f"the page cannot be served on {args.host}:{args.port} ({e}); choose another --host or --port"
+                ) from e
             page.start()
             say(f"page: http://{args.host}:{args.port}/")
         end = time.monotonic() + (args.seconds or float("inf"))

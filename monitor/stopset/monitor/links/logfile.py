@@ -19,7 +19,8 @@ def read_log(path: str | Path) -> Iterator[Frame]:
     """Classic data frames in file order; raises `RecordingError` for a file that is none of candump, ASC, BLF, TRC."""
     p = Path(path)
     if not p.is_file():
-        raise RecordingError(f"{p}: no such file; expected a candump (.log), ASC, BLF or TRC log")
+        what = "is a directory" if p.is_dir() else "no such file"
+        raise RecordingError(f"{p}: {what}; expected a candump (.log), ASC, BLF or TRC log")
     if p.suffix.lower() not in LOG_SUFFIXES:
         raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc")
     try:

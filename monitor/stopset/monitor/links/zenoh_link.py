@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,9 @@ class ZenohLink:
             self._session = zenoh.open(config)
         except Exception as e:
             where = ", ".join([*connect, *listen]) or str(file or "its defaults")
-            raise BusError(f"zenoh session on {where} cannot be opened ({e}); check addresses, ports and certificates") from e
+            # without the places in zenoh's own source
+            why = re.sub(r" at \S+\.rs:\d+\.?|, location: Some\(.*?\}\)", "", str(e)).strip()
+            raise BusError(f"zenoh session on {where} cannot be opened ({why}); check addresses, ports and certificates") from e
         self._publishers: dict[str, Any] = {}
         self._held: list[Any] = []
 

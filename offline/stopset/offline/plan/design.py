@@ -94,6 +94,7 @@ def design(
     """
     _check(wishes)
     rng = np.random.default_rng(wishes.seed)
+    data = None if recordings is None else accumulate(robot, recordings, FRICTION)
     e = envelope(robot, wishes.speed, wishes.torque, wishes.floor)
     progress("static poses")
     poses = static_poses(robot, e, wishes.poses, rng)
@@ -108,7 +109,6 @@ def design(
     suites, stops = _suites(fast, wishes), _stops(robot, fast, wishes)
     parts = _parts(poses, waves, slow, fast, suites, stops, wishes)
     progress("what each part tells")
-    data = None if recordings is None else accumulate(robot, recordings, FRICTION)
     nominal = None if data is None else solve_nominal(robot, data)
     parts, outlook = _outlook(robot, e, parts, poses, data, nominal)
     warnings = [f"{p.name} {k + 1}: {v}" for p in parts for k, m in enumerate(p.motions) for v in violations(robot, e, m)]

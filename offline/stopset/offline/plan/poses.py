@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stopset.errors import RobotError
 from stopset.offline.nominal.unknown import parameter_scale
 from stopset.offline.plan.motion import Envelope, heights
 from stopset.recording.types import Array
@@ -25,6 +26,11 @@ def static_poses(robot: Robot, e: Envelope, count: int, rng: np.random.Generator
     if e.floor is not None:
         hold &= heights(robot, q) >= e.floor
     q = q[hold]
+    if not len(q):
+        raise RobotError(
+            f"{robot.name}: none of {CANDIDATES} random poses can be held by its drives and stays above the floor; expected some: "
+            "lower --floor or raise --torque"
+        )
     zero = np.zeros_like(q)
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
     Y = regressors(robot.chain, q, zero, zero) * parameter_scale(robot) * weight[:, None]

@@ -36,7 +36,7 @@ class Separation:
 def _complete(given: Mapping[str, float | None], needed: tuple[str, ...]) -> dict[str, float]:
     missing = [ASKED[k] for k in needed if given.get(k) is None]
     if missing:
-        raise NotCovered(f"a separation distance needs every term; missing: {'; '.join(missing)}")
+        raise NotCovered(f"a separation distance needs every term; missing: {'; '.join(missing)}: give them")
     values = {k: float(given[k]) for k in needed}  # type: ignore[arg-type]
     bad = [k for k, v in values.items() if not 0.0 <= v < float("inf")]
     if bad:

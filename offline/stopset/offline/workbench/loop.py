@@ -134,7 +134,7 @@ class Loop:
     def _diagnose(self, job: Job) -> None:
         job.says = "trying every effect of the catalogue at every joint"
         model = self._models[-1][1]
-        found, against = diagnose_model(model, read_recordings(self.data), None)
+        found, against = diagnose_model(model, read_recordings(self.data, model.robot), None)
         self._keep("diagnose", found.as_json() | {"against": against}, diagnose_page(model, found, against))
 
     def _add(self, job: Job, effect: str = "", joint: str | None = None, force: bool = False) -> None:

@@ -31,7 +31,7 @@ class Server(http.server.ThreadingHTTPServer):
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as e:  # taken, not ours, or no port number at all
-            raise BusError(f"the page cannot be served on {host}:{port} ({e}); choose another --port") from e
+            raise BusError(f"the page cannot be served on {host}:{port} ({e}); choose another --host or --port") from e
         here = int(self.server_address[1])
         self.url = f"http://{host}:{here}/"
         self.names = {f"{name}:{here}" for name in {host, "localhost", "127.0.0.1"}}
