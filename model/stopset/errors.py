@@ -31,10 +31,6 @@ class NotCovered(StopsetError):
     """The question lies outside the model's domain of validity; no number is given."""
 
 
-class StaleSignal(StopsetError):
-    """A live signal is missing or too old; the monitor's state becomes unsafe."""
-
-
 class BusError(StopsetError):
     """A bus or a zenoh session cannot be opened or failed; check wiring, name and permissions."""
 

@@ -6,7 +6,6 @@ in the model file and should not carry a rigid-body library for that; the tests 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -66,10 +65,6 @@ class Robot:
     def rotor(self) -> Array:
         """(n,) reflected rotor inertia [kg m^2]; 0 where the data sheet gives none."""
         return np.asarray(np.nan_to_num(np.array([d.rotor_inertia for d in self.drives]), nan=0.0))
-
-    @property
-    def urdf_sha256(self) -> str:
-        return hashlib.sha256(self.urdf.encode()).hexdigest()
 
     def with_payload(self, mass: float, com: Array, inertia: Array | None = None) -> Robot:
         """The same arm with a rigid load in the last link: ``mass`` [kg], ``com`` (3,) [m] in the last link frame.

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from stopset.ring import cos, sin
 from stopset.robot.rigid import Array, Chain
 
 Number = Any
@@ -84,11 +83,6 @@ def _transposed(A: Matrix) -> Matrix:
 
 def _floats(A: Array) -> Any:
     return A.tolist()
-
-
-def sines(q: Sequence[Number]) -> tuple[list[Number], list[Number]]:
-    """Sine and cosine of every angle [rad]."""
-    return [sin(x) for x in q], [cos(x) for x in q]
 
 
 def _transforms(chain: Chain, s: Sequence[Number], c: Sequence[Number]) -> list[Matrix]:

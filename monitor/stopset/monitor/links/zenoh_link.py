@@ -42,7 +42,6 @@ class ZenohLink:
             # without the places in zenoh's own source
             why = re.sub(r" at \S+\.rs:\d+\.?|, location: Some\(.*?\}\)", "", str(e)).strip()
             raise BusError(f"zenoh session on {where} cannot be opened ({why}); check addresses, ports and certificates") from e
-        self._publishers: dict[str, Any] = {}
         self._held: list[Any] = []
 
     def key(self, name: str) -> str:
