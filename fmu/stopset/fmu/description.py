@@ -132,7 +132,8 @@ def _unknowns(variables: Variables) -> tuple[list[int], list[int], list[int]]:
     everything = list(variables)
     outputs = [k for k, v in enumerate(everything) if v.causality == "output"]
     derivatives = [k for k, v in enumerate(everything) if v.derivative]
-    return outputs, derivatives, sorted({*outputs, *derivatives})
+    states = [variables.reference(everything[k].derivative) for k in derivatives]
+    return outputs, derivatives, sorted({*outputs, *derivatives, *states})
 
 
 def _fmi2(root: ET.Element, variables: Variables) -> None:

@@ -12,12 +12,14 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from stopset.artifact import Model
+from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.files import write_text
 from stopset.fmu.variables import start_posture
@@ -84,11 +86,15 @@ def _run(model: Model, share: float) -> Reference:
     x, lo, hi, tau = (np.empty((rows, w)) for w in (2 * n, 2 * n, 2 * n, n))
     x[0] = np.concatenate([start_posture(model), np.zeros(n)])
     lo[0], hi[0] = x[0] + s.X0.lo, x[0] + s.X0.hi
+    effects = model.input.effects
+    states = memories_along(model.robot, effects, x[:1, :n], x[:1, n:], t=t[:1])
     for k in range(rows):
         now = slice(k, k + 1)
         q, dq = x[now, :n], x[now, n:]
-        tau[k] = wanted[k] - model.input(q, dq, np.zeros((1, n)), temp=temp[now], t=t[now])[0]
-        u = model.input(q, dq, tau[now], temp=temp[now], t=t[now])[0]
+        here: dict[str, Any] = {"temp": temp[now], "t": t[now], "memories": states}
+        tau[k] = wanted[k] - model.input(q, dq, np.zeros((1, n)), **here)[0]
+        u = model.input(q, dq, tau[now], **here)[0]
+        states = memories_after(model.robot, effects, states, q, dq, s.dt, temp=temp[now])
         if k + 1 < rows:
             x[k + 1] = step(x[k], u)
             if not model.abstraction.linear:  # decoupled joints are cooperative: the corners stay the corners

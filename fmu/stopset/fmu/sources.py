@@ -26,7 +26,7 @@ FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",
     "fmi3FunctionTypes.h", "fmi3Functions.h", "fmi3PlatformTypes.h",
 )  # fmt: skip
-GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR")
+GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR", "MEMORY", "MEMORY_RATE", "MEMORY_START")
 KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTPUT", "local": "KIND_LOCAL"}
 
 
@@ -60,7 +60,9 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
             lines.append(f"#define VR_{group} 0")
         lines.append(f"#define N_{group} {variables.count(group)}")
     lines.append("#define VR_FIRST_PHYSICAL VR_VISCOUS")
-    lines.append(f"#define N_PHYSICAL {sum(variables.count(g) for g in ('VISCOUS', 'INERTIA', 'OFFSET', 'EFFECT'))}")
+    lines.append(
+        f"#define N_PHYSICAL {sum(variables.count(g) for g in ('VISCOUS', 'INERTIA', 'OFFSET', 'EFFECT', 'MEMORY_START'))}"
+    )
     lines += [f"#define {name} {value}" for name, value in flags.items()]
     return "/* Written by stopset export-fmu. */\n" + "\n".join(lines) + "\n"
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
-from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters
+from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters, remembered
 from stopset.reach.stops.plant import brakes_of
 
 Kind = Literal["Real", "Integer", "Boolean"]
@@ -128,6 +128,11 @@ def _outputs(m: Model) -> list[Variable]:
         Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", reach),
         Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
     ]
+    for r in remembered(m):
+        out.append(Variable(r.name, "MEMORY", "Real", "local", r.unit, r.means))
+    for r in remembered(m):
+        rate = f"rate of {r.name}"
+        out.append(Variable(f"der_{r.name}", "MEMORY_RATE", "Real", "local", f"{r.unit}/s", rate, derivative=r.name))
     if effect_laws(m).direction or brakes_of(m) is not None:
         margin = "positive while the direction of friction holds, {}"
         out += _joints(m, "friction_margin", "local", "", margin, group="INDICATOR")
@@ -174,6 +179,10 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
     offset = a.offset if a.offset.size else 0.0
     out += _joints(m, "offset", "parameter", "N.m", "constant torque taken off the input, {}", offset, "fixed")
     out += [Variable(p.name, "EFFECT", "Real", "parameter", p.unit, p.means, p.value, "fixed") for p in effects]
+    for r in remembered(m):
+        out.append(
+            Variable(r.start_name, "MEMORY_START", "Real", "parameter", r.unit, f"at the start: {r.means}", r.start, "fixed")
+        )
     return out
 
 

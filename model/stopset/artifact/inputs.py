@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
 from stopset.effects.base import Effect, Fitted, Signals
-from stopset.effects.memory import along
+from stopset.effects.memory import along, coefficients, stepped
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
 from stopset.errors import EffectError
@@ -162,6 +162,23 @@ def memories_along(
     for k, (f, effect) in lasting.items():
         assert f.joint is not None
         out[k] = along(effect, signals[robot.joints.index(f.joint)], f.values, first, step)
+    return out
+
+
+def memories_after(
+    robot: Robot, effects: Sequence[Fitted], memories: Memories, q: Array, dq: Array, dt: float, *,
+    temp: Array | None = None, warm: float = 0.0,
+) -> Memories:  # fmt: skip
+    """The states of affine effects ``dt`` [s] after the samples ``q, dq`` (N, n), each from its own state of ``memories``."""
+    lasting = {k: (effects[k], get(effects[k].effect)) for k in memories}
+    if not lasting:
+        return {}
+    signals = law_signals(robot, list(lasting.values()), q, dq, temp=temp, warm=warm)
+    out = {}
+    for k, (f, effect) in lasting.items():
+        assert f.joint is not None
+        b, a = coefficients(effect, signals[robot.joints.index(f.joint)], f.values)
+        out[k] = (stepped(memories[k][0], b, a, dt),)
     return out
 
 

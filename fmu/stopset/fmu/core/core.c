@@ -76,6 +76,7 @@ const char *stopset_setup(StopsetState *s, double t0) {
         s->r[VR_Q + i] = s->r[VR_Q_START + i];
         s->r[VR_DQ + i] = s->r[VR_DQ_START + i];
     }
+    for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = s->r[VR_MEMORY_START + k];
     s->as_identified = (uint8_t)as_identified(s);
     s->violated = 0;
     s->stopping = 0;
@@ -165,6 +166,7 @@ const char *stopset_step(StopsetState *s, double h) {
     }
     memcpy(&s->r[VR_Q], q, sizeof q);
     memcpy(&s->r[VR_DQ], dq, sizeof dq);
+    stopset_memory_step(s, h);
     return 0;
 }
 
@@ -225,7 +227,7 @@ void stopset_outputs(StopsetState *s) {
     }
     s->r[VR_AGE] = age_of(s);
     s->b[IX_COVERED] = (uint8_t)covered(s);
-    stopset_accelerations(s, &s->r[VR_DDQ]);
+    stopset_accelerations(s, &s->r[VR_DDQ], &s->r[VR_MEMORY_RATE]);
 #if N_INDICATOR
     stopset_indicators(s, &s->r[VR_INDICATOR]);
 #endif

@@ -229,9 +229,9 @@ Level stopset_set_time(Instance *c, double t) {
 }
 
 static Level right_count(Instance *c, const char *function, size_t n) {
-    if (n == NX) return LEVEL_OK;
+    if (n == NS) return LEVEL_OK;
     char what[120];
-    snprintf(what, sizeof what, "%u states; this model has %d", (unsigned)n, (int)NX);
+    snprintf(what, sizeof what, "%u states; this model has %d", (unsigned)n, (int)NS);
     return stopset_fail(c, function, what);
 }
 
@@ -241,6 +241,7 @@ Level stopset_set_states(Instance *c, const double x[], size_t n) {
         c->now.s.r[VR_Q + i] = x[i];
         c->now.s.r[VR_DQ + i] = x[NJ + i];
     }
+    for (int k = 0; k < N_MEMORY; k++) c->now.s.r[VR_MEMORY + k] = x[NX + k];
     c->now.s.outputs_ready = 0;
     return LEVEL_OK;
 }
@@ -251,13 +252,14 @@ Level stopset_get_states(Instance *c, double x[], size_t n) {
         x[i] = c->now.s.r[VR_Q + i];
         x[NJ + i] = c->now.s.r[VR_DQ + i];
     }
+    for (int k = 0; k < N_MEMORY; k++) x[NX + k] = c->now.s.r[VR_MEMORY + k];
     return LEVEL_OK;
 }
 
 Level stopset_get_derivatives(Instance *c, double dx[], size_t n) {
     if (right_count(c, "getDerivatives", n) || refresh(c)) return LEVEL_ERROR;
     for (int i = 0; i < NJ; i++) dx[i] = c->now.s.r[VR_DQ + i];
-    stopset_accelerations(&c->now.s, dx + NJ);
+    stopset_accelerations(&c->now.s, dx + NJ, dx + NX);
     return LEVEL_OK;
 }
 

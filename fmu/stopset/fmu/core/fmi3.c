@@ -379,7 +379,7 @@ fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) {
 }
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) {
     GIVEN(c);
-    *n = NX;
+    *n = NS;
     return fmi3OK;
 }
 fmi3Status fmi3EnterStepMode(fmi3Instance c) {

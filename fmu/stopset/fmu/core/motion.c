@@ -10,7 +10,7 @@
 
 #include "stopset_core.h"
 
-enum { NY = NV > 1 ? 3 * NX : NX };
+enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
 
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
@@ -24,18 +24,23 @@ int stopset_exact(const StopsetState *s) {
     return (!stopset_model.motor_torque && !HAS_EFFECTS) || s->b[IX_MEASURED];
 }
 
+/* Gravity torque where anything asks for it, else zero. */
+static void gravity_at(const StopsetState *s, const double q[NJ], int asked, double load[NJ]) {
+    double pi[NJ][10];
+    for (int i = 0; i < NJ; i++) load[i] = 0.0;
+    if (!asked) return;
+    stopset_loaded_links(s, pi);
+    stopset_gravity_torque(pi, stopset_model.gravity, q, load);
+}
+
 /* u of eq. (11) at the state (q, dq): torque without gravity and without the effects that the model compensates. */
-static void input_at(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const double way[NJ], double u[NJ]) {
+static void input_at(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const double *memory,
+                     const double way[NJ], double u[NJ]) {
     const int off = s->stopping == 1; /* drives without power: gravity and brakes are left */
     double load[NJ], effect[NJ];
-    memset(load, 0, sizeof load);
     memset(effect, 0, sizeof effect);
-    if (stopset_model.motor_torque || HAS_LOAD || off) {
-        double pi[NJ][10];
-        stopset_loaded_links(s, pi);
-        stopset_gravity_torque(pi, stopset_model.gravity, q, load);
-    }
-    if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, effect);
+    gravity_at(s, q, stopset_model.motor_torque || HAS_LOAD || off, load);
+    if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, memory, effect);
     for (int i = 0; i < NJ; i++) {
         u[i] = (off ? 0.0 : s->r[VR_TAU + i]) - s->r[VR_OFFSET + i] - effect[i];
         if (stopset_model.motor_torque || off) u[i] -= load[i];
@@ -50,25 +55,46 @@ static void input_at(const StopsetState *s, double t, const double q[NJ], const 
 /* u at the measured state, as stopset.artifact.inputs: at standstill friction balances what it can. */
 void stopset_input(const StopsetState *s, double u[NJ]) {
     double way[NJ];
-    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED];
+    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED], *memory = &s->r[VR_MEMORY];
     for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
-    input_at(s, s->r[VR_TIME], q, dq, way, u);
+    input_at(s, s->r[VR_TIME], q, dq, memory, way, u);
 #if HAS_EFFECTS
     if (!stopset_model.motor_torque) return;
-    double rest[NJ], load[NJ], ahead[NJ], back[NJ], pi[NJ][10];
+    double rest[NJ], load[NJ], ahead[NJ], back[NJ];
     memset(rest, 0, sizeof rest);
-    stopset_loaded_links(s, pi);
-    stopset_gravity_torque(pi, stopset_model.gravity, q, load);
+    gravity_at(s, q, 1, load);
     for (int i = 0; i < NJ; i++) way[i] = 1.0;
-    stopset_effects(s, q, rest, way, load, ahead);
+    stopset_effects(s, q, rest, way, load, memory, ahead);
     for (int i = 0; i < NJ; i++) way[i] = -1.0;
-    stopset_effects(s, q, rest, way, load, back);
+    stopset_effects(s, q, rest, way, load, memory, back);
     for (int i = 0; i < NJ; i++) {
         if (fabs(dq[i]) > stopset_model.standstill[i]) continue;
         double whole = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - load[i];
         u[i] = whole - fmin(fmax(whole, fmin(ahead[i], back[i])), fmax(ahead[i], back[i]));
     }
 #endif
+}
+
+/* Flow of what the effects remember at the measured state. */
+static void measured_rates(const StopsetState *s, const double *memory, double *rate) {
+    double way[NJ], load[NJ];
+    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED];
+    for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
+    gravity_at(s, q, HAS_LOAD, load);
+    stopset_memory_rates(s, q, dq, way, load, memory, rate);
+}
+
+/* dz/dt = b + a z with the measured state held: the exact step of stopset.effects.memory. */
+void stopset_memory_step(StopsetState *s, double h) {
+    double at[NM], b[NM], whole[NM];
+    for (int k = 0; k < NM; k++) at[k] = 0.0;
+    measured_rates(s, at, b);
+    for (int k = 0; k < NM; k++) at[k] = 1.0;
+    measured_rates(s, at, whole);
+    for (int k = 0; k < N_MEMORY; k++) {
+        double a = whole[k] - b[k], x = a * h, z = s->r[VR_MEMORY + k];
+        s->r[VR_MEMORY + k] = z + (b[k] + a * z) * h * (fabs(x) < 1e-12 ? 1.0 : expm1(x) / x);
+    }
 }
 
 static double viscous(const StopsetState *s, int i, double dq) {
@@ -78,11 +104,19 @@ static double viscous(const StopsetState *s, int i, double dq) {
 }
 
 /* Torque left for acceleration on each joint, friction directions as given. */
-static void net_torque(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const int32_t mode[NJ], double net[NJ]) {
+static void net_torque(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double net[NJ]) {
     double way[NJ];
     for (int i = 0; i < NJ; i++) way[i] = mode[i];
-    input_at(s, t, q, dq, way, net);
-    for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, dq[i]);
+    input_at(s, t, y, y + NJ, y + YM, way, net);
+    for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
+}
+
+/* Flow of what the effects remember at the simulated state. */
+static void own_rates(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double *rate) {
+    double way[NJ], load[NJ];
+    for (int i = 0; i < NJ; i++) way[i] = mode[i];
+    gravity_at(s, y, HAS_LOAD, load);
+    stopset_memory_rates(s, y, y + NJ, way, load, y + YM, rate);
 }
 
 /* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
@@ -113,8 +147,9 @@ static void accelerate(const StopsetState *s, const int32_t mode[NJ], const doub
 
 static void derivative(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
     double net[NJ];
-    const double *q = y, *dq = y + NJ;
-    net_torque(s, t, q, dq, mode, net);
+    const double *dq = y + NJ;
+    net_torque(s, t, y, mode, net);
+    own_rates(s, y, mode, dy + YM);
     accelerate(s, mode, net, dy + NJ);
     memcpy(dy, dq, NJ * sizeof *dy);
 #if NV > 1
@@ -173,9 +208,9 @@ static void settle(const StopsetState *s, double t, double y[NY], int32_t mode[N
         if (mode[i] == 0) y[NJ + i] = 0.0;
     }
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
-    net_torque(s, t, y, y + NJ, trial, up);
+    net_torque(s, t, y, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
-    net_torque(s, t, y, y + NJ, trial, down);
+    net_torque(s, t, y, trial, down);
     for (int sweep = 0; sweep < 2 * NJ; sweep++) {
         int changed = 0;
         for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
@@ -219,6 +254,7 @@ static void take(const StopsetState *s, double y[NY]) {
 #if NV > 1
     memcpy(y + NX, s->corner, sizeof s->corner);
 #endif
+    for (int k = 0; k < N_MEMORY; k++) y[YM + k] = s->r[VR_MEMORY + k];
 }
 
 void stopset_motion_reset(StopsetState *s) {
@@ -273,14 +309,16 @@ const char *stopset_integrate(StopsetState *s, double h) {
 #if NV > 1
     memcpy(s->corner, y + NX, sizeof s->corner);
 #endif
+    for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = y[YM + k];
     return 0;
 }
 
-void stopset_accelerations(const StopsetState *s, double ddq[NJ]) {
+void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate) {
     const double t = s->r[VR_TIME];
     double y[NY], net[NJ];
     int32_t mode[NJ];
-    if (s->stopping == 2) {
+    if (s->stopping == 2) { /* the ramp is given: no effect acts on it */
+        for (int k = 0; k < N_MEMORY; k++) rate[k] = 0.0;
         for (int i = 0; i < NJ; i++) ddq[i] = t - s->stop_start < s->r[VR_STOP1_TIME] ? -s->stop_dq[i] / s->r[VR_STOP1_TIME] : 0.0;
         return;
     }
@@ -288,13 +326,15 @@ void stopset_accelerations(const StopsetState *s, double ddq[NJ]) {
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (stopset_exact(s)) {
         stopset_input(s, net);
+        measured_rates(s, &s->r[VR_MEMORY], rate);
         for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
     } else {
         if (s->modes_by_events)
             memcpy(mode, s->mode, sizeof mode);
         else if (directional(s))
             settle(s, t, y, mode);
-        net_torque(s, t, y, y + NJ, mode, net);
+        net_torque(s, t, y, mode, net);
+        own_rates(s, y, mode, rate);
     }
     accelerate(s, mode, net, ddq);
 }
@@ -324,9 +364,9 @@ void stopset_indicators(const StopsetState *s, double z[NJ]) {
     int32_t trial[NJ];
     take(s, y);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : 1;
-    net_torque(s, t, y, y + NJ, trial, up);
+    net_torque(s, t, y, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : -1;
-    net_torque(s, t, y, y + NJ, trial, down);
+    net_torque(s, t, y, trial, down);
     for (int i = 0; i < NJ; i++) net[i] = s->mode[i] >= 0 ? up[i] : down[i];
     accelerate(s, s->mode, net, ddq);
     for (int i = 0; i < NJ; i++) {

@@ -10,7 +10,7 @@
 
 #include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, the VR_ and IX_ positions */
 
-enum { NX = 2 * NJ };
+enum { NX = 2 * NJ, NM = N_MEMORY > 0 ? N_MEMORY : 1, NS = NX + N_MEMORY }; /* joints, effects that remember, both */
 
 /* Needs nothing of the C library, unlike isfinite on some platforms. */
 static inline int stopset_finite(double x) { return x - x == 0.0; }
@@ -86,8 +86,8 @@ void stopset_outputs(StopsetState *s);
 void stopset_check(StopsetState *s);
 /* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
 int stopset_restart(StopsetState *s, double ahead);
-/* Accelerations at the present state [rad/s^2]. */
-void stopset_accelerations(const StopsetState *s, double ddq[NJ]);
+/* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
+void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate);
 
 /* linear.c */
 void stopset_phi(double Av[NJ][NJ], double h, StopsetStep *out);
@@ -98,6 +98,7 @@ void stopset_tube(StopsetState *s, double age, double lo[NX], double hi[NX]);
 /* motion.c */
 int stopset_exact(const StopsetState *s); /* whether the next step has a closed form */
 void stopset_input(const StopsetState *s, double u[NJ]);
+void stopset_memory_step(StopsetState *s, double h); /* at the measured state, held */
 void stopset_motion_reset(StopsetState *s);
 /* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
 int stopset_update_modes(StopsetState *s, double slack);
@@ -109,9 +110,11 @@ void stopset_stop_bounds(StopsetState *s);
 /* STOP 0 from the box q +- rq, dq +- rdq; 0 where nothing can be proved. */
 int stopset_stop(const StopsetState *s, const double q[NJ], const double dq[NJ], const double rq[NJ], const double rdq[NJ],
                  double angle[NJ], double speed[NJ], double *time, double *tcp);
-/* model_data.c: torque of the model's effects beyond the viscous polynomial [N m] */
+/* model_data.c: torque of the model's effects beyond the viscous polynomial [N m], and the flow of what they remember */
 void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
-                     const double load[NJ], double tau[NJ]);
+                     const double load[NJ], const double *memory, double tau[NJ]);
+void stopset_memory_rates(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
+                          const double load[NJ], const double *memory, double *rate);
 /* rigid.c */
 void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
 void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
