@@ -10,7 +10,7 @@ import pytest
 
 from stopset.artifact import load_model
 from stopset.cli.main import main
-from stopset.offline.adaptive_file import load_state
+from stopset.offline.adaptive_file import load_sums
 from synthetic import names, recordings, save_trials, urdf
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"
@@ -51,7 +51,9 @@ def test_several_effects_become_one_revision_and_the_useless_one_is_refused(
 ) -> None:
     model, data = warmed
     out, state = tmp_path / "1.model.json", tmp_path / "1.state"
-    code, answer = added(model, data, out, "warm_up:axis_1", "spring:axis_2", "cubic_viscous:axis_2", "--keep", str(state))
+    code, answer = added(
+        model, data, out, "warm_up:axis_1", "spring:axis_2", "cubic_viscous:axis_2", "--keep", str(state), "--keep-as", "sums"
+    )
     assert code == 0 and answer["helps"] is False
     revised = load_model(out)
     values = {f.label: f.values for f in revised.effects}
@@ -65,7 +67,7 @@ def test_several_effects_become_one_revision_and_the_useless_one_is_refused(
         assert last.after[key] < 0.5 * last.before[key], key
     said = capsys.readouterr().out
     assert "cubic_viscous:axis_2: refused" in said and "U width of axis_1" in said and "open-loop position error" in said
-    assert load_state(state, revised).nominal.effects == revised.effects
+    assert load_sums(state, revised).nominal.effects == revised.effects
 
     # what was judged is not judged again, and comes out the same; refused alone, it writes nothing
     again = tmp_path / "2.model.json"
