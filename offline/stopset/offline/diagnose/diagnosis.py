@@ -29,7 +29,7 @@ QUIET = 2.5  # the same where friction also wanders within a trial, as real driv
 WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
 PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
 PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
-TELLING = 0.33  # share of a joint's leftover one claim must explain; else, with rest left, the cause is outside the catalogue
+TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
@@ -138,14 +138,12 @@ def diagnose(
         return standing(robot, recordings, fitted)
     engine = Engine.build(robot, recordings, tolerance, known)
     _include(engine, fitted)
-    hyper, _ = engine.fit()
-    before = held_out(engine, hyper)
     already = list(engine.active)
     found = search(engine, names)
     left = _left(found, engine)
     verdict = _verdict(found, left)
     blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
-    ranked = _ranked(engine, found, already, before, left)
+    ranked = _ranked(engine, found, already, left)
     rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
@@ -228,8 +226,8 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             engine.active.append(candidate)
 
 
-def _ranked(engine: Engine, found: Found, known: list[Any], before: Any, left: _Left) -> tuple[Ranked, ...]:
-    out = []
+def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tuple[Ranked, ...]:
+    out, before = [], found.before
     active = list(engine.active)
     joints = engine.data.joints
     for k, claim in enumerate(found.claims):

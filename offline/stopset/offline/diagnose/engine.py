@@ -52,10 +52,12 @@ class Engine:
     prior_sd: Array  # (1 + base columns,) of y (unused) and the base model; inf: flat
     cad: Index  # base columns whose prior is the robot description
     rotors: Index  # and those whose prior is the data sheet
+    stamps: Index  # and those of the stamps, by joint
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...] = SCALES
     rotor_scales: tuple[float, ...] = ROTOR_SCALES
     active: list[Candidate] = field(default_factory=list)
+    held: tuple[int, ...] = ()  # base columns held at zero
     _level: dict[int, float] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
     _small: tuple[list[int], Engine] | None = field(default=None, init=False)  # the last `view`, and of which columns
@@ -102,6 +104,7 @@ class Engine:
             sd,
             base.astype(np.intp),
             own[:, 0].astype(np.intp),
+            own[:, 4].astype(np.intp),
             1 + 15 * n,
             scales,
             (1.0,) if known else ROTOR_SCALES,
@@ -165,6 +168,12 @@ class Engine:
             del self._made[next(iter(self._made))]
         return made
 
+    def forget(self, joint: int) -> None:
+        """Forget what was computed from other rows of ``joint``."""
+        self._made.clear()
+        self._level.pop(joint, None)
+        self._small = None
+
     def level(self, joint: int) -> float:
         """Typical friction torque of a joint [N m], the measure of what is large."""
         if joint not in self._level:
@@ -182,10 +191,15 @@ class Engine:
         return np.concatenate([base, *(c.cols for c in self.active)]).astype(np.intp)
 
     def precision(self, h: Hyper) -> Array:
-        """Prior precision of `nuisance`; ``h`` says how well description and data sheet hold."""
+        """Prior precision of `nuisance`; ``h`` says how well description and data sheet hold.
+
+        A delay that was added says all about its joint's stamps.
+        """
         sd = self.prior_sd.copy()
         sd[self.cad] *= h.scale
         sd[self.rotors] *= h.rotor
+        late = [self.stamps[c.joints[0]] for c in self.active if c.effect.enters == "input_delay"]
+        sd[[*self.held, *late]] = 1e-6
         return 1.0 / np.concatenate([sd[1:], *(c.sd for c in self.active)]) ** 2
 
     def total(self, hyper: Hyper, folds: Mask | None = None) -> tuple[Array, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from stopset.offline.diagnose.engine import Engine, Hyper, Scored
 from stopset.offline.diagnose.scores import score_new
 
 SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
+BUILT_UP = 2.0  # Coulomb torques of the first fit, which hysteresis makes smaller, that may build up
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
 
 
@@ -21,7 +22,13 @@ def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scor
         if len(contenders) < CONTENDERS and s.admissible and s.score > 0:
             contenders.setdefault(s.candidate.key, s)
     refined = [refine(engine, s, hyper) for s in contenders.values()]
-    return sorted((s for s in refined if s.admissible), key=lambda s: -s.score)
+    return sorted((s for s in refined if possible(engine, s)), key=lambda s: -s.score)
+
+
+def possible(engine: Engine, s: Scored) -> bool:
+    """Within its range; friction that builds up after a reversal is part of its joint's own."""
+    c = s.candidate
+    return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < BUILT_UP * engine.friction[c.joints[0], 0])
 
 
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
@@ -31,11 +38,14 @@ def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
         return scored
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
-        return score_new(engine, effect, joints, shapes, hyper, quick=True)
+        return score_new(engine, effect, joints, shapes, hyper, quick=True, held=held)
 
+    held = (int(engine.stamps[joints[0]]),) if "d0" in start else ()  # they would take a share of the lag
     best = value({**start, "exact": 1.0})
     if best is None:
         return scored
+    if "d0" in start:
+        return replace(_reproduced(best, value), score=scored.score)
     steps = dict.fromkeys(start, 0.4)
     while max(steps.values()) > 0.02:
         for symbol in start:
@@ -49,6 +59,18 @@ def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     return replace(best, score=scored.score)
 
 
+def _reproduced(start: Scored, value: Callable[[Mapping[str, float]], Scored | None]) -> Scored:
+    """The lag that comes out of the fit with the column made for it: the column's size, not its form, tells the lag."""
+    best = start
+    for _ in range(6):
+        shapes = best.candidate.shapes
+        s = value({**shapes, "d0": 0.5 * (float(best.theta[0]) + shapes["d0"])})
+        if s is None or abs(s.candidate.shapes["d0"]) < SHORTEST_LAG:
+            break
+        best = s
+    return best
+
+
 def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     """Search the shapes off their grid: compass search with shrinking steps, in the logarithm (linear for the ripple's n)."""
     effect, joints, charge = scored.candidate.effect, scored.candidate.joints, scored.candidate.charge
@@ -56,15 +78,10 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
 
     def value(trial: Mapping[str, float]) -> Scored | None:
         s = score_new(engine, effect, joints, trial, hyper, quick=True)
-        return s if s is not None and s.admissible else None
+        return s if s is not None and possible(engine, s) else None
 
     if "d0" in shapes:
-        best = scored
-        for _ in range(6):
-            s = value({**shapes, "d0": 0.5 * (float(best.theta[0]) + best.candidate.shapes["d0"])})
-            if s is None or abs(s.candidate.shapes["d0"]) < SHORTEST_LAG:
-                break
-            best = s
+        best = _reproduced(scored, value)
         shapes = dict(best.candidate.shapes)
         if not 0.7 < float(best.theta[0]) / shapes["d0"] < 1.4:
             return replace(scored, score=0.0)  # a lag that does not reproduce itself is none

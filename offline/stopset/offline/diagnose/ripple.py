@@ -12,6 +12,7 @@ from stopset.effects import Effect
 from stopset.offline.diagnose.engine import Engine, Hyper
 from stopset.offline.diagnose.noise import whiten_adjoint
 from stopset.offline.diagnose.prepare import Array, Mask
+from stopset.offline.diagnose.rows import JointRows
 from stopset.offline.diagnose.wanted import Wanted
 
 STEP = 0.5  # [cycles per turn]
@@ -32,7 +33,7 @@ class Ripples:
 
     engine: Engine
     effect: Effect
-    _power: dict[int, Power] = field(default_factory=dict)
+    _power: dict[int, tuple[JointRows, Power]] = field(default_factory=dict)
 
     def strongest(self, theta: Array, hyper: Hyper) -> list[Wanted]:
         """The strongest two cycles per turn in each joint's residual, beyond what chance gives."""
@@ -47,9 +48,9 @@ class Ripples:
             gram = view.grams[j]
             r = gram.residual(full[gram.index], hyper.sigma[j], hyper.kappa[j])[:k]
             q, fade = d.q[rows.take, j], 0.5 * (d.dq[rows.take, j] * spread) ** 2
-            if j not in self._power:
-                self._power[j] = Power(*_power(q, fade, rows.start, rows.a, rows.sd, RIPPLES, STEP))
-            ss, cc, sc = self._power[j]
+            if j not in self._power or self._power[j][0] is not rows:
+                self._power[j] = rows, Power(*_power(q, fade, rows.start, rows.a, rows.sd, RIPPLES, STEP))
+            ss, cc, sc = self._power[j][1]
             a, b = _products(q, fade, whiten_adjoint(r, rows.start, rows.a, rows.sd), RIPPLES, STEP)
             power = (cc * a * a - 2 * sc * a * b + ss * b * b) / np.maximum(ss * cc - sc * sc, 1e-9 * ss * cc + 1e-12)
             power = power / hyper.kappa[j]

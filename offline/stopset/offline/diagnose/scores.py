@@ -84,9 +84,15 @@ def _other_scatter(
 
 
 def score_new(
-    engine: Engine, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float], hyper: Hyper, quick: bool = False
+    engine: Engine,
+    effect: Effect,
+    joints: tuple[int, ...],
+    shapes: Mapping[str, float],
+    hyper: Hyper,
+    quick: bool = False,
+    held: tuple[int, ...] = (),
 ) -> Scored | None:
-    """Score of an effect with new shapes, without keeping its columns in the engine."""
+    """Score of an effect with new shapes, without keeping its columns in the engine; ``held``: base columns held at zero."""
     made = engine.make_again(effect, joints, shapes)
     if made is None:
         return None
@@ -94,4 +100,4 @@ def score_new(
     view = engine.view()
     candidate = replace(candidate, cols=np.arange(view.size, view.size + len(candidate.cols)))
     grams = [g.bordered(parts[i], candidate.cols, rows=False) if i in parts else g for i, g in enumerate(view.grams)]
-    return scores(replace(view, grams=grams, size=view.size + len(candidate.cols)), [candidate], hyper, quick)[0]
+    return scores(replace(view, grams=grams, size=view.size + len(candidate.cols), held=held), [candidate], hyper, quick)[0]

@@ -11,6 +11,7 @@ from stopset.effects import catalogue
 from stopset.offline.diagnose.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence import Projection
 from stopset.offline.diagnose.held_out import held_out
+from stopset.offline.diagnose.late import in_question, shows_in_motion
 from stopset.offline.diagnose.prepare import Array
 from stopset.offline.diagnose.refine import refined, sharpened
 from stopset.offline.diagnose.ripple import RIPPLES, Ripples
@@ -47,6 +48,7 @@ class Found:
     left: tuple[Scored, ...]
     hyper: Hyper
     excess: tuple[float, ...]
+    before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
 def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = THRESHOLD) -> Found:
@@ -59,8 +61,9 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
     excess = _excess(engine, p.theta, hyper)
     claims: list[Claim] = []
     left: list[Scored] = []
-    before, refused = held_out(engine, hyper), set[tuple[str, tuple[int, ...]]]()
-    for _ in range(MAX_CLAIMS):
+    first = before = held_out(engine, hyper)
+    start, refused, asked = list(engine.active), set[tuple[str, tuple[int, ...]]](), set[int]()
+    for _ in range(MAX_CLAIMS + engine.data.n):  # a joint may be asked for a delay once
         found = engine.add_all(ripples.strongest(p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
@@ -71,6 +74,16 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
         if not best:
             break
+        late = in_question(engine, best[0], left, asked, hyper)
+        if late is not None:
+            asked.update(late.candidate.joints)
+            if shows_in_motion(engine, late, candidates, hyper, threshold):
+                hyper, p = engine.fit(hyper)
+                excess, before = _excess(engine, p.theta, hyper), held_out(engine, hyper)
+                first = before if not claims else _without_claims(engine, start)
+            else:
+                refused.add(late.candidate.key)
+            continue
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
         engine.active.append(candidate)
@@ -89,7 +102,15 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
     if len(kept) < len(claims):
         hyper, p = engine.fit(hyper)
         excess = _excess(engine, p.theta, hyper)
-    return Found(tuple(kept), tuple(left), hyper, excess)
+    return Found(tuple(kept), tuple(left), hyper, excess, first)
+
+
+def _without_claims(engine: Engine, start: Sequence[Candidate]) -> Array:
+    """(n,) held-out error of the model as it was before the search, on the rows as they are now."""
+    active, engine.active = engine.active, list(start)
+    error = held_out(engine, engine.fit()[0])
+    engine.active = active
+    return error
 
 
 def _form_error(scored: Scored, claims: Sequence[Claim]) -> float:
