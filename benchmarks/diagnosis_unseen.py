@@ -89,11 +89,20 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
 
 
 def cases(
-    rounds: int, healthy: int, outside: int, pairs: int, seed: int, walks: int = 0, others: int = 0, level: str = "easy"
+    rounds: int,
+    healthy: int,
+    outside: int,
+    pairs: int,
+    seed: int,
+    walks: int = 0,
+    others: int = 0,
+    level: str = "easy",
+    each: int = 0,
 ) -> list[list[tuple[str, str]]]:
-    """What each set hides; ``level``: of the causes outside the catalogue."""
+    """What each set hides; ``each``: every effect so often, easy or hard by chance; ``level``: of causes outside the catalogue."""
     rng = np.random.default_rng([seed, 9])
     out = [[(name, level)] for _ in range(rounds) for level in RATIO for name in EFFECTS]
+    out += [[(name, str(rng.choice(list(RATIO))))] for _ in range(each) for name in EFFECTS]
     out += [[] for _ in range(healthy)]
     out += [[(list(OUTSIDE)[k % len(OUTSIDE)], level)] for k in range(outside)]
     for _ in range(pairs):
@@ -195,7 +204,7 @@ def main() -> None:
     m.add_argument("arms", type=Path)
     m.add_argument("sets", type=Path)
     m.add_argument("--seed", type=int, default=10000)
-    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5), ("walks", 0), ("others", 0)):
+    for name, default in (("rounds", 1), ("healthy", 8), ("outside", 8), ("pairs", 5), ("walks", 0), ("others", 0), ("each", 0)):
         m.add_argument(f"--{name}", type=int, default=default)
     m.add_argument("--level", choices=tuple(RATIO), default="easy", help="of the causes outside the catalogue")
     a = commands.add_parser("ask")
@@ -215,7 +224,7 @@ def main() -> None:
     if args.command == "ask":
         return ask(args.sets, args.out, [x for x in args.only.split(",") if x])
     arms, labels = templates(args.arms), {}
-    chosen = cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks, args.others, args.level)
+    chosen = cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks, args.others, args.level, args.each)
     for k, wanted in enumerate(chosen):
         name, start = f"s{k:03d}", time.process_time()
         labels[name] = make(arms, wanted, args.seed + k, args.sets / name)

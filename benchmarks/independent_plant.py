@@ -120,7 +120,12 @@ def simulate(R0, p, axis, pi, rotor, gravity, T, C, sc, sv, temp, extra, ff, qd,
             if k == 0 and s == 0:
                 for i in range(n):
                     if elastic[i]:
-                        q[i] = th[i] - load[i] / T[i, STIFF]
+                        d = load[i] / T[i, STIFF]
+                        for _ in range(20):  # Newton's steps to where the gear carries the load at rest
+                            d -= (T[i, STIFF] * d * (1 + T[i, STIFFEN] * d * d) - load[i]) / (
+                                T[i, STIFF] * (1 + 3 * T[i, STIFFEN] * d * d)
+                            )
+                        q[i] = th[i] - d
             if s == 0:
                 Q[k], V[k], U[k] = th, dth, tau
             newton_euler(R, p, axis, pi, gravity, dq, zero, bias, W)
