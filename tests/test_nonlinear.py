@@ -28,7 +28,7 @@ from stopset.offline.conform.sets import Options, Pairs
 from stopset.offline.identify import Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
-from stopset.recording import Recording
+from stopset.recording import Recording, reader
 from stopset.robot import load_robot
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
@@ -370,6 +370,7 @@ def test_the_abstraction_of_an_identified_arm() -> None:
 def test_comparing_holds_one_trial_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Five times as many recordings take no more memory."""
     monkeypatch.setattr(survey, "KEEP", 4)
+    monkeypatch.setattr(reader, "BATCH_ROWS", 512)
     few, many = (
         save_trials(tmp_path / f"{count}.parquet", recordings((1.0, 0.5), (4.0, 2.0), 2, count, 1.5, bias=0.0), ("a", "b"),
                     effort="motor_torque")

@@ -51,15 +51,20 @@ class Envelope:
 
     def merge(self, other: Envelope) -> Envelope:
         """Envelope of both parts; maxima are associative, so the order of merging does not matter."""
-        out = Envelope(
-            self.dt, self.hi.copy(), self.lo.copy(), self.hi_at.copy(), self.lo_at.copy(),
-            self.count + other.count, self.labels + other.labels,
-        )  # fmt: skip
-        shift = np.array([len(self.labels), 0])
-        higher, lower = other.hi > self.hi, other.lo < self.lo
-        out.hi[higher], out.hi_at[higher] = other.hi[higher], other.hi_at[higher] + shift
-        out.lo[lower], out.lo_at[lower] = other.lo[lower], other.lo_at[lower] + shift
+        out = self.upto(len(self.hi) - 1)
+        out.absorb(other)
         return out
+
+    def absorb(self, other: Envelope) -> None:
+        """`merge` in place."""
+        shift = np.array([len(self.labels), 0])
+        for mine, theirs, mine_at, theirs_at, beyond in (
+            (self.hi, other.hi, self.hi_at, other.hi_at, other.hi > self.hi),
+            (self.lo, other.lo, self.lo_at, other.lo_at, other.lo < self.lo),
+        ):
+            mine[beyond], mine_at[beyond] = theirs[beyond], theirs_at[beyond] + shift
+        self.count += other.count
+        self.labels += other.labels
 
     def upto(self, steps: int) -> Envelope:
         """The same at ages up to ``steps``; ages that nothing reached are added where it is shorter."""
@@ -83,91 +88,68 @@ def state_names(joints: Sequence[str], directions: int) -> list[str]:
     return [f"{x}_{name}" for x in ("q", "dq") for name in across]
 
 
+# maxima and minima of whole rows at once; sums keep their order and their bits
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _extremes(x: Array) -> tuple[float, float]:
+    top, bottom = -np.inf, np.inf
+    for s in range(len(x)):
+        top, bottom = max(top, x[s]), min(bottom, x[s])
+    return top, bottom
+
+
 @njit(cache=True, nogil=True)
-def _update_decoupled(
-    a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
-) -> None:
-    """Joint by joint ``e(h+1) = Ad e(h) + r``; ``a``: (n, 2, 2), ``residual``: (N-1, 2n)."""
-    N, n2 = residual.shape
-    n = n2 // 2
-    H = hi.shape[0] - 1
-    eq, ed = np.empty(starts), np.empty(starts)
-    for j in range(n):
-        a11, a12, a21, a22 = a[j, 0, 0], a[j, 0, 1], a[j, 1, 0], a[j, 1, 1]
-        eq[:] = 0.0
-        ed[:] = 0.0
-        for h in range(1, min(H, N) + 1):
-            live = min(starts, N - h + 1)
-            mq, md, nq, nd = -np.inf, -np.inf, np.inf, np.inf
-            for s in range(live):
-                q = a11 * eq[s] + a12 * ed[s] + residual[s + h - 1, j]
-                d = a21 * eq[s] + a22 * ed[s] + residual[s + h - 1, n + j]
-                eq[s] = q
-                ed[s] = d
-                mq = max(mq, q)
-                nq = min(nq, q)
-                md = max(md, d)
-                nd = min(nd, d)
-            if mq > hi[h, j]:
-                hi[h, j] = mq
-                hi_at[h, j, 0], hi_at[h, j, 1] = trial, _first(eq, live, mq)
-            if nq < lo[h, j]:
-                lo[h, j] = nq
-                lo_at[h, j, 0], lo_at[h, j, 1] = trial, _first(eq, live, nq)
-            if md > hi[h, n + j]:
-                hi[h, n + j] = md
-                hi_at[h, n + j, 0], hi_at[h, n + j, 1] = trial, _first(ed, live, md)
-            if nd < lo[h, n + j]:
-                lo[h, n + j] = nd
-                lo_at[h, n + j, 0], lo_at[h, n + j, 1] = trial, _first(ed, live, nd)
-
-
-@njit(cache=True)
-def _first(x: Array, live: int, value: float) -> int:
-    for s in range(live):
+def _first(x: Array, value: float) -> int:
+    for s in range(len(x)):
         if x[s] == value:
             return s
     return -1
 
 
 @njit(cache=True, nogil=True)
+def _add(x: Array, weight: float, y: Array) -> None:
+    if weight != 0.0:
+        for s in range(len(x)):
+            x[s] += weight * y[s]
+
+
+@njit(cache=True, nogil=True)
 def _update(
     Ad: Array, across: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
 ) -> None:
-    """The same for a full state matrix, looked at along ``across`` (k, n): positions, then speeds."""
+    """``e(h+1) = Ad e(h) + r`` of all windows side by side, looked at along ``across`` (k, n), positions, then speeds.
+
+    Zeros of ``Ad`` and ``across`` cost nothing: decoupled joints are done one by one.
+    """
     N, m = residual.shape
     n, k = m // 2, across.shape[0]
-    e, x = np.zeros((starts, m)), np.empty(m)
-    top, bottom = np.empty(2 * k), np.empty(2 * k)
-    top_at, bottom_at = np.empty(2 * k, np.int64), np.empty(2 * k, np.int64)
+    own = np.full(k, -1)  # the joint that a direction is, if it is one
+    for i in range(k):
+        if np.count_nonzero(across[i]) == 1 and across[i].max() == 1.0:
+            own[i] = across[i].argmax()
+    r = np.ascontiguousarray(residual.T)
+    e, ahead, y = np.zeros((m, starts)), np.empty((m, starts)), np.empty(starts)
     for h in range(1, min(hi.shape[0] - 1, N) + 1):
-        top[:], bottom[:] = -np.inf, np.inf
-        for s in range(min(starts, N - h + 1)):
-            for i in range(m):
-                x[i] = residual[s + h - 1, i]
-                for j in range(m):
-                    x[i] += Ad[i, j] * e[s, j]
-            e[s] = x
-            for i in range(k):
-                q = dq = 0.0
-                for j in range(n):
-                    q += across[i, j] * x[j]
-                    dq += across[i, j] * x[n + j]
-                if q > top[i]:
-                    top[i], top_at[i] = q, s
-                if q < bottom[i]:
-                    bottom[i], bottom_at[i] = q, s
-                if dq > top[k + i]:
-                    top[k + i], top_at[k + i] = dq, s
-                if dq < bottom[k + i]:
-                    bottom[k + i], bottom_at[k + i] = dq, s
+        live = min(starts, N - h + 1)
+        for i in range(m):
+            ahead[i, :live] = r[i, h - 1 : h - 1 + live]
+            for j in range(m):
+                _add(ahead[i, :live], Ad[i, j], e[j, :live])
+        e, ahead = ahead, e
         for i in range(2 * k):
-            if top[i] > hi[h, i]:
-                hi[h, i] = top[i]
-                hi_at[h, i, 0], hi_at[h, i, 1] = trial, top_at[i]
-            if bottom[i] < lo[h, i]:
-                lo[h, i] = bottom[i]
-                lo_at[h, i, 0], lo_at[h, i, 1] = trial, bottom_at[i]
+            x, states = y[:live], e[:n] if i < k else e[n:]
+            if own[i % k] >= 0:
+                x = states[own[i % k], :live]
+            else:
+                x[:] = 0.0
+                for j in range(n):
+                    _add(x, across[i % k, j], states[j, :live])
+            top, bottom = _extremes(x)
+            if top > hi[h, i]:
+                hi[h, i] = top
+                hi_at[h, i, 0], hi_at[h, i, 1] = trial, _first(x, top)
+            if bottom < lo[h, i]:
+                lo[h, i] = bottom
+                lo_at[h, i, 0], lo_at[h, i, 1] = trial, _first(x, bottom)
 
 
 def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
@@ -186,10 +168,6 @@ class Deviations:
     ) -> None:
         self.dt, self.steps, self.windows = dt, steps, windows
         self._Ad, self._Bd = discretise(abstraction, dt)
-        self._blocks = None
-        if abstraction.decoupled and across is None:
-            pairs = [[j, abstraction.n + j] for j in range(abstraction.n)]
-            self._blocks = np.ascontiguousarray(np.stack([self._Ad[np.ix_(p, p)] for p in pairs]))
         self.across = np.eye(abstraction.n) if across is None else np.ascontiguousarray(across)
         self.states = 2 * len(self.across)
 
@@ -210,11 +188,7 @@ class Deviations:
         starts = len(residual) if self.windows == "sliding" else 1
         trial = len(env.labels)
         env.labels.append(r.label)
-        if self._blocks is not None:
-            _update_decoupled(self._blocks, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
-        else:
-            where = (env.hi, env.lo, env.hi_at, env.lo_at)
-            _update(self._Ad, self.across, residual, starts, trial, *where)
+        _update(self._Ad, self.across, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
         reach = min(self.steps, len(residual))
         ages = np.arange(1, reach + 1)
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)

@@ -116,17 +116,15 @@ def gather(
     from_start = Deviations(abstraction, dt, steps, "start")
     out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
-        if motion not in out.parts:
-            out.parts[motion] = main.empty()
-        main.add(out.parts[motion], r, u)
         from_start.add(out.start, r, u)
+        one = main.of(r, u)  # all windows once, whoever wants their envelope
         if few_motions:
-            main.add(out.halves[r.trial % 2], r, u)
-        for k in () if bands is None else bands(r):
-            parts = out.bands.setdefault(k, {})
-            if motion not in parts:
-                parts[motion] = main.empty()
-            main.add(parts[motion], r, u)
+            out.halves[r.trial % 2].absorb(one)
+        for parts in (out.parts, *(out.bands.setdefault(k, {}) for k in (() if bands is None else bands(r)))):
+            if motion in parts:
+                parts[motion].absorb(one)
+            else:
+                parts[motion] = one.upto(main.steps)
     return out.mapped(lambda env: env)
 
 
