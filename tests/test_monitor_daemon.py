@@ -62,12 +62,12 @@ class Wire:
     """Remembers what is published."""
 
     def __init__(self) -> None:
-        self.states: list[dict[str, Any]] = []
+        self.raw: list[bytes] = []
         self.slow: dict[str, list[Any]] = {}
         self.handlers: dict[str, Callable[[str, bytes], None]] = {}
 
     def fast(self, name: str) -> Callable[[bytes], None]:
-        return lambda data: self.states.append(unpack(data))
+        return self.raw.append
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
         self.slow.setdefault(name, []).append(json.loads(data))
@@ -80,6 +80,10 @@ class Wire:
 
     def alive(self, name: str) -> None:
         pass
+
+    @property
+    def states(self) -> list[dict[str, Any]]:
+        return [unpack(data) for data in self.raw]
 
     @property
     def words(self) -> list[State]:
@@ -236,3 +240,42 @@ def test_a_bus_that_never_appears_ends_with_a_sentence(tmp_path: Path) -> None:
     with running("monitor", "--config", str(write_config(tmp_path, tmp_path / "m.json", bus, free_port()))) as p:
         _, err = p.communicate(timeout=30)
     assert p.returncode == 2 and "no hub at" in err and "Traceback" not in err
+
+
+def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -> None:
+    """What the daemon publishes, through the viewer, in a real browser: readable on a telephone too."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    from stopset.monitor.viewer import Page, View
+
+    r = motion(1, 60)
+    tau = r.tau.copy()
+    tau[:, 4] *= 1.5
+    daemon, _, wire = make([Sample(k, 0.0, r.q[k], r.dq[k], tau[k]) for k in range(60)])
+    daemon.run(never)
+    view = View(watchdog_s=1e6)  # the daemon has ended when the browser looks
+    twin = [t for t in wire.slow["state/json"] if t["state"] == "VIOLATION"][-1]
+    view.take_json("", json.dumps(twin).encode())
+    for event in wire.slow["event"]:
+        view.take_event("", json.dumps(event).encode())
+    for data in wire.raw:
+        if unpack(data)["state"] != State.SHUTDOWN:
+            view.take_state("", data)
+    page = Page(view, "127.0.0.1", 0)
+    page.start()
+    try:
+        for width in (420, 1250):
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+            browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            browser.get(f"http://127.0.0.1:{page.server_address[1]}/")
+            WebDriverWait(browser, 10).until(lambda b: b.find_element("id", "word").text == "VIOLATION")
+            beyond = browser.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            assert beyond <= 0, f"{beyond} px beyond a screen of {width} px"
+        rows = browser.execute_script("return Array.from(document.querySelectorAll('#joints tr')).map(r => r.innerText)")
+        assert ["violation" in r for r in rows[1:]] == [False, False, False, False, True, False]
+        assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.get("about:blank")
+        page.shutdown()
+        page.server_close()

@@ -18,7 +18,6 @@ from rich.table import Table
 from rich.text import Text
 
 from stopset.monitor.consumer import Consumer
-from stopset.monitor.layout import State
 
 COLOURS = {"OK": "green", "DEGRADED": "yellow", "VIOLATION": "red", "UNKNOWN": "magenta", "FAULT": "red", "NO DATA": "red"}
 SLOW = 2.0  # [s] without ``state/json`` before its content is withdrawn
@@ -181,8 +180,3 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Quiet: the terminal belongs to the view."""
-
-
-def finished(view: View) -> bool:
-    """Whether the monitor has said that it shuts down."""
-    return view.twin is not None and view.twin["state"] == State.SHUTDOWN.name
