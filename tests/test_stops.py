@@ -67,6 +67,22 @@ def test_slopes_are_exact_and_curvature_bounds_them() -> None:
             assert np.all(np.abs(up.dg - down.dg) / (2 * h) <= K.g[:, :, k] + 1e-7)
 
 
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (3.0, -2.0, -9.1)])
+def test_gravity_never_exceeds_its_bound_and_a_vertical_axis_feels_none(gravity: tuple[float, float, float]) -> None:
+    for robot in (prbt_like().robot, ur5_like().robot):
+        chain, rng, h = robot.chain._replace(gravity=np.array(gravity)), np.random.default_rng(4), 1e-5
+        K = curvature(chain, robot.pi)
+        poses = rng.uniform(-np.pi, np.pi, (400, 6))
+        g = np.abs([gravity_torque(chain, robot.pi, q) for q in poses]).max(axis=0)
+        assert np.all(g <= K.load + 1e-12) and np.all(K.load[1:] < 4.0 * np.maximum(g[1:], 0.1))
+        upright = gravity[0] == gravity[1] == 0.0
+        assert (K.load[0] < 1e-9 and K.g[0].max() < 1e-9 and K.g[:, 0].max() < 1e-9) == upright
+        for q in poses[:20]:
+            for k in range(6):
+                up, down = (expand(chain, robot.pi, 0 * robot.pi, np.zeros(6), q + s * h * np.eye(6)[k]) for s in (1, -1))
+                assert np.all(np.abs(up.dg - down.dg) / (2 * h) <= K.g[:, :, k] + 1e-7)
+
+
 def test_point_motion_holds_every_pose_of_the_tube() -> None:
     s, rng = setting(), np.random.default_rng(5)
     tube = tube_of(s, Q, DQ, s.noise.radius[:6], s.noise.radius[6:])

@@ -4,7 +4,9 @@ Every entry of ``M(q)`` is a trigonometric polynomial of degree <= 2 in each ang
 exact, from the composite body behind joint k turning about axis k; Bernstein's inequality bounds the second derivatives by
 the size of the part that moves: with ``m = max(i, j, k, l)`` only the composite body behind joint ``m``
 enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the levers to joints i and j.  The sizes
-are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.
+are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.  Gravity's derivatives
+are those of the potential ``-g . sum m r``: turning about joint m moves only what lies beside its axis, and turning the
+whole arm about its first axis turns gravity, of which nothing happens to the part along that axis.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2; Bernstein's inequality as in Zygmund,
 Trigonometric Series, ch. X.
@@ -64,11 +66,13 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
         for j in range(i + 1, n):
             lever[i, j] = p + lever[i + 1, j]
     weight = float(np.linalg.norm(chain.gravity))
+    turned = float(np.linalg.norm(np.cross(chain.R[0] @ chain.axis[0], chain.gravity)))  # 0 where the first axis is vertical
+    beside = np.array([_beside(chain, size, i, mass[i + 1]) + moment[i + 1] for i in range(n)])
     KM, Kg, KG = np.zeros((n, n, n, n)), np.zeros((n, n, n)), np.zeros((n, n, n, n))
     for i in range(n):
         for k in range(n):
             for m in range(n):
-                Kg[i, k, m] = weight * moment[max(i, k, m)]
+                Kg[i, k, m] = (weight if min(i, k, m) > 0 else turned) * beside[max(i, k, m)]
             for j in range(n):
                 for m in range(n):
                     if min(k, m) <= min(i, j) and (k <= min(i, j) or m <= min(i, j)):
@@ -79,7 +83,24 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
         for k in range(n):
             for j in range(n):
                 KG[i, k, j] = 0.5 * (KM[i, k, j] + KM[i, j, k] + KM[k, j, i])
-    return Curvature(KM, Kg, KG, inertia[:n].copy(), weight * moment[:n])
+    load = weight * beside
+    load[0] = turned * beside[0]
+    return Curvature(KM, Kg, KG, inertia[:n].copy(), load)
+
+
+def _beside(chain: Chain, size: Array, i: int, carried: float) -> float:
+    """First moment [kg m] beside axis i of link i and of ``carried`` kg at the next joint, at most; ``size`` bounds ``|pi|``."""
+    a = np.abs(chain.axis[i])
+
+    def away(x: Array) -> float:
+        x = np.abs(x)
+        return float(np.linalg.norm([a[1] * x[2] + a[2] * x[1], a[2] * x[0] + a[0] * x[2], a[0] * x[1] + a[1] * x[0]]))
+
+    own = min(away(size[i, 1:4]), float(np.linalg.norm(size[i, 1:4])))
+    if i + 1 == len(size):
+        return own
+    p = chain.p[i + 1]
+    return own + carried * min(away(p), float(np.linalg.norm(p)))
 
 
 @njit(cache=True, inline="always")

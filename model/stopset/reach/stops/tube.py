@@ -182,7 +182,8 @@ def march(
     rotor_lo, rotor_hi = plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half
     room, excess = np.zeros((5, n)), np.zeros(n)
     engaged = np.max(plant.delay_hi + plant.rise_hi)
-    fastest = 20.0 * max(np.max(np.abs(v0_lo)), np.max(np.abs(v0_hi))) + 20.0
+    # bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall
+    fastest = np.inf if energetic else 20.0 * max(np.max(np.abs(v0_lo)), np.max(np.abs(v0_hi))) + 20.0
     here = middle.copy()
     result, made = ENDLESS, steps
     for k in range(steps):
