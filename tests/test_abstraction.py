@@ -210,13 +210,13 @@ def test_construction_and_evaluation_stay_within_time_and_memory() -> None:
     """Model 3, p = 5, six joints: construction below 30 s and 2 GiB, a second of robot time evaluated in well under 10 s."""
     robot, rotor, viscous = arm("lwa4p")
     build(3, 3, robot, rotor, viscous).ddq(*np.zeros((3, 1, 6)))  # compile first
-    began = time.perf_counter()
+    began = time.process_time()
     model = build(3, 5, robot, rotor, viscous)
     model.ddq(*np.zeros((3, 1, 6)))
-    assert time.perf_counter() - began < 30.0
-    began = time.perf_counter()
+    assert time.process_time() - began < 30.0
+    began = time.process_time()
     model.ddq(*np.random.default_rng(0).uniform(-1, 1, (3, 1000, 6)))
-    assert time.perf_counter() - began < 2.0
+    assert time.process_time() - began < 2.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 << 20  # [KiB]
     rows = sum(p.exponent.size * 16 for p in model.acceleration)
     assert rows <= predicted_bytes(3, 5, 6)
@@ -224,10 +224,10 @@ def test_construction_and_evaluation_stay_within_time_and_memory() -> None:
 
 def test_what_would_not_fit_is_refused_before_the_work() -> None:
     robot, rotor, viscous = arm("lwa4p")
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(StopsetError, match=r"GiB.*lower the order"):
         build(3, 11, robot, rotor, viscous)
-    assert time.perf_counter() - began < 5.0
+    assert time.process_time() - began < 5.0
     with pytest.raises(StopsetError, match="model 1, 2 or 3"):
         build(4, 1, robot, rotor, viscous)
 
@@ -355,7 +355,7 @@ def test_table_one_is_in_the_papers_order_of_magnitude() -> None:
     assert spec is not None and spec.loader is not None
     table1 = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(table1)
-    answer = table1.table(load_robot("lwa4p"), 4, "near", orders=(1, 3))
+    answer = table1.table(load_robot("lwa4p"), 2, "near", orders=(1, 3))
     cell = {(c["speed"], c["model"], c["order"]): c["error"] for c in answer["cells"]}
     for speed, paper in (("slow", 0.0040), ("fast", 0.0408)):
         assert cell[speed, "exact", None] < 1e-6

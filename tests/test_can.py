@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, meta, motion
+from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
@@ -51,7 +52,11 @@ def link(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
         yield f"serial:{os.ttyname(b)}", f"serial:{os.ttyname(d)}"
         stop.set()
         return
-    name = {"virtual": "virtual:stopset-test", "udp_multicast": "udp_multicast:239.74.163.99?port=43119", "hub": "hub:28761"}
+    # a port of its own: another worker may run the same test
+    name = {
+        "virtual": "virtual:stopset-test", "udp_multicast": f"udp_multicast:239.74.163.99?port={free_port()}",
+        "hub": f"hub:{free_port()}",
+    }  # fmt: skip
     yield name[request.param], name[request.param]
 
 
@@ -91,10 +96,11 @@ def test_a_listener_has_nothing_to_send_with() -> None:
 
 
 def test_the_hub_counts_what_others_send_and_its_end_is_noticed() -> None:
-    hub = talk("hub:28762")
+    port = free_port()
+    hub = talk(f"hub:{port}")
     assert isinstance(hub, Hub)
-    hears = listen("hub:28762")
-    other = can.Bus(interface="socketcand", host="127.0.0.1", port=28762, channel="can0")
+    hears = listen(f"hub:{port}")
+    other = can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0")
     while hub.clients < 2:
         time.sleep(0.01)
     assert hub.client_frames == 0
