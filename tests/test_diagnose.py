@@ -144,6 +144,23 @@ def test_an_own_effect_is_diagnosed_like_ours(own_effect: Effect) -> None:
     assert found.ranked[0].parameters["T"].value == pytest.approx(3.0, rel=0.15)
 
 
+def test_a_deviation_counts_what_errs_alike_within_a_motion_once() -> None:
+    """A spring beside an offset that differs from trial to trial: its own offset is known by trials, not by rows."""
+    scenario = prepare(robot_from_text(ARM), [], 63, "short")
+    rng, scatter, trials = np.random.default_rng(5), 0.4, []
+    for r in scenario.recordings():
+        tau = r.tau.copy()
+        tau[:, 1] += 3.0 * r.q[:, 1] + 1.0 + scatter * rng.normal()
+        trials.append(dataclasses.replace(r, tau=tau))
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(trials)), names=("spring",))
+    (spring,) = found.claims
+    k, c = spring.parameters["k"], spring.parameters["c"]
+    moving = sum(r.phase != "static" and len(r.t) > 100 for r in trials)
+    assert c.std is not None and k.std is not None
+    assert 0.5 * scatter / np.sqrt(moving) < c.std < 3 * scatter / np.sqrt(moving)
+    assert abs(k.value - 3.0) < 4 * k.std and abs(c.value - 1.0) < 4 * c.std
+
+
 def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:
     found = campaign("outside_bump:a", 51)
     assert found.verdict == "unknown" and not found.ranked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,7 @@ from stopset.offline.diagnose.partial import Partial, partial
 from stopset.offline.diagnose.prepare import Array
 from stopset.offline.diagnose.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
+from stopset.offline.diagnose.uncertainty import deviations
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
@@ -37,7 +38,7 @@ RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 t
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A value with unit and standard deviation (None where it was searched, not estimated)."""
+    """A value with unit and standard deviation (None where the recordings do not tell it)."""
 
     value: float
     unit: str
@@ -230,6 +231,7 @@ def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tupl
     out, before = [], found.before
     active = list(engine.active)
     joints = engine.data.joints
+    deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
     for k, claim in enumerate(found.claims):
         c = claim.scored.candidate
         engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
@@ -241,24 +243,22 @@ def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tupl
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                parameters(claim.scored), c.effect.look_at, c.effect.says, points=points,
+                parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
             )
         )  # fmt: skip
         before = after
     return tuple(out)
 
 
-def parameters(scored: Scored) -> dict[str, Parameter]:
-    """Terms with standard deviation, then shapes."""
+def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:
+    """Terms, then shapes, each with its standard ``deviation``."""
     c = scored.candidate
-    sd = np.sqrt(np.maximum(np.diag(scored.cov), 0.0))
-    out = {t.symbol: Parameter(float(v), t.unit, float(s)) for t, v, s in zip(c.effect.terms, scored.theta, sd, strict=True)}
-    for p in c.effect.shapes:
-        out[p.symbol] = Parameter(float(c.shapes[p.symbol]), p.unit, None)
+    values = {t.symbol: (float(v), t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
+    values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
     if c.effect.enters == "input_delay" and "d0" in c.shapes:
         symbol = c.effect.terms[0].symbol
-        out[symbol] = Parameter(float(c.shapes["d0"]), out[symbol].unit, out[symbol].std)
-    return out
+        values[symbol] = (float(c.shapes["d0"]), values[symbol][1])
+    return {symbol: Parameter(v, unit, deviation.get(symbol)) for symbol, (v, unit) in values.items()}
 
 
 @dataclass(frozen=True, slots=True)
