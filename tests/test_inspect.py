@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nominal_cases import JOINTS, RATE, Truth, arm, campaign, moving, shaken
+from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shaken
 from stopset.cli.main import main
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.recording import Meta, Recording, write_recordings
@@ -55,6 +55,11 @@ def test_clock_jitter(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
     assert "clock_jitter" in kinds(i)
     assert not i.wrong  # resampling deals with it
     assert "clock_jitter" not in kinds(look(tmp_path, broken(trials, lambda r: shaken(r, 0.01))))
+
+
+def test_late_stamps_are_no_lost_samples(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    i = look(tmp_path, broken(trials, lambda r: shaken(r, 0.3)))
+    assert "dropped_samples" not in kinds(i), [f.says for f in i.findings]
 
 
 def drop(r: Recording, keep_stamps: bool) -> Recording:
@@ -270,3 +275,35 @@ def test_shared_recordings_are_sound(shared_data: Callable[[str], Path]) -> None
     (i,) = inspect_recordings([folder / "recording.parquet"], load_robot(folder / "robot.urdf"))
     late = {f.joint: f.value for f in i.findings if f.kind == "torque_delay"}
     assert late == pytest.approx({"arm_joint_2": -0.04, "arm_joint_3": -0.04}, abs=0.002)
+
+
+def test_one_fault_is_not_told_as_another(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """A late dq loses no samples, lost samples delay no torque, and an arm at rest has no sign."""
+    late = look(tmp_path, broken(trials, lambda r: replace(r, dq=np.vstack([r.dq[:1].repeat(12, axis=0), r.dq[:-12]]))))
+    assert {"dq_lags", "dq_not_derivative"} & kinds(late) and "dropped_samples" not in kinds(late)
+    lost = look(tmp_path, broken(trials, lambda r: drop(r, keep_stamps=False)))
+    assert "dropped_samples" in kinds(lost) and "torque_delay" not in kinds(lost)
+    rng = np.random.default_rng(0)
+    rest = next(r for r in trials if r.phase != "static")
+    q = rest.q[:1] + 1e-4 * (rng.random(rest.q.shape) < 0.1)
+    still = replace(rest, q=q, dq=np.gradient(q, rest.t, axis=0), tau=np.where(rng.random(q.shape) < 0.5, -5.0, 5.0))
+    for seed in range(5):
+        tau = np.where(np.random.default_rng(seed).random(q.shape) < 0.5, -5.0, 5.0)
+        assert "wrong_sign" not in kinds(look(tmp_path, [replace(still, tau=tau)]))
+    against = replace(still, tau=-5.0 * np.sign(still.dq))  # each step of the encoder seems to take energy out
+    assert "wrong_sign" not in kinds(look(tmp_path, [against]))
+
+
+def test_a_late_torque_is_told_of_compensated_torque_too(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    meta = replace(META, effort="compensated_torque")
+    robot = arm()
+
+    def compensated(r: Recording, late: float) -> Recording:
+        rest = np.zeros_like(r.q)
+        u = r.tau - torques(robot.chain, robot.pi, r.q, rest, rest) - F_C * np.sign(r.dq)
+        return replace(r, tau=np.column_stack([np.interp(r.t - late, r.t, x) for x in u.T]))
+
+    moving_ones = [r for r in trials if r.phase != "static"]
+    for late, told in ((0.0, False), (0.03, True)):
+        i = look(tmp_path, [compensated(r, late) for r in moving_ones], meta)
+        assert ("torque_delay" in kinds(i)) == told, [f.says for f in i.findings]

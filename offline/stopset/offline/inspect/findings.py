@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stopset.offline.inspect.tally import LAGS, Tally
+from stopset.offline.inspect.tally import EVEN, LAGS, Tally
 from stopset.recording.types import Array, Meta
 
 Severity = Literal["error", "warning", "note"]
-JITTER = 0.02  # relative spread of the period from which on stamps are called irregular
 NOTABLE_GAPS = 1e-4  # share of missing samples
 RATIOS = {  # dq over the derivative of q -> what it means
     180 / np.pi: "dq is in deg/s, q in rad",
@@ -24,10 +24,13 @@ RATIOS = {  # dq over the derivative of q -> what it means
 }
 AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a ratio above is explained
 CORRELATED = 0.9  # below it dq does not follow q at all
+RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD errors live here
+RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up, so that accelerations are wrong
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 SAME = 3  # trials in which a signal stops at the very same value below its largest
 OFF_RATE = 0.01  # relative: rates further off than this are told
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
+DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +51,19 @@ class Finding:
         return f"{where}{self.seen}; expected {self.expected}: {self.do}"
 
 
-def clock(t: Tally, meta: Meta) -> list[Finding]:
-    """Irregular stamps, missing, repeated and jumped samples, and a rate that is not the stated one."""
+def clock(t: Tally, meta: Meta, dq_sound: bool = True) -> list[Finding]:
+    """Irregular stamps, missing, repeated and jumped samples, and a rate that is not the stated one.
+
+    ``dq_sound``: dq is the derivative of q, so that jumps of q against it tell of lost samples.
+    """
     out: list[Finding] = []
     if not t.period:
         return out
     period, jitter = float(np.median(t.period)), float(np.max(t.jitter))
-    if jitter > JITTER:
+    if jitter > EVEN:
         out.append(
             Finding("clock_jitter", "warning", None, f"the period of {period * 1e3:.3g} ms spreads by {100 * jitter:.1f} %",
-                    f"at most {100 * JITTER:.0f} %", "identification resamples; record with the controller's own stamps", jitter)
+                    f"at most {100 * EVEN:.0f} %", "identification resamples; record with the controller's own stamps", jitter)
         )  # fmt: skip
     lost = t.missing / max(t.samples + t.missing, 1)
     if lost > NOTABLE_GAPS:
@@ -72,7 +78,7 @@ def clock(t: Tally, meta: Meta) -> list[Finding]:
                     f"{t.repeated} samples repeat their predecessor in mid-motion",
                     "a new sample at every stamp", "the logger filled lost samples: record again or leave gaps", t.repeated)
         )  # fmt: skip
-    if t.jumps > max(2, NOTABLE_GAPS * t.samples):
+    if dq_sound and t.jumps > max(2, NOTABLE_GAPS * t.samples):
         out.append(
             Finding("dropped_samples", "error", None,
                     f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
@@ -99,7 +105,7 @@ def _rate(t: Tally, meta: Meta) -> list[Finding]:
                     f"{meta.rate_hz:.4g} Hz as the metadata says", f"{why}, or the metadata", 1 / usual)
         )  # fmt: skip
     spread = float(mean.max() / mean.min() - 1)
-    if spread > OFF_RATE and np.max(t.jitter) <= JITTER:  # an irregular clock has been told already
+    if spread > OFF_RATE and np.max(t.jitter) <= EVEN:  # an irregular clock has been told already
         out.append(
             Finding("clock_drift", "warning", None,
                     f"trials come at {1 / mean.max():.4g} to {1 / mean.min():.4g} Hz, {100 * spread:.1f} % apart",
@@ -133,7 +139,7 @@ def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
     """dq that is not the derivative of q: unit, sign, lag, unrelated; or derived though called measured."""
     out: list[Finding] = []
     aa, ab, bb = t.way
-    moved = aa > (30 * np.where(np.isfinite(t.resolution), t.resolution, 0.0)) ** 2
+    moved = _moved(t)
     period = float(np.median(t.period)) if t.period else float("nan")
     for j, joint in enumerate(joints):
         if not moved[j] or aa[j] <= 0:
@@ -155,18 +161,24 @@ def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
     return out + _derived(t, joints, meta, period)
 
 
+def _moved(t: Tally) -> NDArray[np.bool_]:
+    """(n,) whether a joint went further than the steps of its encoder."""
+    return np.asarray(t.way[0] > (30 * np.where(np.isfinite(t.resolution), t.resolution, 0.0)) ** 2)
+
+
 def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:
     c = t.lagged[:, j]
     k = int(np.argmin(c))
     bend = c[max(k - 1, 0)] - 2 * c[k] + c[min(k + 1, len(c) - 1)]
     part = 0.5 * (c[k - 1] - c[k + 1]) / bend if 0 < k < len(c) - 1 and bend > 0 else 0.0
     lag = (k - LAGS + part) * period
+    least = "at least " if k in (0, len(c) - 1) else ""
     # a lag counts when putting it right removes half of the difference
     if abs(k - LAGS + part) < 0.75 or c[k] > 0.5 * c[LAGS]:
         return []
     return [
         Finding("dq_lags", "warning", joint,
-                f"dq is {abs(lag) * 1e3:.1f} ms {'behind' if lag > 0 else 'ahead of'} the derivative of q",
+                f"dq is {least}{abs(lag) * 1e3:.1f} ms {'behind' if lag > 0 else 'ahead of'} the derivative of q",
                 f"less than a sample, {period * 1e3:.3g} ms", "dq is filtered or stamped apart: record it raw", float(lag))
     ]  # fmt: skip
 
@@ -193,8 +205,9 @@ def torque_power(t: Tally, joints: Sequence[str]) -> list[Finding]:
     """Wrong sign of torque, from energy alone: over a campaign friction takes energy in, it never gives any."""
     out = []
     net, gross = t.power
+    moved = _moved(t)
     for j, joint in enumerate(joints):
-        if gross[j] > 0 and net[j] < -0.15 * gross[j]:
+        if moved[j] and net[j] < -0.15 * gross[j]:
             out.append(
                 Finding("wrong_sign", "error", joint,
                         f"the torque takes energy out of the motion ({100 * net[j] / gross[j]:.0f} % net power)",
@@ -203,16 +216,18 @@ def torque_power(t: Tally, joints: Sequence[str]) -> list[Finding]:
     return out
 
 
-def torque_scale(scale: Array, std: Array, joints: Sequence[str], gear: Array, constant: Array) -> list[Finding]:
+def torque_scale(
+    scale: Array, std: Array, joints: Sequence[str], gear: Array, constant: Array, right: tuple[float, float] = RIGHT
+) -> list[Finding]:
     """Wrong unit or sign of torque against the robot's own model: ``scale`` (n,) measured over modelled rigid-body torque."""
     out = []
     for j, joint in enumerate(joints):
         k = float(scale[j])
         if not np.isfinite(k) or not np.isfinite(std[j]) or std[j] > 0.1 * abs(k):
             continue  # the motion does not tell
-        if 0.4 < k < 2.5:
-            continue  # payload, drive gain and CAD errors live here
-        if k < 0 and 0.4 < -k < 2.5:
+        if right[0] < k < right[1]:
+            continue
+        if k < 0 and right[0] < -k < right[1]:
             out.append(
                 Finding("wrong_sign", "error", joint, f"the torque is {k:.3g} times what the rigid body needs", "about 1",
                         "turn the sign of tau", k)
@@ -235,12 +250,11 @@ def torque_scale(scale: Array, std: Array, joints: Sequence[str], gear: Array, c
 
 
 def torque_delay(
-    common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str]
+    common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str], least: float = DELAY
 ) -> list[Finding]:
     """Torque stamped apart from the motion: all joints alike (clocks), or one apart from the rest (its drive)."""
-    least = max(DELAY, 0.6 * period)
-
-    own = max(OWN_DELAY, 1.2 * period)
+    least = max(least, 0.6 * period)
+    own = max(OWN_DELAY, least, 1.2 * period)
 
     def told(d: float, s: float, limit: float) -> bool:
         return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(limit, 4 * s))

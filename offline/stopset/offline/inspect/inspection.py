@@ -136,28 +136,43 @@ def _findings(
     campaign: _Campaign, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None
 ) -> list[Finding]:
     t = campaign.tally
-    out = [*detect.clock(t, meta), *detect.velocity(t, joints, meta), *detect.saturation(t, joints)]
+    speeds = detect.velocity(t, joints, meta)
+    clock = detect.clock(t, meta, dq_sound=all(f.kind == "velocity_derived" for f in speeds))
+    out = [*clock, *speeds, *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
     sign = detect.torque_power(t, joints)
     if robot is not None:
         out += detect.torque_limits(t, joints, robot.torque_limit)
-    if robot is not None and data is not None and meta.effort != "compensated_torque":
-        in_degrees = degrees(campaign.sample, robot)
-        if in_degrees:  # nothing else that rests on positions can be told
-            return out + in_degrees
+    if robot is None or data is None:
+        out += sign
+    elif in_degrees := degrees(campaign.sample, robot) if meta.effort != "compensated_torque" else []:
+        return out + in_degrees  # nothing else that rests on positions can be told
+    else:
+        # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
+        torn = any(f.severity == "error" for f in clock)
+        out += _torque(robot, data, joints, meta, sign, torn)
+    return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
+
+
+def _torque(
+    robot: Robot, data: NormalEquations, joints: Sequence[str], meta: Meta, sign: list[Finding], torn: bool
+) -> list[Finding]:
+    """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
+    compensated = meta.effort == "compensated_torque"
+    out = sign
+    if not compensated:
         scale, std = torque_scales(robot, data)
         gear = np.array([d.gear_ratio for d in robot.drives])
-        constant = _constants(meta, joints)
-        against = detect.torque_scale(scale, std, joints, gear, constant)
+        right = detect.RIGHT_TORN if torn else detect.RIGHT
+        against = detect.torque_scale(scale, std, joints, gear, _constants(meta, joints), right)
         told = {f.joint for f in against}
-        out += [*against, *(f for f in sign if f.joint not in told)]
-        if not sign and not against:
-            delay = estimate_delay(data, prior_of(robot, Tolerance()))
-            out += detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, joints)
-    else:
-        out += sign
-    return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
+        out = [*against, *(f for f in sign if f.joint not in told)]
+    if out or torn:
+        return out
+    delay = estimate_delay(data, prior_of(robot, Tolerance()))
+    least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
+    return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, joints, least)
 
 
 def _constants(meta: Meta, joints: Sequence[str]) -> np.ndarray:

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from stopset.recording.types import Array, Recording
 
+EVEN = 0.02  # relative spread of the period up to which stamps are even
+SURE = 3.0  # standard errors of the usual period by which stamps must run late for samples to be missing
 GAP = 1.6  # periods between stamps from which on a sample is missing
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
-LAGS = 6  # samples to each side in which dq is compared with the derivative of q
+LAGS = 15  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
 LONG = 50  # samples from which on a trial's mean period is known to a per cent
 PLATEAU = 5  # equal samples in a row at a signal's largest value
@@ -86,9 +88,15 @@ class Tally:
         if len(r.t) >= LONG:
             self.mean_period.append(float(np.mean(dt[~gap])))
         self.jitter.append(float(np.std(dt[~gap]) / h) if (~gap).any() else 0.0)
-        self.gaps += int(gap.sum())
-        self.missing += int(np.round(dt[gap] / h - 1).sum())
-        self.longest_gap = max(self.longest_gap, float(dt.max()) if gap.any() else 0.0)
+        even = self.jitter[-1] <= EVEN
+        missing = int(np.round(dt[gap] / h - 1).sum())
+        if not even:  # a late stamp is no lost sample: those after it come early again
+            late = float(r.t[-1] - r.t[0]) / h - len(dt) - SURE * self.jitter[-1] * np.sqrt(len(dt))
+            missing = min(missing, max(round(late), 0))
+        if missing:
+            self.gaps += int(gap.sum())
+            self.missing += missing
+            self.longest_gap = max(self.longest_gap, float(dt.max()))
         fast = np.abs(r.dq[1:]) > MOVING
         way = np.abs(0.5 * (r.dq[1:] + r.dq[:-1]) * dt[:, None])
         expected = way.max(axis=1)
@@ -97,7 +105,8 @@ class Tally:
         self.repeated += int(np.sum(same & visible & fast.any(axis=1)))
         step = np.abs(np.diff(r.q, axis=0))
         ratio = step[np.arange(len(step)), way.argmax(axis=1)] / np.maximum(expected, 1e-12)
-        self.jumps += int(np.sum(visible & ~gap & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
+        if even:  # as made-up stamps are
+            self.jumps += int(np.sum(visible & ~gap & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
         return h
 
     def _velocity(self, r: Recording, h: float) -> None:
@@ -133,7 +142,8 @@ class Tally:
                 if top <= 0 or (name == "dq" and top < MOVING):
                     continue
                 run = _longest(size[:, j] >= top * (1 - 1e-6))
-                usual = _longest((np.diff(x[:, j]) == 0) & (size[1:, j] < 0.95 * top)) + 1
+                # exact zeros are no reading: no torque asked for yet, or no speed
+                usual = _longest((np.diff(x[:, j]) == 0) & (size[1:, j] < 0.95 * top) & (size[1:, j] > 0)) + 1
                 if run >= PLATEAU and run > 2 * usual:
                     self.plateaus.append((name, j, top, run))
 
