@@ -13,6 +13,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
+WORKERS = 2
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """How many processes test: one for named files, where starting more would cost what it saves."""
+    return 0 if any("::" in a or Path(a).is_file() for a in config.args) else WORKERS
+
+
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared" / "data"
 
