@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stopset.files import write_text
-from stopset.offline.plan.design import Part, Plan
+from stopset.offline.plan.design import NOISE, Part, Plan
 from stopset.offline.plan.motion import Path
 from stopset.offline.plan.poses import APPROACH
 
@@ -77,7 +77,10 @@ def summary(plan: Plan) -> str:
     minutes = sum(p.seconds for p in plan.parts) / 60
     lines += ["", f"{minutes:.0f} minutes of motion in all, moving to start points not counted. "
               f"Condition number of the excitation's regressor: {plan.condition:.1f} "
-              f"(random motions: {plan.condition_random:.1f}).", ""]  # fmt: skip
+              f"(random motions: {plan.condition_random:.1f}).", "",
+              "Expected errors are for " + ("the torque residual of today's data." if plan.gaps is not None else
+              f"a torque residual of {NOISE:.0%} of each torque limit, close to a real UR10e's; with --data it is that of your arm."),
+              ""]  # fmt: skip
     if plan.gaps is not None:
         lines += ["## What today's data leave undetermined", "", *([f"- {g}" for g in plan.gaps] or ["- nothing"]), ""]
     lines += ["## Before you run it", "", *[f"- {w}" for w in plan.warnings], "",
