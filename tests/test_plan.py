@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -17,7 +18,7 @@ from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
 from stopset.offline.plan.design import FRICTION, STARTS
 from stopset.offline.plan.motion import Path, envelope, heights
-from stopset.offline.plan.ptp import ptp
+from stopset.offline.plan.ptp import ptp, random_goals
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torques
@@ -269,3 +270,16 @@ def test_a_refused_plan_leaves_nothing_behind(tmp_path: FilePath) -> None:
         out = tmp_path / "plan"
         assert main(["plan", *words, "--out", str(out)]) == 2
         assert not out.exists()
+
+
+def test_motions_are_found_above_a_floor_that_the_middle_pose_is_below() -> None:
+    robot = arm()
+    e = envelope(robot, 0.9, 0.7, 0.25)
+    hanging = replace(e, q=np.array([e.q[0], [0.5, 2.9], [-0.5, 0.5]]))  # a shoulder that mostly reaches down
+    assert float(heights(robot, hanging.q.mean(axis=1)[None])[0]) < 0.25
+    goals = random_goals(robot, hanging, 4, np.random.default_rng(0))
+    assert len(goals) == 5
+    for a, b in pairwise(goals):
+        assert heights(robot, a + np.linspace(0, 1, 24)[:, None] * (b - a)).min() >= 0.25
+    with pytest.raises(RobotError, match=r"none of .* random ways .* expected some"):
+        random_goals(robot, replace(e, floor=10.0), 1, np.random.default_rng(0))

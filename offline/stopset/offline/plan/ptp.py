@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stopset.errors import RobotError
 from stopset.offline.nominal.preprocess import derivative
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
 from stopset.recording.types import Array
@@ -24,24 +25,35 @@ LEAST_WAY = 0.6  # [rad] that some joint moves, or the motion is not worth its t
 
 
 def random_goals(robot: Robot, e: Envelope, count: int, rng: np.random.Generator) -> Array:
-    """(count + 1, n) uniformly random corners of a chain of motions, from the middle on.
+    """(count + 1, n) uniformly random corners of a chain of motions, from the middle on where that is admissible.
 
     Gravity can be held on every way between them, and no way leads below the floor, if there is one.
+    Raises `RobotError` if there is no such way.
     """
-    goals = [e.q.mean(axis=1)]
+    middle = e.q.mean(axis=1)
+    goals = [middle] if _admissible(robot, e, middle[None]) else []
     tries = 0
     while len(goals) < count + 1 and tries < 1000 * count:
         tries += 1
         q = rng.uniform(e.q[:, 0], e.q[:, 1])
-        if np.abs(q - goals[-1]).max() < LEAST_WAY:
+        if not goals:
+            goals = [q] if _admissible(robot, e, q[None]) else []
             continue
-        between = goals[-1] + np.linspace(0, 1, 24)[:, None] * (q - goals[-1])
-        if (np.abs(gravity_torques(robot.chain, robot.pi, between)) + e.friction > HOLDABLE * e.tau).any():
-            continue
-        if e.floor is not None and float(heights(robot, between).min()) < e.floor:
-            continue
-        goals.append(q)
+        way = goals[-1] + np.linspace(0, 1, 24)[:, None] * (q - goals[-1])
+        if np.abs(q - goals[-1]).max() >= LEAST_WAY and _admissible(robot, e, way):
+            goals.append(q)
+    if len(goals) < 2:
+        raise RobotError(
+            f"{robot.name}: none of {tries} random ways can be held by its drives and stays above the floor; expected some: lower "
+            "--floor or raise --torque"
+        )
     return np.array(goals)
+
+
+def _admissible(robot: Robot, e: Envelope, q: Array) -> bool:
+    """Whether gravity can be held at all poses ``q`` (N, n), and all are above the floor."""
+    held = np.abs(gravity_torques(robot.chain, robot.pi, q)) + e.friction <= HOLDABLE * e.tau
+    return bool(held.all()) and (e.floor is None or float(heights(robot, q).min()) >= e.floor)
 
 
 def ptp(robot: Robot, e: Envelope, start: Array, goal: Array, rate: float) -> Path:
