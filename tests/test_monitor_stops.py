@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stopset.monitor.stopdesk import answer_for
+from stopset.artifact import save_model
+from stopset.monitor.config import Stops
+from stopset.monitor.stopdesk import StopDesk, answer_for
+from stopset.monitor.watch import Quantum
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.tubes import tube_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from stop_arms import prbt_like
+from stop_arms import prbt_like, ur5_like
 
 Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
 DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
@@ -23,7 +27,7 @@ BOX = np.full(6, 0.02), np.full(6, 0.08)
 
 @pytest.fixture(scope="module")
 def prepared() -> StopBounds:
-    return StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, off_after=0.1))
+    return StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, off_after=0.1), fast=True)
 
 
 def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> None:
@@ -48,3 +52,33 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
             assert alone.forward is not None and alone.back is not None
             assert np.all(alone.forward <= told[category].forward + 2e-3) and np.all(alone.back <= told[category].back + 2e-3)
     assert longer > 0, "the box asks for more than its middle: a bound of the middle alone would have been exceeded"
+
+
+def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: Path) -> None:
+    strong = StopBounds.of(ur5_like(), (4.75, 5.0), fast=True)
+    thorough = StopBounds.of(ur5_like(), (4.75, 5.0))
+    rng, spent, layers = np.random.default_rng(77), {True: [], False: []}, []
+    for _ in range(8):
+        q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.0, 2.0, 6)
+        for prepared in (strong, thorough):
+            begin = time.process_time()
+            bound = prepared.bound(q, dq, "0", *BOX)
+            spent[prepared.fast].append(time.process_time() - begin)
+            assert bound.certified
+        layers.append(bound.layer)
+    assert layers.count("energy") >= 4, "these states need the kinetic energy"
+    assert np.median(spent[True]) < 0.5 * np.median(spent[False])
+    save_model(ur5_like(), tmp_path / "m.model.json")
+    desk = StopDesk(str(tmp_path / "m.model.json"), 6, Stops(("0",)), 0.0, Quantum.none(6))
+    try:
+        until, busy, told = time.monotonic() + 60.0, [], 0
+        while told < 20 and time.monotonic() < until:
+            begin = time.thread_time()
+            desk.offer(time.monotonic(), Q, 0.5 * DQ)
+            told += desk.now(Q, 0.5 * DQ)[1]
+            busy.append(time.thread_time() - begin)
+            time.sleep(0.004)
+        assert told == 20, "the worker has answered"
+        assert np.quantile(busy, 0.99) < 1e-3, "and the loop never computed a bound itself"
+    finally:
+        desk.close()

@@ -31,7 +31,7 @@ EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
 SPARE_SPEED = 0.04  # [rad/s] noise of a measured speed and of the acceleration made from it; too little costs answers, not truth
 SPARE_ANGLE = 5e-4  # [rad]
-LONGEST = 0.05  # [s] motion covered ahead beyond one period; a slower answer finds the arm outside its box
+LONGEST = 0.1  # [s] motion covered ahead beyond one period; a slower answer finds the arm outside its box
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, 
             n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
             off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
         )  # fmt: skip
-    prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp)
+    prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
     if prepared.setting is not None:  # load the compiled code before anybody waits for it
         for category in categories:
             prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), cast(Any, category))

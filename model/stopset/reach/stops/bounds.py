@@ -12,12 +12,12 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.failed import CELLS, NARROW, Cell, cover, failed_cells
+from stopset.reach.stops.failed import CELLS, FAST_CELLS, NARROW, Cell, cover, failed_cells
 from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, march_box, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, march_box, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.reach.stops.words import BY_ENERGY, NO_BRAKES, NO_POWER_OFF, NO_RAMP, no_certificate, ramp_assumptions
 from stopset.robot.rigid import gravity_torque, link_frames
@@ -32,24 +32,25 @@ class StopBounds:
     """Stop bounds of one model, prepared: ``StopBounds.of(model)`` once, then ``bound(q, dq)`` every cycle.
 
     ``setting`` is None when the model knows no brakes: then no STOP 0 can be proved. ``ramp``: for categories 1 and 2;
-    ``pieces``: how many tubes a hard case may be cut into (1 in a fast loop, 64 for tables).
+    ``pieces``: how many tubes a hard case may be cut into (64 for tables); ``fast``: for a loop, some milliseconds each.
     """
 
     model: Model
     setting: Setting | None
     ramp: Ramp | None
     pieces: int = 1
+    fast: bool = False
 
     @classmethod
     def of(
         cls, model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None,
-        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False,
+        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False, fast: bool = False,
     ) -> StopBounds:  # fmt: skip
         """Prepare the bounds; ``payload`` [kg] range, ``payload_com`` (3,) [m] and ``extrapolate`` as in `setting_of`.
 
         ``ramp``: default what the model holds from stop1 recordings.
         """
-        return cls(model, setting_of(model, payload, payload_com, extrapolate), ramp or ramp_of(model), pieces)
+        return cls(model, setting_of(model, payload, payload_com, extrapolate), ramp or ramp_of(model), pieces, fast)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
@@ -109,7 +110,7 @@ class StopBounds:
 
     def _power_off(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None
-        tubes = tubes_of(self.setting, q, dq, q_radius, dq_radius, self.pieces)
+        tubes = tubes_of(self.setting, q, dq, q_radius, dq_radius, self.pieces, fast=self.fast)
         if tubes[-1].end != OK:
             return self._refused("0", no_certificate(self.model.joints, self._margin(q), self._reach()), q)
         margin = np.min([t.margin for t in tubes], axis=0)
@@ -158,7 +159,7 @@ class StopBounds:
         middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1]) + q_radius
         # where the ramp has led is a wide box of poses: cutting the brakes' intervals many times over would not close it
         pieces = min(self.pieces, FEW)
-        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), pieces)
+        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), pieces, fast=self.fast)
         if tubes[-1].end != OK:
             return None
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)
@@ -175,13 +176,14 @@ class StopBounds:
             lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
             box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
             if energetic or self.pieces == 1 or cell.width(dq) > NARROW:
-                return [march_box(setting, setting.plant, *box, energetic)]
+                knots = KNOTS if not self.fast else FAST_ENERGY_KNOTS if energetic else FAST_KNOTS
+                return [march_box(setting, setting.plant, *box, energetic, knots=knots)]
             return tubes_of(setting, *box, self.pieces, last_resort=False)
 
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
         margin = np.full(self.model.n, np.inf)
-        for cell, parts in cover(cells, dq, ramp.together, CELLS * self.pieces, tubes_in):
+        for cell, parts in cover(cells, dq, ramp.together, FAST_CELLS if self.fast else CELLS * self.pieces, tubes_in):
             before = cell.boxes(dq, dq_radius, ramp)
             for part in parts:
                 if part.end != OK:

@@ -23,6 +23,7 @@ from stopset.robot.rigid import Array
 SLICES = 8  # of the monitored ramp, by when it is left
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
 CELLS = 16  # a box is cut into at most this many for each piece a power-off stop may be cut into
+FAST_CELLS = 4  # in a fast loop
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 
 

@@ -14,14 +14,15 @@ from stopset.reach.stops.tube import Plant
 WIDTH = 5e-3  # [s] of the common delay per window, at least; half of what the joints differ by anyway, if that is more
 
 
-def windows(plant: Plant, apart: float | None) -> list[Plant]:
-    """The plant once for every window of the common delay; the plant itself where joints' delays are independent."""
+def windows(plant: Plant, apart: float | None, most: int | None = None) -> list[Plant]:
+    """The plant once for every window of the common delay, ``most`` at most; the plant itself where delays are independent."""
     if apart is None:
         return [plant]
     room = float(np.max(plant.delay_hi - plant.delay_lo)) - apart  # of the common part
     if room <= 0.0:
         return [plant]
     count = int(np.ceil(room / max(WIDTH, 0.5 * apart)))
+    count = count if most is None else min(count, most)
     out = []
     for k in range(count):
         early, late = room * k / count, room * (k + 1) / count + apart
