@@ -15,6 +15,7 @@ from stopset.effects.memory import affine, along, coefficients, stepped
 from stopset.errors import EffectError
 from stopset.offline.diagnose.engine import Engine
 from stopset.offline.diagnose.wanted import wanted
+from stopset.offline.rollout import DIRECTION_WIDTH, EffectTerm, JointBatch, roll_out
 from stopset.recording import Recordings
 from stopset.robot.arm import robot_from_text
 from stopset.simulation import prepare
@@ -114,3 +115,34 @@ def test_self_heating_is_looked_for_only_where_no_temperature_is_recorded(health
 def test_effects_with_one_state_can_be_carried_by_monitor_and_fmu() -> None:
     ours = [e for e in catalogue().values() if e.states and e.name != "elasticity" and e.law.__module__.startswith("stopset.")]
     assert {e.name for e in ours} == set(LASTING) and all(affine(e) for e in ours)
+
+
+def test_the_open_loop_simulation_of_compensated_torque_carries_the_state_too() -> None:
+    """Against an integrator of others; its steps hold the effect's torque, so halving them halves the error."""
+    terms, values = [EffectTerm(get("self_heating"), {"tau_w": 0.5})], np.array([[0.0, -2.0, -4.0]])
+    J, v = 1.5, 9.0
+
+    def u(t: float) -> float:
+        return 12.0 * np.sin(5.0 * t)
+
+    def flow(t: float, y: Array, dt: float) -> list[float]:
+        _q, dq, w = y
+        heated = w * (-2.0 * dq - 4.0 * np.tanh(dq / DIRECTION_WIDTH))
+        return [dq, (u(dt * np.floor(t / dt + 1e-9)) - v * dq - heated) / J, (abs(dq) - w) / 0.5]
+
+    errors = []
+    for dt in (0.004, 0.002):
+        t = dt * np.arange(round(1.6 / dt) + 1)
+        z, one = np.zeros((len(t), 1)), np.ones((len(t), 1), bool)
+        batch = JointBatch(dt, z, z, np.array([[u(x)] for x in t]), z, z, np.zeros(1), one)
+        _, dq = roll_out(batch, np.array([J]), np.array([v]), values, terms)
+        want = np.zeros((len(t), 3))
+        for k in range(len(t) - 1):
+            span = (t[k], t[k] + 0.999999 * dt)
+            want[k + 1] = solve_ivp(flow, span, want[k], rtol=1e-8, atol=1e-10, args=(dt,)).y[:, -1]
+        errors.append(float(np.abs(dq[0, :, 0] - want[:, 1]).max()))
+        cold = roll_out(batch, np.array([J]), np.array([v]), values[:, :1], [])[1]
+        assert np.abs(cold - dq).max() > 0.1, "the warmth shows"
+    assert errors[0] < 0.01 and errors[1] < 0.6 * errors[0]
+    with pytest.raises(EffectError, match="elasticity remembers x, dx"):
+        EffectTerm(get("elasticity"), {}).begun((1, 1))

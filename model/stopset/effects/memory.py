@@ -69,7 +69,7 @@ def _between(lo: float, hi: float) -> Interval:
 
 def coefficients(effect: Effect, s: Signals, shapes: Mapping[str, Number]) -> tuple[Array, Array]:
     """``b`` [1/s times the state's unit] and ``a`` [1/s] of an affine flow ``dz/dt = b + a z``, sample by sample."""
-    zero_one = np.array([[0.0], [1.0]])
+    zero_one = np.array([0.0, 1.0]).reshape(-1, *[1] * np.ndim(s.dq))
     rate, _ = np.broadcast_arrays(effect.rates(replace(s, memory=(zero_one,)), shapes)[0], zero_one)
     return rate[0], rate[1] - rate[0]
 

@@ -8,7 +8,7 @@ this is the honest judge of a model: torque error can fall while the simulation 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction
 from stopset.artifact.inputs import compensated
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.memory import affine, coefficients, stepped
 from stopset.effects.registry import get
+from stopset.errors import EffectError
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
@@ -51,6 +53,19 @@ class EffectTerm:
 
     def columns(self, s: Signals) -> tuple[Array, ...]:
         return tuple(np.asarray(c) for c in self.effect.columns(s, self.shapes))
+
+    def begun(self, shape: tuple[int, ...]) -> Array:
+        """What an effect with memory remembers at the start; raises `EffectError` where its state cannot be stepped."""
+        if not affine(self.effect):
+            raise EffectError(
+                f"effect {self.effect.name} remembers {', '.join(x.symbol for x in self.effect.states)}; the open-loop simulation of "
+                "compensated torque carries one state per effect whose law and flow are affine in it: leave it out, or record motor torque"
+            )
+        return np.array([np.full(shape, z) for z in self.effect.at_start])
+
+    def stepped(self, s: Signals, dt: float) -> Array:
+        """What it remembers ``dt`` [s] after ``s``."""
+        return stepped(s.memory[0], *coefficients(self.effect, s, self.shapes), dt)[None]
 
 
 def joint_batches(robot: Robot, trials: Sequence[Recording], warm: Sequence[float], dt: float) -> list[JointBatch]:
@@ -87,6 +102,7 @@ def roll_out(
     q, dq = np.tile(batch.q[0], (S, 1)), np.tile(batch.dq[0], (S, 1))
     Q, DQ = np.empty((N, S, B)), np.empty((N, S, B))
     theta = [torque[:, k][:, None] for k in range(torque.shape[1])]
+    memories = {j: term.begun((S, B)) for j, term in enumerate(terms) if term.effect.states}
     for k in range(N):
         Q[k], DQ[k] = q, dq
         u = batch.u[k] - theta[0]
@@ -95,7 +111,9 @@ def roll_out(
                 q=q, dq=dq, way=np.tanh(dq / DIRECTION_WIDTH), load=batch.load[k], temp=batch.temp[k], warm=batch.warm,
                 t=k * batch.dt,
             )  # fmt: skip
-            columns = [c for term in terms for c in term.columns(s)]
+            seen = {j: replace(s, memory=tuple(m)) for j, m in memories.items()}
+            columns = [c for j, term in enumerate(terms) for c in term.columns(seen.get(j, s))]
+            memories = {j: terms[j].stepped(now, batch.dt) for j, now in seen.items()}
             for value, column in zip(theta[1:], columns, strict=True):
                 u = u - value * column
         faster = np.clip(decay * dq + gain * u, -SPEED_LIMIT, SPEED_LIMIT)
