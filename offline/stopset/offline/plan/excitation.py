@@ -22,6 +22,7 @@ from stopset.robot.rigid import regressors
 HARMONICS = 5
 SAMPLES = 80  # per candidate in the search
 FADE = 1.5  # [s] from rest into the series and back
+CENTRES, PROBES = 80, 24  # poses tried as the middle of a series above a floor, and poses around each
 
 
 def _series(x: Array, period: float, t: Array, n: int) -> tuple[Array, Array, Array]:
@@ -34,8 +35,25 @@ def _series(x: Array, period: float, t: Array, n: int) -> tuple[Array, Array, Ar
     return s @ a - co @ b, (co * w) @ a + (s * w) @ b, -(s * w**2) @ a + (co * w**2) @ b
 
 
-def _faded(x: Array, period: float, e: Envelope, t: Array) -> tuple[Array, Array, Array]:
-    """The series scaled into position and speed limits, blended to rest at both ends (smooth to the acceleration)."""
+def centre(robot: Robot, e: Envelope, rng: np.random.Generator) -> Array:
+    """(n,) pose that the series move about: the middle of the ranges, or with a floor the pose with most room above it."""
+    middle: Array = np.asarray(e.q.mean(axis=1))
+    half = 0.5 * (e.q[:, 1] - e.q[:, 0])
+    if e.floor is None:
+        return middle
+    tried = np.vstack([middle, rng.uniform(middle - 0.7 * half, middle + 0.7 * half, (CENTRES, robot.n))])
+    around = rng.uniform(-0.5, 0.5, (PROBES, robot.n))
+    around[0] = 0.0
+
+    def room(q: Array) -> float:
+        above = heights(robot, q + around * np.minimum(e.q[:, 1] - q, q - e.q[:, 0])) >= (e.floor or 0.0)
+        return float(above.mean()) if above[0] else 0.0
+
+    return np.asarray(tried[int(np.argmax([room(q) for q in tried]))])
+
+
+def _faded(x: Array, period: float, e: Envelope, t: Array, middle: Array) -> tuple[Array, Array, Array]:
+    """The series about ``middle``, within position and speed limits, blended to rest at both ends (smooth to the acceleration)."""
     n = len(e.dq)
     q, dq, ddq = _series(x, period, t, n)
     u = np.clip(np.minimum(t, t[-1] - t) / FADE, 0.0, 1.0)
@@ -45,14 +63,13 @@ def _faded(x: Array, period: float, e: Envelope, t: Array) -> tuple[Array, Array
     ddf = (60 * u - 180 * u**2 + 120 * u**3) / FADE**2
     f, df, ddf = f[:, None], df[:, None], ddf[:, None]
     q, dq, ddq = f * q, f * dq + df * q, f * ddq + 2 * df * dq + ddf * q
-    middle, half = e.q.mean(axis=1), 0.5 * (e.q[:, 1] - e.q[:, 0])
+    half = np.minimum(e.q[:, 1] - middle, middle - e.q[:, 0])
     scale = np.minimum(half / np.maximum(np.abs(q).max(axis=0), 1e-9), e.dq / np.maximum(np.abs(dq).max(axis=0), 1e-9))
     return middle + scale * q, scale * dq, scale * ddq
 
 
-def _above(robot: Robot, e: Envelope, p: Path) -> Path:
-    """The same motion, smaller about the middle of the ranges until it stays above the floor (if it can)."""
-    middle = e.q.mean(axis=1)
+def _above(robot: Robot, e: Envelope, p: Path, middle: Array) -> Path:
+    """The same motion, smaller about its ``middle`` until it stays above the floor (if it can)."""
     for _ in range(30):
         if e.floor is None or float(heights(robot, p.q[:: max(1, len(p.q) // 500)]).min()) >= e.floor:
             break
@@ -109,13 +126,14 @@ def excitations(
     n = robot.n
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
     V = directions(robot, e, weight, rng)
+    middle = centre(robot, e, rng)
     t = np.linspace(0.0, period, SAMPLES)
     total = np.zeros((V.shape[1], V.shape[1]))
     blind = total.copy()
     paths: list[Path] = []
 
     def cost(x: Array, told: Array) -> tuple[float, Array]:
-        q, dq, ddq = _faded(x, period, e, t)
+        q, dq, ddq = _faded(x, period, e, t, middle)
         G = information(robot, q, dq, ddq, weight, V)
         low = 0.0 if e.floor is None else max(e.floor - float(heights(robot, q[::4]).min()), 0.0)
         return np.log(condition(told + G)) + 50 * low, G
@@ -142,5 +160,5 @@ def excitations(
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)
-        paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine)))))
+        paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine, middle)), middle)))
     return paths, condition(total), condition(blind)
