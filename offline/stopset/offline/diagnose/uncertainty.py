@@ -43,7 +43,7 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
     full = np.concatenate([theta, np.zeros(size - view.size)])
     P = np.concatenate(precision)
     A = wide.total(hyper)[0][1:, 1:] + np.diag(P)
-    scale = 1.0 / np.sqrt(np.diag(A))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))  # a column that these motions leave empty tells nothing
     inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
     S = _scores(engine, wide, hyper, full)
     clustered = inverse @ (S.T @ S * len(S) / max(1, len(S) - 1) + np.diag(P)) @ inverse
