@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
-from stopset.offline.diagnose import Diagnosis, diagnose, swing
+from stopset.offline.diagnose import Diagnosis, diagnose, late, swing
 from stopset.offline.diagnose.candidate import Candidate
 from stopset.offline.diagnose.diagnosis import QUIET, WANDER
 from stopset.offline.diagnose.engine import Engine, _put
@@ -18,7 +18,8 @@ from stopset.offline.diagnose.evidence import SIGMAS, JointGram, gain, project
 from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, whiten
 from stopset.offline.diagnose.prepare import Kernel
 from stopset.offline.diagnose.residual import slow_excess
-from stopset.offline.diagnose.search import foretells
+from stopset.offline.diagnose.scores import scores
+from stopset.offline.diagnose.search import THRESHOLD, foretells
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
 from stopset.robot.arm import robot_from_text
@@ -195,6 +196,45 @@ def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> Non
         choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, float(s))) for s in SIGMAS]
         best = max(choices, key=lambda h: view.criterion(view._project(h)[0], h, view._project(h)[1]))
         assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
+
+
+def test_rows_taken_out_leave_what_the_other_rows_alone_give(engine: Engine) -> None:
+    j, d = 1, engine.data
+    drop = late.spoilt(engine, j, 0.02)
+    before, X = engine.rows[j], engine.grams[j].X.copy()
+    kept = late.without(engine, j, drop)
+    rows, gram = engine.rows[j], engine.grams[j]
+    assert 0.01 < drop.mean() < 0.5 and len(rows.take) == np.sum(~drop)
+    assert rows.start[1:][np.diff(rows.take) != 1].all()  # what is no longer neighbours is not whitened as such
+    for at, signal in ((0, d.ddq), (1, d.way), (2, d.dq)):
+        assert np.allclose(gram.X[:, 1 + 10 * d.n + at], rows.column(signal[:, j])[:, 0], atol=1e-8)
+    late.restore(engine, j, kept)
+    assert engine.rows[j] is before and np.array_equal(engine.grams[j].X, X)
+
+
+@pytest.mark.parametrize(("hide", "true"), [("hysteresis:b", False), ("delay:b", True)])
+def test_a_delay_shows_in_motion_and_hysteresis_only_after_reversals(hide: str, true: bool) -> None:
+    """On all rows a delay of 15 ms or so is a contender for both; without those after rest and reversals only for a delay."""
+    scenario = prepare(robot_from_text(ARM), [hide], 41, "short")
+    engine = Engine.build(
+        scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    )
+    lags = engine.add_all([(get("delay"), (1,), {"d0": d}) for d in (-0.015, 0.006, 0.015, 0.04)])
+    hyper, _ = engine.fit()
+    best = scores(engine, lags, hyper)[0]
+    rows = engine.rows[1]
+    assert best.score > THRESHOLD
+    assert late.shows_in_motion(engine, best, lags, hyper, THRESHOLD) is true
+    assert (len(engine.rows[1].take) < len(rows.take)) is true
+
+
+@pytest.mark.parametrize("seed", [71, 72])
+def test_a_late_torque_is_a_delay_and_no_friction_that_builds_up(seed: int) -> None:
+    scenario = prepare(robot_from_text(ARM), ["delay:b"], seed, "compact", "easy", "exact")
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings())))
+    assert [(r.effect, r.joints) for r in found.ranked] == [("delay", ("b",))]
+    d, true = found.ranked[0].parameters["d"], scenario.truth["effects"][0]["params"]
+    assert d.value == pytest.approx(true["delay_s"], rel=0.15)
 
 
 SHEET = {"joints": {  # of the arm above, so that a rotor can differ from what is stated
