@@ -82,3 +82,18 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
         assert np.quantile(busy, 0.99) < 1e-3, "and the loop never computed a bound itself"
     finally:
         desk.close()
+
+
+def test_a_payload_the_model_does_not_cover_has_no_bound_and_one_sentence(tmp_path: Path) -> None:
+    save_model(prbt_like((0.0, 0.25)), tmp_path / "m.model.json")
+    desk = StopDesk(str(tmp_path / "m.model.json"), 6, Stops(("0",)), 3.0, Quantum.none(6))
+    try:
+        until, numbers, fresh = time.monotonic() + 60.0, {}, False
+        while not fresh and time.monotonic() < until:
+            desk.offer(time.monotonic(), Q, 0.0 * DQ)
+            numbers, fresh = desk.now(Q, 0.0 * DQ)
+            time.sleep(0.004)
+        assert fresh and not numbers["0"].provable.any() and np.all(np.isinf(numbers["0"].time))
+        assert "a payload of 3 kg lies outside the model's domain" in numbers["0"].why and desk.restarts == 0
+    finally:
+        desk.close()

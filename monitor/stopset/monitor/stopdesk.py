@@ -96,8 +96,12 @@ def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, 
             n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
             off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
         )  # fmt: skip
-    prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
-    if prepared.setting is not None:  # load the compiled code before anybody waits for it
+    prepared, refusal = None, ""
+    try:
+        prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
+    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
+        refusal = str(e)
+    if prepared is not None and prepared.setting is not None:  # load the compiled code before anybody waits for it
         for category in categories:
             prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), cast(Any, category))
     pipe.send(None)
@@ -110,7 +114,11 @@ def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, 
             request = pipe.recv()
         if request is None:
             return
-        pipe.send(answer_for(prepared, categories, *request))
+        q, dq, q_radius, dq_radius = request
+        if prepared is None:
+            pipe.send(Answer(q, dq, q_radius, dq_radius, {c: Numbers.none(n, refusal) for c in categories}, 0.0))
+        else:
+            pipe.send(answer_for(prepared, categories, q, dq, q_radius, dq_radius))
 
 
 def answer_for(
