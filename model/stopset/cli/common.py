@@ -53,6 +53,8 @@ def check_apart(args: argparse.Namespace) -> None:
             if not isinstance(p, str | Path) or (name not in OUTPUTS and not _is_file(p)):
                 continue
             target, option = Path(p).absolute().resolve(), f"--{name.replace('_', '-')}"
+            if name == "state":
+                continue  # what is kept may take the place of what it continues
             if name in OUTPUTS and target in named:
                 raise OutputError(f"{option} {p} is also {named[target]}; expected a file of its own: choose another name")
             named[target] = f"the place of {option}" if name in OUTPUTS else "read by this command"

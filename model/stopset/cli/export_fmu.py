@@ -32,10 +32,10 @@ def run(args: argparse.Namespace) -> int:
     from stopset.fmu import export, reference_paths, write_reference
     from stopset.fmu.build import chosen
 
-    if args.out.suffix != ".fmu":
-        raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
     beside = [] if args.no_reference else list(reference_paths(args.out))
     check_outputs(args.out, args.json, args.report, *beside)
+    if args.out.suffix != ".fmu":
+        raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
     platforms = [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
     say(f"compiling for {', '.join(platforms)} (the first time takes a minute or two, later seconds)")
