@@ -1,10 +1,12 @@
 """Recorded stops against the brakes and ramps identified from others: certified, violated, and how far the bound exceeds them.
 
-    python benchmarks/recorded_stops.py FOLDER [SET ...] [--json FILE]
+    python benchmarks/recorded_stops.py FOLDER [SET ...] [--left-out] [--json FILE]
 
 FOLDER holds sets, each with ``recording.parquet`` (phases stop0, stop1), ``robot.urdf`` and ``robot.json``. Every third stop of a
 suite is held out; only these are counted.  One line per set and category: held-out stops, those with a certified bound, those that
-leave it at any sample, those it does not apply to, and the median of bound over measured angle and time.
+leave it at any sample, those it does not apply to, and the median of bound over measured angle and time.  With ``--left-out`` every
+stop in turn is left out and the others identify: all of suites with few stops, each tenth power-off stop of the others.  (There the
+sets are not widened to enclose the training stops, as it would take hours; that makes them no wider than they would be.)
 """
 
 from __future__ import annotations
@@ -12,15 +14,19 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from stopset.artifact import Model
 from stopset.offline.brakes import divide, judge_stop1
+from stopset.offline.brakes.controlled import KINDS, fit_all, ramp_from
 from stopset.offline.brakes.judge import Verdict, first_outside, stop0_tubes, stop1_tube
+from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
+from stopset.offline.brakes.stops import rest_noise
 from stopset.offline.identify import identify
+from stopset.offline.sheet_brakes import assumed_brakes
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import setting_of
 from stopset.reach.stops.ramp import ramp_of
@@ -28,7 +34,9 @@ from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.recording import Recording, read_recordings
 from stopset.robot import load_robot
+from stopset.sets import Box
 
+MANY = 10  # stops of a suite from which on only each tenth is left out
 STILL = 0.015  # [rad/s] a measured joint slower than this has stopped
 
 
@@ -75,6 +83,50 @@ def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Ro
     return out
 
 
+def left_out(name: str, model: Model, recordings: Sequence[Recording]) -> list[Row]:
+    """What each stop says of brakes and ramp identified from all others."""
+    stops = [r for r in recordings if r.phase in ("stop0", "stop1")]
+    noise = rest_noise(stops, model.n)
+    assert noise is not None
+    model = replace(model, brakes=assumed_brakes(model.robot))
+    model = replace(model, sets={**model.sets, "stop0": replace(model.powered, X0=noise, V=noise, active=())})
+    return [_left_out_stop0(name, model, stops, noise), _left_out_stop1(name, stops, noise)]
+
+
+def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: Box) -> Row:
+    mine = [r for r in stops if r.phase == "stop0"]
+    wide = model.brakes or guessed_brakes(model, mine, noise)
+    seen = look(model, wide, mine, noise)
+    tried, known, left, ratios = 0, 0, [], []
+    for k, r in enumerate(mine):
+        if sum(x.suite == r.suite for x in mine) > MANY and k % 10:
+            continue
+        tried += 1
+        found = brakes_from(model, wide, [*seen[:k], *seen[k + 1 :]], noise, [])
+        setting = setting_of(found) if found is not None else None
+        tubes = stop0_tubes(setting, r) if setting is not None else None
+        if setting is None or tubes is None:
+            continue
+        known += 1
+        outside = first_outside(tubes, r, setting.noise)
+        left += [] if outside is None else [(r.label, *outside)]
+        ratios.append(exceeds(tubes, r))
+    return _row(name, "STOP 0", Verdict(tried, known, tuple(left)), ratios)
+
+
+def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box) -> Row:
+    mine = [r for r in stops if r.phase == "stop1"]
+    fits = {kind: fit_all(kind, mine) for kind in KINDS}
+    verdicts, ratios = [], []
+    for k, r in enumerate(mine):
+        others = {kind: [*f[:k], *f[k + 1 :]] for kind, f in fits.items()}
+        ramp = ramp_from(others, [*mine[:k], *mine[k + 1 :]], [x for x in stops if x is not r], noise, [])
+        verdicts.append(judge_stop1(ramp, noise, [r]))
+        ratios.append(exceeds([stop1_tube(ramp, noise, r)], r))
+    certified, uncovered = sum(v.certified for v in verdicts), tuple(x for v in verdicts for x in v.uncovered)
+    return _row(name, "STOP 1", Verdict(len(mine), certified, tuple(x for v in verdicts for x in v.outside), uncovered), ratios)
+
+
 def _row(name: str, category: str, v: Verdict, ratios: Sequence[tuple[float, float]]) -> Row:
     angle, time = np.nanmedian(ratios, axis=0) if ratios else (np.nan, np.nan)
     return Row(name, category, v.stops, v.certified, len(v.outside), len(v.uncovered), float(angle), float(time), v.outside)
@@ -84,6 +136,7 @@ def main() -> None:
     args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     args.add_argument("folder", type=Path)
     args.add_argument("sets", nargs="*", help="names of sets, default all")
+    args.add_argument("--left-out", action="store_true", help="leave out every stop in turn")
     args.add_argument("--json", type=Path)
     given = args.parse_args()
     rows: list[Row] = []
@@ -95,7 +148,7 @@ def main() -> None:
         data = [folder / "recording.parquet"]
         model = identify(robot, data).model
         stops = [r for r in read_recordings(data, robot) if r.phase in ("stop0", "stop1")]
-        for row in rows_of(folder.name, model, stops):
+        for row in (left_out if given.left_out else rows_of)(folder.name, model, stops):
             rows.append(row)
             print(
                 f"{row.name:<6} {row.category:<7} {row.held:>4} {row.certified:>9} {row.violated:>8} {row.uncovered:>9} "
@@ -106,7 +159,7 @@ def main() -> None:
         mine = [r for r in rows if r.category == category]
         if mine:
             print(
-                f"{category}: {sum(r.certified for r in mine)} of {sum(r.held for r in mine)} held-out stops certified, "
+                f"{category}: {sum(r.certified for r in mine)} of {sum(r.held for r in mine)} stops not identified from certified, "
                 f"{sum(r.violated for r in mine)} violated, {sum(r.uncovered for r in mine)} not covered; median over sets of bound "
                 f"over measured: angle {np.nanmedian([r.angle for r in mine]):.2f}, time {np.nanmedian([r.time for r in mine]):.2f}"
             )

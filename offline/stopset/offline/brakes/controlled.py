@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from stopset.offline.brakes.bands import band, beyond, hull
+from stopset.offline.brakes.bands import farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp
@@ -22,6 +22,7 @@ WIDENINGS = 6
 WIDEN = 1.15
 START = 0.005  # [s] delay to start the fit from
 SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less
+CONTROL = 2e-3  # [s] least standard deviation of the ramp's start between stops
 
 
 def fit_ramp(train: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]) -> Ramp:
@@ -29,16 +30,23 @@ def fit_ramp(train: Sequence[Recording], requests: Sequence[Recording], noise: B
 
     ``requests``: training stops of every category: how their speeds were changing when the stop was asked for.
     """
+    return ramp_from({kind: fit_all(kind, train) for kind in KINDS}, train, requests, noise, notes)
+
+
+def ramp_from(
+    fits: Mapping[str, Sequence[Fit]], train: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]
+) -> Ramp:
+    """The same from the ramps of single stops, for either kind of ramp one per training stop."""
     n = train[0].q.shape[1]
-    fits = {kind: [_fit_one(kind, r) for r in train] for kind in KINDS}
     kind = min(fits, key=lambda k: sum(f.misfit for f in fits[k]))
     suites = [r.suite for r in train]
     control = _band_of([f.control for f in fits[kind]], suites)
     value = _band_of([f.value for f in fits[kind]], suites)
     # a programmed motion that speeds up slows down again, and may begin to while the ramp slows it further
-    pace = max(map(abs, band([0.0, *(p for p in (pace_before(r) for r in requests) if p is not None)])))
+    paces = [abs(p) for p in (pace_before(r) for r in requests) if p is not None]
+    pace = farther(len(paces)) * max(paces) if paces else 0.0
     errors = np.array([_tracking(kind, r, f) for r, f in zip(train, fits[kind], strict=True)])  # (stops, 2, n)
-    q_error, dq_error = errors.max(axis=0) + beyond(len(train)) * np.ptp(errors, axis=0)
+    q_error, dq_error = farther(len(train)) * errors.max(axis=0)
     ramp = Ramp(
         "time" if kind == "time" else "deceleration",
         Box.of(np.full(n, max(value[0], 1e-3)), np.full(n, value[1])), Box.of(np.full(n, max(control[0], 0.0)), np.full(n, control[1])),
@@ -60,11 +68,13 @@ def _band_of(values: Sequence[float], suites: Sequence[int]) -> tuple[float, flo
     for v, s in zip(values, suites, strict=True):
         seen, count = groups.get(s, ([], 0))
         groups[s] = ([*seen, v], count + 1)
-    return hull(groups) if len(values) > 1 else band(values)
+    return hull(groups)
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class Fit:
+    """One stop's ramp: start [s], length [s] or deceleration [rad/s^2], pace [1/s] of the motion slowed down, squared misfit."""
+
     control: float
     value: float
     pace: float
@@ -79,8 +89,17 @@ def _shape(kind: str, t: Array, v0: Array, control: float, value: float, pace: f
     return v0 * (way + 0.5 * pace * way * way), v0 * (1.0 - s) * np.maximum(1.0 + pace * way, 0.0)
 
 
-def _fit_one(kind: str, r: Recording) -> _Fit:
-    """The ramp of one stop."""
+def fit_all(kind: str, stops: Sequence[Recording]) -> list[Fit]:
+    """The ramps of all stops.  One that tells start and length only together (a slow one, or one asked for while the motion
+    changed its speed) is read with where the others started."""
+    alone = np.array([_fit_one(kind, r).control for r in stops])
+    middle = float(np.median(alone))
+    spread = max(1.4826 * float(np.median(np.abs(alone - middle))), CONTROL)
+    return [_fit_one(kind, r, (middle, spread)) for r in stops]
+
+
+def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) -> Fit:
+    """The ramp of one stop; ``usual``: mean and standard deviation [s] of the time at which ramps start."""
     t, v, v0 = _motion(r)
     area = float(np.sum(np.abs(v)) * np.mean(np.diff(t))) / max(float(np.sum(np.abs(v0))), 1e-9)
     guess = max(2.0 * area, 0.02) if kind == "time" else float(np.max(np.abs(v0))) / max(2.0 * area, 0.02)
@@ -89,11 +108,12 @@ def _fit_one(kind: str, r: Recording) -> _Fit:
     def miss(x: Array) -> Array:
         # a motion goes on changing its speed as before the request, or less when it reaches its constant speed meanwhile
         speeds = _shape(kind, t, v0, float(x[0]), float(np.exp(x[1])), before * float(x[2]))[1]
-        return np.asarray(v - speeds).ravel()
+        prior = [] if usual is None else [SOFT * (x[0] - usual[0]) / usual[1]]
+        return np.concatenate([(v - speeds).ravel(), prior])
 
     bounds = ([0.0, -np.inf, 0.0], [0.5 * float(t[-1]), np.inf, 1.0])
     fit = least_squares(miss, [START, np.log(guess), 0.5], bounds=bounds, loss="soft_l1", f_scale=SOFT, max_nfev=80)
-    return _Fit(float(fit.x[0]), float(np.exp(fit.x[1])), before * float(fit.x[2]), float(2.0 * fit.cost))
+    return Fit(float(fit.x[0]), float(np.exp(fit.x[1])), before * float(fit.x[2]), float(2.0 * fit.cost))
 
 
 def _motion(r: Recording) -> tuple[Array, Array, Array]:
@@ -102,7 +122,7 @@ def _motion(r: Recording) -> tuple[Array, Array, Array]:
     return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
 
 
-def _tracking(kind: str, r: Recording, fit: _Fit) -> Array:
+def _tracking(kind: str, r: Recording, fit: Fit) -> Array:
     """(2, n) largest error of angle and speed against the stop's own ramp."""
     k = trigger_of(r)
     assert k is not None

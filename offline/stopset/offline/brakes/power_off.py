@@ -1,21 +1,21 @@
 """Brakes from recorded power-off stops: torque, delay and rise as intervals, and the uncertainty sets of the regime STOP 0.
 
 What varies between stops is what the intervals hold: per stop and joint one delay and one torque are estimated (`timing`),
-and each suite's values are widened by its own spread and number (`bands`).  What one brake was seen to do, relative to its own
+and each suite's values are widened by how few they are (`bands`); a suite that tells too few leaves what was assumed possible.  What one brake was seen to do, relative to its own
 middle, the other brakes of the arm are taken to be able to do too: a few stops do not show every joint's worst.  The
 joints' delays go together where one power stage cuts them: the model keeps by how much they differ within one stop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model, UncertaintySets
-from stopset.offline.brakes.bands import band, beyond, hull
+from stopset.offline.brakes.bands import TORQUES, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, Told, tell
@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
-MOST_TORQUE = 0.2  # as `bands.MOST`, for torques: what springs press and linings hold is bounded by how a brake is built
 SIGMAS = 4.0  # of a measured speed's noise within its bound
 WIDENINGS = 6
 WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
@@ -66,7 +65,7 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
     return out
 
 
-def _guessed(model: Model, stops: Sequence[Recording], noise: Box) -> Brakes:
+def guessed_brakes(model: Model, stops: Sequence[Recording], noise: Box) -> Brakes:
     """Brakes where no data sheet tells: torque from the steepest end of a joint's curves, timing as of any servo brake."""
     n = model.n
     delay, rise = Box.of(np.zeros(n), np.full(n, 0.1)), Box.of(np.full(n, 1e-3), np.full(n, 0.05))
@@ -87,9 +86,14 @@ def _table(seen: Sequence[Seen], field: str) -> Array:
 
 def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list[str]) -> Model | None:
     """The model with brakes and the regime STOP 0 from the training stops; None, and a note, if they cannot tell."""
+    wide = model.brakes or guessed_brakes(model, train, noise)
+    known = brakes_from(model, wide, look(model, wide, train, noise), noise, notes)
+    return None if known is None else _widened(known, train, notes)
+
+
+def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, notes: list[str]) -> Model | None:
+    """The model with brakes and the regime STOP 0 from what stops told under the brakes ``wide`` assumed before."""
     n = model.n
-    wide = model.brakes or _guessed(model, train, noise)
-    seen = look(model, wide, train, noise)
     delay = _delays(_table(seen, "delay"), notes)
     if np.sum(~np.isnan(delay)) < LEAST:
         notes.append("too few joints were still moving when their brakes engaged; brakes cannot be identified from these stops")
@@ -103,18 +107,22 @@ def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list
         )
         return None
     suites = [s.suite for s in seen]
-    timing, apart = _timing(delay, suites)
+    timing, apart, silent = _timing(delay, suites)
     stops_told = int(np.sum(~np.isnan(delay).all(axis=1)))
     if stops_told < ENOUGH:
-        timing = timing | wide.delay
         notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
+    elif silent:
+        notes.append(
+            f"fewer than {LEAST} stops of suite {silent} tell when the brakes engaged: the delays assumed before stay possible"
+        )
+    if stops_told < ENOUGH or silent:
+        timing = timing | wide.delay
     brakes = Brakes(
         _torques(model, wide, torque, suites, notes), timing, Box.of(*np.tile(_rises(_table(seen, "rise")), (n, 1)).T),
-        source=f"identified from {len(train)} recorded stops, {stops_told} of which tell a delay and {int(np.isfinite(torque).sum())} "
+        source=f"identified from {len(seen)} recorded stops, {stops_told} of which tell a delay and {int(np.isfinite(torque).sum())} "
         "joints a torque", apart=apart,
     )  # fmt: skip
-    sets = _regime(model, seen, noise)
-    return _widened(replace(model, brakes=brakes, sets={**model.sets, "stop0": sets}), train, notes)
+    return replace(model, brakes=brakes, sets={**model.sets, "stop0": _regime(model, seen, noise)})
 
 
 def _delays(delay: Array, notes: list[str]) -> Array:
@@ -135,8 +143,9 @@ def _delays(delay: Array, notes: list[str]) -> Array:
     return np.where(stray, np.nan, delay)
 
 
-def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None]:
-    """(n,) delays [s], and how far two joints' delays in one stop can lie apart beyond their boxes; None if not known."""
+def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None, str]:
+    """(n,) delays [s], and how far two joints' delays in one stop can lie apart beyond their boxes, None if not known; and
+    the suites that told too little."""
     n = delay.shape[1]
     rows = np.isfinite(delay)
     some = np.asarray(rows.any(axis=1))
@@ -157,9 +166,13 @@ def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None]:
     box = Box.of(np.maximum(lo + own, 0.0), np.maximum(hi + own, 1e-3))
     apart = [float(np.ptp(common[s][rows[s]])) for s in range(len(delay)) if rows[s].sum() > 1]
     if len(apart) < 2:
-        return box, None
-    # two or three stops are few: twice what they show
-    return box, (1.0 + (beyond(len(apart)) if len(apart) >= LEAST else 1.0)) * max(apart) + GRID
+        return box, None, _silent(groups, suites)
+    return box, farther(len(apart)) * max(apart) + GRID, _silent(groups, suites)
+
+
+def _silent(groups: Mapping[int, tuple[list[float], int]], suites: Sequence[int]) -> str:
+    """The suites that told too few values to know what they vary by."""
+    return ", ".join(str(s) for s in sorted(set(suites)) if groups.get(s, ([], 0))[1] < LEAST)
 
 
 def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], notes: list[str]) -> Box:
@@ -182,7 +195,11 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
     for s, i in np.argwhere(told):
         values, count = groups.get(suites[s], ([], 0))
         groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
-    lo, hi = hull(groups, MOST_TORQUE)
+    lo, hi = hull(groups, TORQUES)
+    silent = _silent(groups, suites)
+    if silent:
+        lo, hi = min(lo, float((wide.torque.lo / nominal).min())), max(hi, float((wide.torque.hi / nominal).max()))
+        notes.append(f"fewer than {LEAST} brake torques can be told from suite {silent}: those assumed before stay possible")
     return Box.of(np.maximum(middle * max(lo, LEAST_TORQUE) * nominal, 1e-3), middle * hi * nominal)
 
 
@@ -210,7 +227,7 @@ def _regime(model: Model, seen: Sequence[Seen], noise: Box) -> UncertaintySets:
             max(float(np.max(error[clear, i])), min(hi, u_hi[i])),
         )
     start = np.array([s.start for s in seen])
-    most = np.array([max(map(abs, band(start[:, i]))) for i in range(n)])
+    most = farther(len(seen)) * np.abs(start).max(axis=0)
     X0 = Box.symmetric(np.maximum(noise.radius, np.concatenate([np.zeros(n), most])))
     return replace(powered, X0=X0, U=Box.of(u_lo, u_hi), V=noise, active=(), zonotope=None)
 

@@ -22,7 +22,7 @@ FADING = 6e-3  # [s] a drive's torque may last after the cut, one sigma
 EARLY = 0.016  # [s] after the cut, in which no brake closes and power is gone
 SIGNIFICANT = 9.0  # squared misfit: three standard deviations of one parameter
 SHARP = 0.006  # [s] a delay known no better than this is not counted, nor a rise
-TELLING = 0.06  # relative standard deviation of a torque that counts
+TELLING = 0.08  # relative standard deviation of a torque that counts
 CREDIBLE = (0.35, 2.0)  # times the torque assumed; what lies beyond is a wrong friction or an elastic joint, not a brake
 MISFIT = 2.5  # squared misfit per sample beyond which no ramp explains the curve
 
@@ -70,14 +70,22 @@ def tell(c: Impulse, torque: float, friction_spread: float) -> Told:
     rises = RISES[cost.min(axis=0) < cost.min() + 0.5 * SIGNIFICANT]
     credible = CREDIBLE[0] * torque <= level[d, r] <= CREDIBLE[1] * torque
     sharp = credible and np.ptp(alike) <= SHARP and float(alike[-1]) < float(c.t[-1])
-    std = 1.0 / np.sqrt(curvature[d, r] + weight)
+    mean, std = _level(cost, level, curvature + weight)
     x = size * (gain @ (y - level[d, r] * R[d, r]))
     return Told(
         delay=float(delays[d]) if sharp else np.nan,
         rise=float(RISES[r]) if sharp and np.ptp(rises) <= SHARP else np.nan,
-        torque=float(level[d, r]) if sharp and std <= TELLING * torque else np.nan,
+        torque=mean if sharp and std <= TELLING * torque else np.nan,
         impulse=-float(x[0]), torque_error=-float(x[1]), torque_error_std=float(spread[1]) if sharp else np.inf,
     )  # fmt: skip
+
+
+def _level(cost: Array, level: Array, precision: Array) -> tuple[float, float]:
+    """Mean and standard deviation [N m] of a torque over all delays and rises (D, R), by how well each fits."""
+    weight = np.exp(-0.5 * (cost - cost.min())) / np.sqrt(precision)
+    weight /= weight.sum()
+    mean = float(np.sum(weight * level))
+    return mean, float(np.sqrt(np.sum(weight * ((level - mean) ** 2 + 1.0 / precision))))
 
 
 def unit_ramps(t: Array, delays: Array, rises: Array) -> Array:
