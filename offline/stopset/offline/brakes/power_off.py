@@ -1,9 +1,10 @@
 """Brakes from recorded power-off stops: torque, delay and rise as intervals, and the uncertainty sets of the regime STOP 0.
 
 What varies between stops is what the intervals hold: per stop and joint one delay and one torque are estimated (`timing`),
-and each suite's values are widened by how few they are (`bands`); a suite that tells too few leaves what was assumed possible.  What one brake was seen to do, relative to its own
-middle, the other brakes of the arm are taken to be able to do too: a few stops do not show every joint's worst.  The
-joints' delays go together where one power stage cuts them: the model keeps by how much they differ within one stop.
+and each suite's values are widened by how few they are (`bands`); a suite that tells too few leaves what was assumed
+before possible.  What one brake was seen to do, relative to its own middle, the other brakes of the arm are taken to be able
+to do too: a few stops do not show every joint's worst.  The joints' delays go together where one power stage cuts them: the
+model keeps by how much they differ within one stop.
 """
 
 from __future__ import annotations
