@@ -39,7 +39,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
-SCHEMA = 2
+SCHEMA = 3
 SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
@@ -54,6 +54,7 @@ def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
         "settings_sha256": settings_of(model).sha256,
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
+        "doubt": kept.nominal.doubt.tolist(),
         "learnt": sorted(kept.learnt),
         "fitted_files": kept.fitted_files,
         "session": list(kept.session),
@@ -115,7 +116,9 @@ def load_sums(path: str | Path, model: Model) -> Kept:
 
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
     data = load_nominal(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
-    nominal = NominalPart(model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data)
+    nominal = NominalPart(
+        model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
+    )
     meta = meta_of(head["meta"])
     dt = float(head["dt"])
     steps = round(settings_of(model).horizon / dt)

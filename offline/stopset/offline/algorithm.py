@@ -9,7 +9,7 @@ from typing import Any
 
 # what stands between recordings and model file; capitals in these modules, and in those of these packages, are constants
 WHERE = (
-    "stopset.offline.abstraction", "stopset.offline.brakes", "stopset.offline.conform", "stopset.offline.errors",
+    "stopset.offline.abstraction", "stopset.offline.brakes", "stopset.offline.conform", "stopset.offline.doubt", "stopset.offline.errors",
     "stopset.offline.motions", "stopset.offline.nominal", "stopset.offline.nominal_part", "stopset.offline.output_error",
     "stopset.offline.rollout", "stopset.offline.settings", "stopset.offline.sheet_brakes", "stopset.offline.survey",
     "stopset.reach.flowpipe", "stopset.reach.nonlinear",

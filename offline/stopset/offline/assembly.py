@@ -11,8 +11,10 @@ from stopset.artifact import Domain, Model, Revision, UncertaintySets
 from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.conform.bands import Bands, band_sets
 from stopset.offline.conform.program import STOP_TIME
-from stopset.offline.conform.sets import Conformance, Options, conform
+from stopset.offline.conform.sets import Conformance, Options, conform, few_motions
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.doubt import notes as doubts
+from stopset.offline.doubt import widened
 from stopset.offline.errors import Figures
 from stopset.offline.nominal_part import NominalPart
 from stopset.offline.settings import Settings
@@ -71,6 +73,10 @@ def packed(
 ) -> Identification:  # fmt: skip
     errors, u_hull = figures.result(robot.joints), figures.u
     assert u_hull is not None
+    seen = result.sets
+    if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
+        result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
+        by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
     total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
     notes = list(result.notes)
     if by_band:
@@ -84,7 +90,7 @@ def packed(
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
-        notes=(*meta.warnings, *robot.notes, *nominal.notes, *notes),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes),
     )  # fmt: skip
     return Identification(model, result, found, settings)
 

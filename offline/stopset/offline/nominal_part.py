@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from stopset.artifact.inputs import input_map
 from stopset.effects.base import Effect, Fitted
 from stopset.errors import EffectError
 from stopset.offline.conform.sets import Pairs
+from stopset.offline.doubt import of_lags, of_regression
 from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.known import described, plain
 from stopset.offline.nominal.gram import NormalEquations
@@ -31,7 +32,10 @@ NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estim
 
 @dataclass(frozen=True, slots=True)
 class NominalPart:
-    """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was."""
+    """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was.
+
+    ``doubt`` (n,) [N m]: torque that the recordings leave open, see `stopset.offline.doubt`.
+    """
 
     robot: Robot
     rotor: Array
@@ -39,6 +43,7 @@ class NominalPart:
     abstraction: Abstraction
     notes: tuple[str, ...]
     data: NormalEquations | None = None
+    doubt: Array = field(default_factory=lambda: np.zeros(1))
 
 
 def fit_nominal(
@@ -101,7 +106,8 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
             if not f.determined
         ),
     )
-    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes)
+    doubt = of_lags(np.array([f.std for f in fits]), sample)
+    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes, doubt=doubt)
 
 
 def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
@@ -128,7 +134,8 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
     )
     notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
-    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data)
+    doubt = of_regression(cad, nominal, found.sample)
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt)
 
 
 def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
