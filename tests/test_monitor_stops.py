@@ -15,7 +15,7 @@ from stopset.monitor.stopdesk import StopDesk, answer_for
 from stopset.monitor.watch import Quantum
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.tubes import tube_of
+from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box, tube_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like, ur5_like
@@ -66,6 +66,11 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
             spent[prepared.fast].append(time.process_time() - begin)
             assert bound.certified
         layers.append(bound.layer)
+    s = strong.setting
+    assert s is not None
+    r, v = s.noise.radius[:6], s.noise.radius[6:]
+    coarse = march_box(s, s.plant, q, dq, r, v, True, knots=FAST_ENERGY_KNOTS)
+    assert sample_stops(s.plant, q, dq, r, v, s.payload_com, coarse, 60, 3).escaped == 0
     assert layers.count("energy") >= 4, "these states need the kinetic energy"
     assert np.median(spent[True]) < 0.5 * np.median(spent[False])
     save_model(ur5_like(), tmp_path / "m.model.json")

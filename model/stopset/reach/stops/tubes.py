@@ -13,7 +13,7 @@ from stopset.robot.rigid import Array, gravity_torque
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
 FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
-FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a quarter wider, in an eighth of the time
+FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
 FAST_WINDOWS = 2  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
 PATIENCE = 6  # times the expected stop before a tube is called endless
 MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
