@@ -208,6 +208,10 @@ def test_a_foreign_or_damaged_file_or_a_recording_twice_is_refused(tmp_path: Pat
             state = load_state(tmp_path / name, model)
             assert isinstance(state, Signals)
             list(state.campaign.trials())
+    fresh = save_trials(tmp_path / "fresh.parquet", recordings(J, v, 1, seed=51), JOINTS)
+    newer = replace(model, provenance={**model.provenance, "settings": {**model.provenance["settings"], "colour": "red"}})
+    with pytest.raises(ModelFileError, match=r"does not have \(colour\)"):
+        update(newer, load_state(tmp_path / "s", newer), [fresh])
     with pytest.raises(ModelFileError, match="belongs to the model"):
         load_state(tmp_path / "s", replace(model, sha256="0" * 64))
     copy = tmp_path / "copy.parquet"

@@ -9,7 +9,7 @@ does not help is refused, with the numbers, unless forced.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from stopset.artifact import Model, Revision
 from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
-from stopset.errors import EffectError
+from stopset.errors import EffectError, ModelFileError
 from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.held_out import nominal_figures
 from stopset.offline.identify import Keep, Settings, identify
@@ -211,10 +211,17 @@ def _known(model: Model) -> tuple[Fitted, ...]:
 
 
 def settings_of(model: Model) -> Settings:
-    """The settings a model was identified with."""
+    """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
     kept = dict(model.provenance.get("settings", {}))
     kept["effects"] = tuple(kept.get("effects", ()))
-    return Settings(**kept)
+    try:
+        return Settings(**kept)
+    except TypeError as e:
+        unknown = ", ".join(sorted(kept.keys() - {f.name for f in fields(Settings)}))
+        raise ModelFileError(
+            f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
+            "identify again"
+        ) from e
 
 
 def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Recording], bool], str]:
