@@ -168,6 +168,10 @@ class Engine:
             del self._made[next(iter(self._made))]
         return made
 
+    def hold(self, columns: tuple[int, ...]) -> None:
+        """Hold these base columns, and no others, at zero."""
+        self.held, self._small = columns, None
+
     def forget(self, joint: int) -> None:
         """Forget what was computed from other rows of ``joint``."""
         self._made.clear()

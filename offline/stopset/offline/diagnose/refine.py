@@ -34,7 +34,7 @@ def possible(engine: Engine, s: Scored) -> bool:
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     """A delay or an elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
     effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
-    if "exact" in start or (effect.enters != "input_delay" and effect.name != "elasticity"):
+    if "d0" not in start and (effect.name != "elasticity" or "exact" in start):
         return scored
 
     def value(shapes: Mapping[str, float]) -> Scored | None:

@@ -88,7 +88,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         top, candidate, hyper, p = _settle(engine, near, hyper)
         engine.active.append(candidate)
         error = held_out(engine, hyper)
-        if not foretells(candidate, before, error):
+        if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
             engine.active.pop()
             hyper, p = engine.fit(hyper)
             refused.add(top.candidate.key)
@@ -103,6 +103,18 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         hyper, p = engine.fit(hyper)
         excess = _excess(engine, p.theta, hyper)
     return Found(tuple(kept), tuple(left), hyper, excess, first)
+
+
+def _unexcused(engine: Engine, candidate: Candidate, before: Array, hyper: Hyper) -> Array:
+    """(n,) held-out error before a delay just added, its joint's stamps held: far off, they would imitate a good part of it."""
+    if candidate.effect.enters != "input_delay":
+        return before
+    engine.active.pop()
+    engine.hold((int(engine.stamps[candidate.joints[0]]),))
+    error = held_out(engine, hyper)
+    engine.hold(())
+    engine.active.append(candidate)
+    return error
 
 
 def _without_claims(engine: Engine, start: Sequence[Candidate]) -> Array:

@@ -19,7 +19,7 @@ from stopset.offline.diagnose.engine import Candidate, Engine, Hyper
 from stopset.offline.diagnose.prepare import Array, Index
 
 FEW_TRIALS = 20  # below which parts of trials are taken as independent
-PART = 5.0  # [s] length of such a part: a slow motion's own time
+PART = 10.0  # [s] length of such a part: some motions
 STEP = 0.01  # relative step of a shape's numerical derivative
 
 
