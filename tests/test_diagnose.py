@@ -243,6 +243,16 @@ SHEET = {"joints": {  # of the arm above, so that a rotor can differ from what i
 }}  # fmt: skip
 
 
+@pytest.mark.parametrize(("stiffness", "named"), [(0.01, "asymmetric_coulomb"), (0.06, "spring")])
+def test_of_two_laws_as_good_as_equally_likely_the_simpler_is_named(stiffness: float, named: str) -> None:
+    """A spring is an offset and a stiffness: next to no stiffness is something that any imperfect model finds."""
+    scenario = prepare(robot_from_text(ARM), ["asymmetric_coulomb:b"], 52, "compact", "easy", "exact")
+    meta = dataclasses.replace(scenario.meta, sources=())
+    pulled = tuple(dataclasses.replace(r, tau=r.tau + np.array([0.0, stiffness]) * r.q) for r in scenario.recordings())
+    found = diagnose(scenario.robot, Recordings(meta, pulled))
+    assert found.claims[0].label == f"{named}:b"
+
+
 def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_delay() -> None:
     """A fifth more inertia than stated: a description's error common to all links must not excuse one rotor."""
     scenario = prepare(robot_from_text(ARM, SHEET), ["rotor_inertia:b"], 62, "compact", "hard", "exact")

@@ -20,6 +20,7 @@ from stopset.offline.diagnose.wanted import LOUD, exact, wanted
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
+SIMPLER = 0.01  # share of its evidence for which a law that looks alike gives way to one of fewer parameters
 LOWERED = 0.02  # share by which a claim must lower a joint's torque error on motions not fitted; 1.4-fold ones lower it by 0.29
 SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model
 MAX_CLAIMS = 12
@@ -138,21 +139,35 @@ def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
     return candidate.effect.name in SHIFTS or bool(np.max(1.0 - after[where] / before[where]) > LOWERED)
 
 
+Settled = tuple[float, Scored, Candidate, Hyper, Projection]
+
+
 def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Scored, Candidate, Hyper, Projection]:
-    """Among contenders of nearly equal score, the one with which the whole model, refitted, is most likely."""
-    best: tuple[float, Scored, Candidate, Hyper, Projection] | None = None
+    """Among contenders of nearly equal score, the one with which the whole model, refitted, is most likely.
+
+    Of two that look alike at the same joint and are as good as equally likely, the simpler one.
+    """
+    settled: list[Settled] = []
     for s in near:
         sharp = sharpened(engine, s, hyper)
         candidate = engine.add(sharp.candidate.effect, sharp.candidate.joints, sharp.candidate.shapes)
         assert candidate is not None
         engine.active.append(candidate)
         h, p = engine.fit(hyper)
-        value = engine.evidence(h)
+        settled.append((engine.evidence(h), s, candidate, h, p))
         engine.active.pop()
-        if best is None or value > best[0]:
-            best = (value, s, candidate, h, p)
-    assert best is not None
-    return best[1:]
+    best = max(settled, key=lambda x: x[0])
+    simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - SIMPLER * best[1].score]
+    return max(simpler, key=lambda x: x[0], default=best)[1:]
+
+
+def _simplifies(a: Candidate, b: Candidate) -> bool:
+    """Whether ``a`` says with fewer parameters what looks like ``b`` at the same joints."""
+
+    def parameters(c: Candidate) -> int:
+        return len(c.effect.terms) + len(c.effect.shapes)
+
+    return a.joints == b.joints and a.effect.name in b.effect.looks_like and parameters(a) < parameters(b)
 
 
 def _needed(engine: Engine, claims: Sequence[Claim], hyper: Hyper, threshold: float) -> list[Claim]:
