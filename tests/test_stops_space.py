@@ -12,6 +12,7 @@ import pytest
 from stopset.errors import NotCovered
 from stopset.offline.stops.sampling import DT, draw, inverse_inertia, start_of
 from stopset.reach.stops import StopBound, StopBounds
+from stopset.reach.stops.cartesian import Slices, point_motion
 from stopset.robot.rigid import link_frames
 from stopset.simulation.stop import simulate_stop
 
@@ -110,3 +111,18 @@ def test_a_direction_is_a_direction_and_scales_do_not_matter() -> None:
             bound.directed_speed(bad)
     refused = StopBound("0", False, "no stop provable")
     assert refused.directed_speed([1, 0, 0]) is None and refused.speed_towards([1, 0, 0]) is None
+
+
+def test_joints_that_may_turn_anywhere_leave_no_farther_than_the_arm_reaches() -> None:
+    chain, rng, tool = prbt_like().robot.chain, np.random.default_rng(8), np.array([0.05, 0.0, 0.1])
+    turn, q = np.full((1, 6), np.pi), rng.uniform(-0.3, 0.3, 6)
+    anywhere = Slices(np.array([0.0, 1.0]), -turn, turn, -turn, turn)
+    far, _, box = point_motion(chain, q, np.zeros(6), anywhere, 5, tool)
+
+    def place(q: np.ndarray) -> np.ndarray:
+        R, o = link_frames(chain, q)
+        return o[-1] + R[-1] @ tool
+
+    moved = np.array([place(q + rng.uniform(-np.pi, np.pi, 6)) - place(q) for _ in range(20_000)])
+    assert np.linalg.norm(chain.p[1:], axis=1).sum() < np.linalg.norm(moved, axis=1).max() <= far < 2.3
+    assert np.all(moved >= box[:, 0]) and np.all(moved <= box[:, 1])

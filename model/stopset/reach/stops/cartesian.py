@@ -168,10 +168,14 @@ def point_sets(
 def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
     """How far and how fast a point of ``link`` can move from where it was: length [m], speed [m/s], box (3, 2) [m].
 
-    Arguments as for `point_sets`; the box is in base coordinates.
+    Arguments as for `point_sets`; the box is in base coordinates.  However far joints turn, no point leaves the ball about the
+    first one that the arm reaches.
     """
     way, way_ball, pace, pace_ball = point_sets(chain, q, q_radius, parts, link, point)
     far, fast = 0.0, 0.0
+    reach = np.sqrt(np.sum(point**2))
+    for i in range(1, link + 1):
+        reach += np.sqrt(np.sum(chain.p[i] ** 2))
     box = np.zeros((3, 2))
     one = np.ones(q.shape[0])
     for s in range(way.shape[0]):
@@ -183,7 +187,7 @@ def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: i
                 half += abs(way[s, x, i + 1])
             box[x, 0] = min(box[x, 0], way[s, x, 0] - half)
             box[x, 1] = max(box[x, 1], way[s, x, 0] + half)
-    return far, fast, box
+    return min(far, 2.0 * reach), fast, np.minimum(np.maximum(box, -2.0 * reach), 2.0 * reach)
 
 
 @njit(cache=True)
