@@ -167,8 +167,8 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
         def take(_key: str, data: bytes) -> None:
             new = json.loads(data)
             # once the replay ends the bus falls silent and the state is FAULT, as it must be; what held before is told
-            word = new["state"] if new["state"] != "FAULT" else twin.get("state", "FAULT")
-            twin.update(new | {"state": word})
+            before = {k: twin[k] for k in ("state", "why") if k in twin} if new["state"] == "FAULT" else {}
+            twin.update(new | before)
 
         link.subscribe("state/json", take)
         while time.monotonic() < deadline and replay.poll() is None and monitor.poll() is None:
@@ -184,6 +184,8 @@ def _told(twin: dict[str, Any]) -> dict[str, Any]:
         text = f"a zenoh subscriber sees the violation, at {', '.join(twin['violating_joints'])}; stop numbers are withdrawn"
     else:
         text = f"a zenoh subscriber sees {twin.get('verdicts', {}).get('CONFORMANT', 0)} conformant samples and no violation"
+        if twin.get("state") not in ("OK", None):
+            text += f"; {twin['why']}"
     return {"word": twin.get("state", "no state"), "text": text}
 
 
