@@ -113,6 +113,45 @@ def _add(x: Array, weight: float, y: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _update_decoupled(
+    a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
+) -> None:
+    """Joint by joint ``e(h+1) = Ad e(h) + r``, fused: two thirds of `_update`'s time; ``a``: (n, 2, 2), ``residual``: (N-1, 2n)."""
+    N, n2 = residual.shape
+    n = n2 // 2
+    H = hi.shape[0] - 1
+    eq, ed = np.empty(starts), np.empty(starts)
+    for j in range(n):
+        a11, a12, a21, a22 = a[j, 0, 0], a[j, 0, 1], a[j, 1, 0], a[j, 1, 1]
+        eq[:] = 0.0
+        ed[:] = 0.0
+        for h in range(1, min(H, N) + 1):
+            live = min(starts, N - h + 1)
+            mq, md, nq, nd = -np.inf, -np.inf, np.inf, np.inf
+            for s in range(live):
+                q = residual[s + h - 1, j] + a11 * eq[s] + a12 * ed[s]
+                d = residual[s + h - 1, n + j] + a21 * eq[s] + a22 * ed[s]
+                eq[s] = q
+                ed[s] = d
+                mq = max(mq, q)
+                nq = min(nq, q)
+                md = max(md, d)
+                nd = min(nd, d)
+            if mq > hi[h, j]:
+                hi[h, j] = mq
+                hi_at[h, j, 0], hi_at[h, j, 1] = trial, _first(eq[:live], mq)
+            if nq < lo[h, j]:
+                lo[h, j] = nq
+                lo_at[h, j, 0], lo_at[h, j, 1] = trial, _first(eq[:live], nq)
+            if md > hi[h, n + j]:
+                hi[h, n + j] = md
+                hi_at[h, n + j, 0], hi_at[h, n + j, 1] = trial, _first(ed[:live], md)
+            if nd < lo[h, n + j]:
+                lo[h, n + j] = nd
+                lo_at[h, n + j, 0], lo_at[h, n + j, 1] = trial, _first(ed[:live], nd)
+
+
+@njit(cache=True, nogil=True)
 def _update(
     Ad: Array, across: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
 ) -> None:
@@ -169,6 +208,10 @@ class Deviations:
         self.dt, self.steps, self.windows = dt, steps, windows
         self._Ad, self._Bd = discretise(abstraction, dt)
         self.across = np.eye(abstraction.n) if across is None else np.ascontiguousarray(across)
+        self._blocks: Array | None = None
+        if abstraction.decoupled and across is None:
+            pairs = [[j, abstraction.n + j] for j in range(abstraction.n)]
+            self._blocks = np.ascontiguousarray(np.stack([self._Ad[np.ix_(p, p)] for p in pairs]))
         self.states = 2 * len(self.across)
 
     def empty(self) -> Envelope:
@@ -188,7 +231,11 @@ class Deviations:
         starts = len(residual) if self.windows == "sliding" else 1
         trial = len(env.labels)
         env.labels.append(r.label)
-        _update(self._Ad, self.across, residual, starts, trial, env.hi, env.lo, env.hi_at, env.lo_at)
+        where = (env.hi, env.lo, env.hi_at, env.lo_at)
+        if self._blocks is not None:
+            _update_decoupled(self._blocks, residual, starts, trial, *where)
+        else:
+            _update(self._Ad, self.across, residual, starts, trial, *where)
         reach = min(self.steps, len(residual))
         ages = np.arange(1, reach + 1)
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)
