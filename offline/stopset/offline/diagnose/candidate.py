@@ -13,6 +13,7 @@ from stopset.offline.diagnose.prepare import Array, Index
 
 HELD = 1e12  # prior precision of a term held at zero
 MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
+LAG_PRICE = 2 * float(np.log(40.0))  # of a lag: half a millisecond found among 20
 SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a group, in units of its terms' prior deviations; each is charged for the choice
 
 
@@ -30,6 +31,16 @@ class Candidate:
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
         return (self.effect.name, self.joints)
+
+    @property
+    def given(self) -> float | None:
+        """The coefficient where it is not free: a record is shifted as a whole or not at all."""
+        return self.shapes.get("d0") if self.effect.enters == "input_delay" else None
+
+    @property
+    def price(self) -> float:
+        """Evidence that a `given` coefficient costs: its prior at this value, and how finely it was sought."""
+        return 0.0 if self.given is None else (self.given / float(self.sd[0])) ** 2 + LAG_PRICE
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +62,9 @@ class Scored:
 def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
     """`gain`; of several terms those that come out beyond their range are held at zero, where that lies in it."""
     terms = c.effect.terms
+    if c.given is not None:
+        value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
+        return value, np.array([c.given]), np.zeros((1, 1))
     if len(terms) >= MANY:
         value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in SIZES), key=lambda g: g[0])
         value -= 2 * float(np.log(len(SIZES)))

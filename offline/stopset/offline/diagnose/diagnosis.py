@@ -219,7 +219,7 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
         shapes: dict[str, float] = {p.symbol: f.values[p.symbol] for p in effect.shapes if p.symbol in f.values}
         if effect.enters == "input_delay":
             lag = f.values.get(effect.terms[0].symbol, 0.0)
-            shapes = {"d0": lag, "exact": 1.0} if lag else {}
+            shapes = {"d0": lag} if lag else {}
         elif effect.name == "elasticity":
             shapes["exact"] = 1.0
         candidate = engine.add(effect, place, shapes)

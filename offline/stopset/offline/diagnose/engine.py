@@ -24,6 +24,7 @@ __all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored", "Toleranc
 
 FOLDS = 6
 PRIOR_SHARE = 0.3  # prior deviation of an effect's torque, as a share of the joint's friction: neither tiny nor dominant
+GIVEN = 1e-7  # prior deviation of a coefficient that is given
 KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
 
 
@@ -197,14 +198,19 @@ class Engine:
     def precision(self, h: Hyper) -> Array:
         """Prior precision of `nuisance`; ``h`` says how well description and data sheet hold.
 
-        A delay that was added says all about its joint's stamps.
+        A delay that was added is `given`, and says all about its joint's stamps.
         """
         sd = self.prior_sd.copy()
         sd[self.cad] *= h.scale
         sd[self.rotors] *= h.rotor
         late = [self.stamps[c.joints[0]] for c in self.active if c.effect.enters == "input_delay"]
         sd[[*self.held, *late]] = 1e-6
-        return 1.0 / np.concatenate([sd[1:], *(c.sd for c in self.active)]) ** 2
+        return 1.0 / np.concatenate([sd[1:], *(c.sd if c.given is None else np.array([GIVEN]) for c in self.active)]) ** 2
+
+    @property
+    def mean(self) -> Array:
+        """Prior mean of `nuisance`: zero but for what is `given`."""
+        return np.concatenate([np.zeros(len(self.prior_sd) - 1), *(np.full(len(c.cols), c.given or 0.0) for c in self.active)])
 
     def total(self, hyper: Hyper, folds: Mask | None = None) -> tuple[Array, float]:
         """(C, C) Gram of all joints and the friction scales' log determinant."""
@@ -218,7 +224,8 @@ class Engine:
     def criterion(self, p: Projection, h: Hyper, logdet: float) -> float:
         """Twice the log evidence of the model without candidate, up to a constant of the data."""
         precision = self.precision(h)
-        return -(p.rss + p.logdet - float(np.log(precision[precision > 0]).sum()) + logdet)
+        price = sum(c.price for c in self.active)
+        return -(p.rss + p.logdet - float(np.log(precision[precision > 0]).sum()) + logdet + price)
 
     def fit(self, start: Hyper | None = None) -> tuple[Hyper, Projection]:
         """The current model's hyperparameters by evidence, and its coefficients."""
@@ -266,7 +273,7 @@ class Engine:
 
     def _project(self, h: Hyper) -> tuple[Projection, float]:
         G, logdet = self.total(h)
-        return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h)), logdet
+        return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h), self.mean), logdet
 
     def _best(self, now: Hyper, choices: Sequence[Hyper]) -> Hyper:
         """The choice of highest evidence uphill from ``now``: it has a single top along the choices, which stand in order."""

@@ -131,18 +131,22 @@ class Projection:
     logdet: float
 
 
-def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array) -> Projection:
-    """Take the ``nuisance`` (with prior ``precision``) out of the columns ``rest`` and of ``y``."""
+def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, mean: Array) -> Projection:
+    """Take the ``nuisance`` (with prior ``mean`` and ``precision``) out of the columns ``rest`` and of ``y``."""
+    at = np.flatnonzero(mean)
+    known, m = nuisance[at], mean[at]
+    y_nuisance, y_rest = G[nuisance, y] - G[np.ix_(nuisance, known)] @ m, G[rest, y] - G[np.ix_(rest, known)] @ m
+    square = float(G[y, y] - 2 * m @ G[known, y] + m @ G[np.ix_(known, known)] @ m)
     A = G[np.ix_(nuisance, nuisance)] + np.diag(precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
     # 1e-10: columns that repeat each other (a joint that never turns) leave the matrix singular
     L = np.linalg.cholesky(A * np.outer(scale, scale) + 1e-10 * np.eye(len(A)))
-    B = np.column_stack([G[np.ix_(nuisance, rest)], G[nuisance, y]]) * scale[:, None]
+    B = np.column_stack([G[np.ix_(nuisance, rest)], y_nuisance]) * scale[:, None]
     W = solve_triangular(L, B, lower=True, check_finite=False)
     S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]
-    s = G[rest, y] - W[:, :-1].T @ W[:, -1]
-    rss = float(G[y, y] - W[:, -1] @ W[:, -1])
-    theta = scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)
+    s = y_rest - W[:, :-1].T @ W[:, -1]
+    rss = float(square - W[:, -1] @ W[:, -1])
+    theta = mean + scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)
     return Projection(S, s, rss, theta, float(2 * np.log(np.diag(L)).sum() - 2 * np.log(scale).sum()))
 
 

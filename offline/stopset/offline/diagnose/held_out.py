@@ -30,7 +30,7 @@ def held_out(engine: Engine, hyper: Hyper) -> Array:
                 G[np.ix_(gram.index, gram.index)] += _sums(gram, row_fold != fold, kappa)
         else:
             G, _ = view.total(hyper, np.arange(FOLDS) != fold)
-        p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper))
+        p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper), view.mean)
         theta = np.concatenate([[1.0], -p.theta])
         for j, rows in enumerate(engine.rows):
             gram, k = view.grams[j], len(rows.take)

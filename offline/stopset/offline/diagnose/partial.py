@@ -36,7 +36,8 @@ class Partial:
 
 def partial(engine: Engine, hyper: Hyper, theta: Array, candidate: Candidate, joint: int) -> Partial | None:
     """Points of the claimed ``candidate`` at ``joint``; ``theta``: coefficients of the engine's nuisance, the claim among them."""
-    made = columns(engine.source, candidate.effect, candidate.joints, candidate.shapes)
+    shapes = candidate.shapes if candidate.given is None else {}  # a shifted record holds noise: drawn is the law's first order
+    made = columns(engine.source, candidate.effect, candidate.joints, shapes)
     rows = engine.rows[joint]
     if joint not in made or not len(rows.take):
         return None

@@ -32,9 +32,10 @@ REPEATED = 6  # repetitions of a suite from which on the repetition, not the pla
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Smoothing over ``+-half`` samples; ``h, h1, h2``: value, first and second derivative."""
+    """Smoothing over ``+-half`` samples; ``h, h1, h2``: value, first and second derivative; ``sigma`` [s] its width."""
 
     dt: float
+    sigma: float
     half: int
     h: Array
     h1: Array
@@ -52,7 +53,14 @@ class Kernel:
         h2 = (x**2 / sigma**2 - 1.0) * h
         h2 -= h2.mean()
         h2 *= 2.0 / np.sum(h2 * x * x)
-        return Kernel(dt, half, h, h1, h2)
+        return Kernel(dt, sigma, half, h, h1, h2)
+
+    def later(self, part: float) -> Array:
+        """``h`` about a point ``part`` of a sample later: unlike interpolation it leaves white noise as it is."""
+        x = (np.arange(-self.half, self.half + 1) - part) * self.dt
+        h = np.exp(-0.5 * (x / self.sigma) ** 2)
+        out: Array = h / h.sum()
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +84,8 @@ class Prepared:
 
     Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``way`` smoothed direction, ``ok`` the row of this joint says
     something, ``temp`` [degC] or None, ``warm`` (N,) place in the session, ``trial`` (N,) index, ``centre`` (N,) its sample.
-    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine, temp_fine``; (M,) ``warm_fine, t_fine``.
+    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine``; as recorded: ``tau_fine, temp_fine``; (M,)
+    ``warm_fine, t_fine``.
     Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
     difference.
     ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
@@ -100,6 +109,7 @@ class Prepared:
     q_fine: Array
     dq_fine: Array
     way_fine: Array
+    tau_fine: Array
     temp_fine: Array | None
     warm_fine: Array
     t_fine: Array
@@ -117,6 +127,18 @@ class Prepared:
     def thin(self, fine: Array) -> Array:
         """A column at the recording's rate (M, ...), smoothed like the torque and thinned to the rows (N, ...)."""
         return _at(fine, self.centre, self.kernel.h)
+
+    def torque_at(self, joint: int, lag: float) -> Array:
+        """(N,) recorded torque of a joint ``lag`` [s] after each row (before it where negative), held beyond a trial's ends."""
+        off = lag / self.kernel.dt
+        whole = round(off)
+        h, reach = self.kernel.later(off - whole), self.kernel.half + abs(whole)
+        out = np.empty(len(self.centre))
+        for trial in self.trials:
+            x = self.tau_fine[trial.fine, joint]
+            padded = np.concatenate([np.full(reach, x[0]), x, np.full(reach, x[-1])])
+            out[trial.rows] = _at(padded, self.centre[trial.rows] - trial.fine.start + reach + whole, h)
+        return out
 
 
 def _at(x: Array, centre: Index, h: Array) -> Array:
@@ -184,7 +206,7 @@ def prepare(recordings: Recordings) -> Prepared:
         tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
-        q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), temp_fine=temp_fine,
+        q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
     )  # fmt: skip

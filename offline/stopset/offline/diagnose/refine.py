@@ -1,8 +1,8 @@
-"""Shapes searched off their grid: the best contenders refined, and a claimed delay or elasticity made exact."""
+"""Shapes searched off their grid: the best contenders refined, and a claimed elasticity made exact."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,20 +32,17 @@ def possible(engine: Engine, s: Scored) -> bool:
 
 
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
-    """A delay or an elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+    """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
     effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
-    if "d0" not in start and (effect.name != "elasticity" or "exact" in start):
+    if effect.name != "elasticity" or "exact" in start:
         return scored
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
-        return score_new(engine, effect, joints, shapes, hyper, quick=True, held=held)
+        return score_new(engine, effect, joints, shapes, hyper, quick=True)
 
-    held = (int(engine.stamps[joints[0]]),) if "d0" in start else ()  # they would take a share of the lag
     best = value({**start, "exact": 1.0})
     if best is None:
         return scored
-    if "d0" in start:
-        return replace(_reproduced(best, value), score=scored.score)
     steps = dict.fromkeys(start, 0.4)
     while max(steps.values()) > 0.02:
         for symbol in start:
@@ -59,15 +56,26 @@ def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     return replace(best, score=scored.score)
 
 
-def _reproduced(start: Scored, value: Callable[[Mapping[str, float]], Scored | None]) -> Scored:
-    """The lag that comes out of the fit with the column made for it: the column's size, not its form, tells the lag."""
-    best = start
-    for _ in range(6):
-        shapes = best.candidate.shapes
-        s = value({**shapes, "d0": 0.5 * (float(best.theta[0]) + shapes["d0"])})
-        if s is None or abs(s.candidate.shapes["d0"]) < SHORTEST_LAG:
-            break
-        best = s
+def _shifted(engine: Engine, start: Scored, hyper: Hyper) -> float:
+    """The lag of most evidence near the one of ``start``, to half a millisecond; the stamps would take a share of it."""
+    c = start.candidate
+    held = (int(engine.stamps[c.joints[0]]),)
+    seen: dict[float, float] = {}
+
+    def value(lag: float) -> float:
+        lag = round(lag, 6)
+        if lag not in seen:
+            s = score_new(engine, c.effect, c.joints, {"d0": lag}, hyper, quick=True, held=held) if lag else None
+            seen[lag] = s.score if s is not None else -np.inf
+        return seen[lag]
+
+    best, step = c.shapes["d0"], 0.008
+    while step > 0.0004:
+        better = max((best + step, best - step), key=value)
+        if value(better) > value(best):
+            best = better
+        else:
+            step *= 0.5
     return best
 
 
@@ -81,10 +89,9 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
         return s if s is not None and possible(engine, s) else None
 
     if "d0" in shapes:
-        best = _reproduced(scored, value)
-        shapes = dict(best.candidate.shapes)
-        if not 0.7 < float(best.theta[0]) / shapes["d0"] < 1.4:
-            return replace(scored, score=0.0)  # a lag that does not reproduce itself is none
+        shapes = {"d0": _shifted(engine, scored, hyper)}
+        if abs(shapes["d0"]) < SHORTEST_LAG:
+            return replace(scored, score=0.0)
     elif effect.shapes:
         best_value = value(shapes)
         steps = {p.symbol: (0.35 if effect.name == "torque_ripple" else 0.6) for p in effect.shapes}

@@ -46,13 +46,13 @@ def scores(engine: Engine, candidates: Sequence[Candidate], hyper: Hyper, quick:
     best, nuisance = _Best(candidates), engine.nuisance
     rest = np.unique(np.concatenate([c.cols for c in candidates]))
     G, logdet = engine.total(hyper)
-    p = project(G, 0, nuisance, rest, engine.precision(hyper))
+    p = project(G, 0, nuisance, rest, engine.precision(hyper), engine.mean)
     reference = engine.criterion(p, hyper, logdet)
     best.consider(p, rest, 0.0, everyone)
     if quick:
         return best.ranked()
     for other in engine.descriptions(hyper):
-        p = project(G, 0, nuisance, rest, engine.precision(other))
+        p = project(G, 0, nuisance, rest, engine.precision(other), engine.mean)
         best.consider(p, rest, engine.criterion(p, other, logdet) - reference, everyone)
     for j in range(engine.data.n):
         touching = [k for k in everyone if j in candidates[k].joints]
@@ -79,7 +79,7 @@ def _other_scatter(
         there, ld2 = gram.at(float(s), hyper.kappa[joint])
         changed = few.copy()
         changed[at] += there - here
-        p = project(changed, 0, number[nuisance], number[rest], engine.precision(hyper))
+        p = project(changed, 0, number[nuisance], number[rest], engine.precision(hyper), engine.mean)
         best.consider(p, rest, engine.criterion(p, hyper, logdet + ld2 - ld) - reference, touching)
 
 

@@ -11,7 +11,6 @@ from stopset.effects import catalogue
 from stopset.offline.diagnose.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence import Projection
 from stopset.offline.diagnose.held_out import held_out
-from stopset.offline.diagnose.late import in_question, shows_in_motion
 from stopset.offline.diagnose.prepare import Array
 from stopset.offline.diagnose.refine import refined, sharpened
 from stopset.offline.diagnose.ripple import RIPPLES, Ripples
@@ -63,8 +62,8 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
     claims: list[Claim] = []
     left: list[Scored] = []
     first = before = held_out(engine, hyper)
-    start, refused, asked = list(engine.active), set[tuple[str, tuple[int, ...]]](), set[int]()
-    for _ in range(MAX_CLAIMS + engine.data.n):  # a joint may be asked for a delay once
+    refused = set[tuple[str, tuple[int, ...]]]()
+    for _ in range(MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
@@ -75,16 +74,6 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
         if not best:
             break
-        late = in_question(engine, best[0], left, asked, hyper)
-        if late is not None:
-            asked.update(late.candidate.joints)
-            if shows_in_motion(engine, late, candidates, hyper, threshold):
-                hyper, p = engine.fit(hyper)
-                excess, before = _excess(engine, p.theta, hyper), held_out(engine, hyper)
-                first = before if not claims else _without_claims(engine, start)
-            else:
-                refused.add(late.candidate.key)
-            continue
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
         engine.active.append(candidate)
@@ -115,14 +104,6 @@ def _unexcused(engine: Engine, candidate: Candidate, before: Array, hyper: Hyper
     error = held_out(engine, hyper)
     engine.hold(())
     engine.active.append(candidate)
-    return error
-
-
-def _without_claims(engine: Engine, start: Sequence[Candidate]) -> Array:
-    """(n,) held-out error of the model as it was before the search, on the rows as they are now."""
-    active, engine.active = engine.active, list(start)
-    error = held_out(engine, engine.fit()[0])
-    engine.active = active
     return error
 
 

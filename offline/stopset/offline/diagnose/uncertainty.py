@@ -31,13 +31,14 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
     size = view.size
     for number, c in enumerate(claims):
         value = theta[[place[k] for k in c.cols.tolist()]]
-        for s in c.effect.shapes:
-            parts = _slope(engine, c, s.symbol, value)
+        varied = [(s.symbol, s.hi - s.lo) for s in (c.effect.shapes if c.given is None else c.effect.terms)]
+        for symbol, span in varied:
+            parts = _slope(engine, c, symbol, value)
             if parts:
                 for j, w in parts.items():
                     grams[j] = grams[j].bordered(w[:, None], np.array([size]))
-                shapes.append((number, s.symbol, size - 1))
-                precision.append(np.array([4.0 / (s.hi - s.lo) ** 2]))
+                shapes.append((number, symbol, size - 1))
+                precision.append(np.array([4.0 / span**2]))
                 size += 1
     wide = replace(view, grams=grams, size=size)
     full = np.concatenate([theta, np.zeros(size - view.size)])
@@ -60,6 +61,9 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
 
 def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int, Array]:
     """Whitened derivative (K,) by joint of a claim's torque by one of its shapes; empty where it has no such shape."""
+    if c.given is not None:  # the law's first order: a slope of the record would hold its noise
+        made = engine.make(c.effect, c.joints, {})
+        return {} if made is None else {j: w[:, 0] for j, w in made[1].items()}
     if symbol not in c.shapes:
         return {}
     x = c.shapes[symbol]

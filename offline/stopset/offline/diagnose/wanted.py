@@ -11,7 +11,7 @@ from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose.engine import Engine, Hyper
 
 LOUD = 2.0  # residual variance over the sensors' noise from which on that noise can't pass for an effect
-LAGS = (-0.04, -0.015, 0.006, 0.015, 0.04, 0.08)  # [s] start values of a delay
+LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
 
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
@@ -45,7 +45,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
 
 
 def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wanted]:
-    """Uncalmed columns of elasticity and delay, for the joints whose rows hold far more than the position's noise.
+    """Uncalmed columns of elasticity, for the joints whose rows hold far more than the position's noise.
 
     There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
     """
@@ -55,9 +55,7 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
         if names is not None and effect.name not in names:
             continue
         for j in loudest:
-            if effect.enters == "input_delay":
-                out.extend((effect, (j,), {"d0": lag, "exact": 1.0}) for lag in LAGS)
-            elif effect.name == "elasticity":
+            if effect.name == "elasticity":
                 M = float(np.median(engine.source.mass[:, j, j]))
                 grid = [K for K in effect.shapes[0].grid if _swings(engine, j, K)]
                 out.extend((effect, (j,), {"K": K, "D": 0.1 * float(np.sqrt(K * M)), "exact": 1.0}) for K in grid)
