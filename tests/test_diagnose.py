@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
-from stopset.offline.diagnose import Diagnosis, diagnose, late, swing
+from stopset.offline.diagnose import Diagnosis, diagnose, swing
 from stopset.offline.diagnose.candidate import Candidate
 from stopset.offline.diagnose.diagnosis import QUIET, WANDER
 from stopset.offline.diagnose.engine import Engine, _put
@@ -20,6 +20,7 @@ from stopset.offline.diagnose.prepare import Kernel
 from stopset.offline.diagnose.residual import slow_excess
 from stopset.offline.diagnose.scores import scores
 from stopset.offline.diagnose.search import THRESHOLD, foretells
+from stopset.offline.diagnose.wanted import LAGS
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
 from stopset.robot.arm import robot_from_text
@@ -97,17 +98,21 @@ def test_score_is_the_bayes_factor_of_two_gaussian_models() -> None:
     y = X @ np.array([1.0, -0.5, 0.2, 0.8, 0.0]) + rng.normal(size=60)
     A = np.column_stack([y, X])
     prior = np.array([4.0, 2.0, 1.0])  # precisions of the nuisance; the candidate's below
-    own = np.array([0.7, 3.0])
-    p = project(A.T @ A, 0, np.array([1, 2, 3]), np.array([4, 5]), prior)
+    own, mean = np.array([0.7, 3.0]), np.array([0.0, -0.3, 0.5])
+    p = project(A.T @ A, 0, np.array([1, 2, 3]), np.array([4, 5]), prior, mean)
     score, theta, _ = gain(p.S, p.s, own)
 
     def evidence(columns: np.ndarray, precision: np.ndarray) -> float:
         V = np.eye(60) + columns @ np.diag(1 / precision) @ columns.T
-        return float(-y @ np.linalg.solve(V, y) - np.linalg.slogdet(V)[1])
+        off = y - X[:, :3] @ mean
+        return float(-off @ np.linalg.solve(V, off) - np.linalg.slogdet(V)[1])
 
     both = np.concatenate([prior, own])
     assert score == pytest.approx(evidence(X, both) - evidence(X[:, :3], prior), rel=1e-6)
-    assert np.allclose(theta, np.linalg.solve(X.T @ X + np.diag(both), X.T @ y)[3:], atol=1e-6)
+    pull = np.concatenate([prior * mean, np.zeros(2)])
+    assert np.allclose(theta, np.linalg.solve(X.T @ X + np.diag(both), X.T @ y + pull)[3:], atol=1e-6)
+    A3 = X[:, :3].T @ X[:, :3] + np.diag(prior)
+    assert np.allclose(p.theta, np.linalg.solve(A3, X[:, :3].T @ y + prior * mean), atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", [31, 32])
@@ -198,34 +203,52 @@ def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> Non
         assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
 
 
-def test_rows_taken_out_leave_what_the_other_rows_alone_give(engine: Engine) -> None:
-    j, d = 1, engine.data
-    drop = late.spoilt(engine, j, 0.02)
-    before, X = engine.rows[j], engine.grams[j].X.copy()
-    kept = late.without(engine, j, drop)
-    rows, gram = engine.rows[j], engine.grams[j]
-    assert 0.01 < drop.mean() < 0.5 and len(rows.take) == np.sum(~drop)
-    assert rows.start[1:][np.diff(rows.take) != 1].all()  # what is no longer neighbours is not whitened as such
-    for at, signal in ((0, d.ddq), (1, d.way), (2, d.dq)):
-        assert np.allclose(gram.X[:, 1 + 10 * d.n + at], rows.column(signal[:, j])[:, 0], atol=1e-8)
-    late.restore(engine, j, kept)
-    assert engine.rows[j] is before and np.array_equal(engine.grams[j].X, X)
-
-
-@pytest.mark.parametrize(("hide", "true"), [("hysteresis:b", False), ("delay:b", True)])
-def test_a_delay_shows_in_motion_and_hysteresis_only_after_reversals(hide: str, true: bool) -> None:
-    """On all rows a delay of 15 ms or so is a contender for both; without those after rest and reversals only for a delay."""
-    scenario = prepare(robot_from_text(ARM), [hide], 41, "short")
-    engine = Engine.build(
-        scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
-    )
-    lags = engine.add_all([(get("delay"), (1,), {"d0": d}) for d in (-0.015, 0.006, 0.015, 0.04)])
+def test_a_lag_that_is_not_there_has_no_evidence_although_a_free_coefficient_would_like_it(engine: Engine) -> None:
+    """Half a shifted record beside half the record is less noisy than either: only the whole shift may be compared."""
     hyper, _ = engine.fit()
-    best = scores(engine, lags, hyper)[0]
-    rows = engine.rows[1]
-    assert best.score > THRESHOLD
-    assert late.shows_in_motion(engine, best, lags, hyper, THRESHOLD) is true
-    assert (len(engine.rows[1].take) < len(rows.take)) is true
+    lags = engine.add_all([(get("delay"), (j,), {"d0": d}) for j in range(engine.data.n) for d in LAGS])
+    assert all(s.score < 0 for s in scores(engine, lags, hyper))
+    G, _ = engine.total(hyper)
+    naive = []
+    for c in lags:
+        p = project(G, 0, engine.nuisance, c.cols, engine.precision(hyper), engine.mean)
+        naive.append(gain(p.S, p.s, 1.0 / c.sd**2)[0])
+    assert max(naive) > 5 * THRESHOLD
+
+
+@pytest.mark.parametrize("samples", [-4, 3, 9])
+def test_a_record_taken_back_by_its_lag_is_the_record_again(samples: int) -> None:
+    """Whole samples: torque and noise are then those of the record before, and so is what the model leaves of them."""
+    scenario = prepare(robot_from_text(ARM), [], 43, "short", "easy", "exact")
+    meta = dataclasses.replace(scenario.meta, sources=())
+    trials = tuple(scenario.recordings())
+    moved = tuple(dataclasses.replace(r, tau=np.column_stack([r.tau[:, 0], _late(r.tau[:, 1], samples)])) for r in trials)
+    whole, late = (Engine.build(scenario.robot, Recordings(meta, x)) for x in (trials, moved))
+    lag = samples * whole.data.kernel.dt
+    inside = np.concatenate([np.arange(t.rows.start + 3, t.rows.stop - 3) for t in whole.data.trials])
+    assert np.allclose(late.data.torque_at(1, lag)[inside], whole.data.tau[inside, 1], atol=1e-9)
+    assert not np.allclose(late.data.torque_at(1, -lag)[inside], whole.data.tau[inside, 1], atol=0.1)
+    found = diagnose(scenario.robot, Recordings(meta, moved))
+    assert [(r.effect, r.joints) for r in found.ranked] == [("delay", ("b",))]
+    d = found.ranked[0].parameters["d"]
+    # a torque held over a sample acts half a sample late: what is common to all records is the stamps' own
+    assert d.std is not None and d.value == pytest.approx(lag, abs=whole.data.kernel.dt) and abs(d.value - lag) < 3 * d.std
+    assert found.excess["b"] == pytest.approx(diagnose(scenario.robot, Recordings(meta, trials)).excess["b"], abs=0.05)
+
+
+def _late(x: np.ndarray, samples: int) -> np.ndarray:
+    """A signal so many samples late, held at the ends."""
+    return x[np.clip(np.arange(len(x)) - samples, 0, len(x) - 1)]
+
+
+def test_a_part_of_a_sample_later_leaves_slow_signals_and_white_noise_as_they_are() -> None:
+    """Interpolated, noise would be less between samples than at them, and every lag between them would seem better."""
+    k = Kernel.gaussian(0.004, 0.012)
+    x = np.arange(-k.half, k.half + 1) * k.dt
+    for part in (-0.5, -0.2, 0.3, 0.5):
+        h = k.later(part)
+        assert h.sum() == pytest.approx(1.0, abs=1e-12) and h @ x == pytest.approx(part * k.dt, abs=2e-6)
+        assert h @ h == pytest.approx(k.h @ k.h, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", [71, 72])
