@@ -88,13 +88,26 @@ def state_names(joints: Sequence[str], directions: int) -> list[str]:
     return [f"{x}_{name}" for x in ("q", "dq") for name in across]
 
 
-# maxima and minima of whole rows at once; sums keep their order and their bits
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+# a float's bits, those below the sign turned over where it is set, are a whole number in the floats' own order (IEEE 754,
+# sec. 5.10); the compiler takes maxima of whole numbers many at a time, those of floats one by one for the sake of NaN
+_BELOW_SIGN = 0x7FFF_FFFF_FFFF_FFFF
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _ordered(bits: int) -> int:
+    return bits ^ ((bits >> 63) & _BELOW_SIGN)  # its own inverse
+
+
+@njit(cache=True, nogil=True)
 def _extremes(x: Array) -> tuple[float, float]:
-    top, bottom = -np.inf, np.inf
-    for s in range(len(x)):
-        top, bottom = max(top, x[s]), min(bottom, x[s])
-    return top, bottom
+    """Largest and smallest of ``x``, which holds no NaN and lies in one piece."""
+    bits = x.view(np.int64)
+    top, bottom = -_BELOW_SIGN - 1, _BELOW_SIGN
+    for s in range(len(bits)):
+        key = _ordered(bits[s])
+        top, bottom = max(top, key), min(bottom, key)
+    # a zero's sign is not a difference
+    return np.int64(_ordered(top)).view(np.float64) + 0.0, np.int64(_ordered(bottom)).view(np.float64) + 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -113,42 +126,46 @@ def _add(x: Array, weight: float, y: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _advance(a: Array, rq: Array, rd: Array, eq: Array, ed: Array) -> None:
+    """Windows of one joint a step on: ``e <- a e + r`` of position and speed, in place."""
+    a11, a12, a21, a22 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
+    for s in range(len(eq)):
+        q = rq[s] + a11 * eq[s] + a12 * ed[s]
+        d = rd[s] + a21 * eq[s] + a22 * ed[s]
+        eq[s], ed[s] = q, d
+
+
+@njit(cache=True, nogil=True)
+def _widen(
+    x: Array, top: float, bottom: float, h: int, i: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
+) -> None:
+    """Column ``i`` of the envelope at age ``h``, by the deviations ``x`` of all windows of that age, from bottom to top."""
+    if top > hi[h, i]:
+        hi[h, i] = top
+        hi_at[h, i, 0], hi_at[h, i, 1] = trial, _first(x, top)
+    if bottom < lo[h, i]:
+        lo[h, i] = bottom
+        lo_at[h, i, 0], lo_at[h, i, 1] = trial, _first(x, bottom)
+
+
+@njit(cache=True, nogil=True)
 def _update_decoupled(
     a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
 ) -> None:
-    """Joint by joint ``e(h+1) = Ad e(h) + r``, fused: two thirds of `_update`'s time; ``a``: (n, 2, 2), ``residual``: (N-1, 2n)."""
-    N, n2 = residual.shape
-    n = n2 // 2
-    H = hi.shape[0] - 1
-    eq, ed = np.empty(starts), np.empty(starts)
+    """`_update` of joints on their own, each in one pass over its windows: ``a`` (n, 2, 2), ``residual`` (N-1, 2n)."""
+    N, n = residual.shape[0], len(a)
+    r = np.ascontiguousarray(residual.T)
     for j in range(n):
-        a11, a12, a21, a22 = a[j, 0, 0], a[j, 0, 1], a[j, 1, 0], a[j, 1, 1]
-        eq[:] = 0.0
-        ed[:] = 0.0
-        for h in range(1, min(H, N) + 1):
+        aj, rq, rd = a[j], r[j], r[n + j]
+        eq, ed = np.zeros(starts), np.zeros(starts)
+        for h in range(1, min(hi.shape[0] - 1, N) + 1):
             live = min(starts, N - h + 1)
-            mq, md, nq, nd = -np.inf, -np.inf, np.inf, np.inf
-            for s in range(live):
-                q = residual[s + h - 1, j] + a11 * eq[s] + a12 * ed[s]
-                d = residual[s + h - 1, n + j] + a21 * eq[s] + a22 * ed[s]
-                eq[s] = q
-                ed[s] = d
-                mq = max(mq, q)
-                nq = min(nq, q)
-                md = max(md, d)
-                nd = min(nd, d)
-            if mq > hi[h, j]:
-                hi[h, j] = mq
-                hi_at[h, j, 0], hi_at[h, j, 1] = trial, _first(eq[:live], mq)
-            if nq < lo[h, j]:
-                lo[h, j] = nq
-                lo_at[h, j, 0], lo_at[h, j, 1] = trial, _first(eq[:live], nq)
-            if md > hi[h, n + j]:
-                hi[h, n + j] = md
-                hi_at[h, n + j, 0], hi_at[h, n + j, 1] = trial, _first(ed[:live], md)
-            if nd < lo[h, n + j]:
-                lo[h, n + j] = nd
-                lo_at[h, n + j, 0], lo_at[h, n + j, 1] = trial, _first(ed[:live], nd)
+            q, d = eq[:live], ed[:live]
+            _advance(aj, rq[h - 1 :], rd[h - 1 :], q, d)
+            for i, x in ((j, q), (n + j, d)):
+                top, bottom = _extremes(x)
+                if top > hi[h, i] or bottom < lo[h, i]:  # asked here: most are not, and the call costs more than the question
+                    _widen(x, top, bottom, h, i, trial, hi, lo, hi_at, lo_at)
 
 
 @njit(cache=True, nogil=True)
@@ -183,12 +200,7 @@ def _update(
                 for j in range(n):
                     _add(x, across[i % k, j], states[j, :live])
             top, bottom = _extremes(x)
-            if top > hi[h, i]:
-                hi[h, i] = top
-                hi_at[h, i, 0], hi_at[h, i, 1] = trial, _first(x, top)
-            if bottom < lo[h, i]:
-                lo[h, i] = bottom
-                lo_at[h, i, 0], lo_at[h, i, 1] = trial, _first(x, bottom)
+            _widen(x, top, bottom, h, i, trial, hi, lo, hi_at, lo_at)
 
 
 def step_residual(Ad: Array, Bd: Array, x: Array, u: Array) -> Array:
@@ -228,6 +240,11 @@ class Deviations:
                 f"{r.label}: a step of its clock differs from {self.dt} s by {off:.3g} s; resample it to the grid"
             )
         residual = step_residual(self._Ad, self._Bd, np.hstack([r.q, r.dq]), u)
+        if not np.isfinite(residual).all():  # no maximum sees what is not a number
+            raise RecordingError(
+                f"{r.label}: the model's torque at {np.argwhere(~np.isfinite(residual))[0, 0] * self.dt:.3f} s is not finite; "
+                "expected numbers: look for the effect or the signal that overflows there"
+            )
         starts = len(residual) if self.windows == "sliding" else 1
         trial = len(env.labels)
         env.labels.append(r.label)
@@ -241,6 +258,15 @@ class Deviations:
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)
         env.count[0] += starts
         env.hi[0], env.lo[0] = 0.0, 0.0
+
+    def add_to(self, targets: Sequence[Envelope], r: Recording, u: Array) -> None:
+        """`add` to several envelopes at once: the windows are the same, and where none is beyond any of them is not looked up."""
+        one = self.empty()
+        np.minimum.reduce([t.hi for t in targets], out=one.hi)
+        np.maximum.reduce([t.lo for t in targets], out=one.lo)
+        self.add(one, r, u)
+        for t in targets:
+            t.absorb(one)
 
     def of(self, r: Recording, u: Array) -> Envelope:
         """Envelope of one recording alone."""

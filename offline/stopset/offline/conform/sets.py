@@ -117,14 +117,10 @@ def gather(
     out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
         from_start.add(out.start, r, u)
-        one = main.of(r, u)  # all windows once, whoever wants their envelope
-        if few_motions:
-            out.halves[r.trial % 2].absorb(one)
+        into = [out.halves[r.trial % 2]] if few_motions else []
         for parts in (out.parts, *(out.bands.setdefault(k, {}) for k in (() if bands is None else bands(r)))):
-            if motion in parts:
-                parts[motion].absorb(one)
-            else:
-                parts[motion] = one.upto(main.steps)
+            into.append(parts.setdefault(motion, main.empty()))
+        main.add_to(into, r, u)
     return out.mapped(lambda env: env)
 
 
