@@ -187,10 +187,10 @@ def test_two_rounds_bend_a_soft_gear_as_many_do(engine: Engine, joint: int, rate
     """Soft gears: they swing with ``rate`` [rad/s]."""
     source = engine.source
     M = float(np.median(source.mass[:, joint, joint]))
-    K, dt = M * rate**2, engine.data.step * engine.data.kernel.dt
-    few = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M), dt)
+    K = M * rate**2
+    few = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M))
     monkeypatch.setattr(swing, "SWING_ROUNDS", 9)
-    many = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M), dt)
+    many = swing._true_swing(source, joint, K, 0.1 * np.sqrt(K * M))
     assert np.sqrt(np.mean((few - many) ** 2) / np.mean(many**2)) < 5e-3
 
 

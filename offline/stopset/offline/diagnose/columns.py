@@ -23,7 +23,7 @@ def columns(
     """Columns of an effect by the joint whose row they stand in: moving rows (N, k) and poses (P, k)."""
     d = source.data
     if effect.name == "elasticity":
-        return swing(source, joints[0], shapes["K"], shapes["D"], "exact" in shapes)
+        return swing(source, joints[0], shapes)
     if effect.name == "encoder_offset":
         j = joints[0]
         return {i: (source.stiff(j, False)[:, i, None], source.stiff(j, True)[:, i, None]) for i in range(d.n)}

@@ -221,7 +221,7 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             lag = f.values.get(effect.terms[0].symbol, 0.0)
             shapes = {"d0": lag} if lag else {}
         elif effect.name == "elasticity":
-            shapes["exact"] = 1.0
+            shapes |= {"exact": 1.0, "begun": 1.0}
         candidate = engine.add(effect, place, shapes)
         if candidate is not None:
             engine.active.append(candidate)

@@ -33,19 +33,29 @@ def possible(engine: Engine, s: Scored) -> bool:
 
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
     """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
-    effect, joints, start = scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes
-    if effect.name != "elasticity" or "exact" in start:
+    if scored.candidate.effect.name != "elasticity" or "exact" in scored.candidate.shapes:
         return scored
+    return _climbed(engine, scored, "exact", hyper)
+
+
+def begun(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+    """An elasticity that has been claimed: with the swings that its trials began with."""
+    return scored if scored.candidate.effect.name != "elasticity" else _climbed(engine, scored, "begun", hyper)
+
+
+def _climbed(engine: Engine, scored: Scored, how: str, hyper: Hyper) -> Scored:
+    """Stiffness and damping of most evidence when the column is made as ``how`` says; the score stays the one it was claimed with."""
+    c = scored.candidate
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
-        return score_new(engine, effect, joints, shapes, hyper, quick=True)
+        return score_new(engine, c.effect, c.joints, shapes, hyper, quick=True)
 
-    best = value({**start, "exact": 1.0})
+    best = value({**c.shapes, how: 1.0})
     if best is None:
         return scored
-    steps = dict.fromkeys(start, 0.4)
+    steps = {p.symbol: 0.4 for p in c.effect.shapes}
     while max(steps.values()) > 0.02:
-        for symbol in start:
+        for symbol in steps:
             here = best.candidate.shapes
             trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
             better = [t for t in trials if t is not None and t.score > best.score]

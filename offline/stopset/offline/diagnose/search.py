@@ -12,7 +12,7 @@ from stopset.offline.diagnose.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence import Projection
 from stopset.offline.diagnose.held_out import held_out
 from stopset.offline.diagnose.prepare import Array
-from stopset.offline.diagnose.refine import refined, sharpened
+from stopset.offline.diagnose.refine import begun, refined, sharpened
 from stopset.offline.diagnose.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.scores import scores
 from stopset.offline.diagnose.wanted import LOUD, exact, wanted
@@ -76,7 +76,12 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
-        engine.active.append(candidate)
+        if candidate.effect.name == "elasticity":
+            candidate = _added(engine, begun(engine, replace(top, candidate=candidate), hyper))
+            engine.active.append(candidate)
+            hyper, p = engine.fit(hyper)
+        else:
+            engine.active.append(candidate)
         error = held_out(engine, hyper)
         if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
             engine.active.pop()
@@ -130,9 +135,7 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
     """
     settled: list[Settled] = []
     for s in near:
-        sharp = sharpened(engine, s, hyper)
-        candidate = engine.add(sharp.candidate.effect, sharp.candidate.joints, sharp.candidate.shapes)
-        assert candidate is not None
+        candidate = _added(engine, sharpened(engine, s, hyper))
         engine.active.append(candidate)
         h, p = engine.fit(hyper)
         settled.append((engine.evidence(h), s, candidate, h, p))
@@ -140,6 +143,13 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
     best = max(settled, key=lambda x: x[0])
     simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - SIMPLER * best[1].score]
     return max(simpler, key=lambda x: x[0], default=best)[1:]
+
+
+def _added(engine: Engine, scored: Scored) -> Candidate:
+    """A contender with columns of its own in the engine."""
+    c = engine.add(scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes)
+    assert c is not None
+    return c
 
 
 def _simplifies(a: Candidate, b: Candidate) -> bool:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
@@ -11,73 +14,148 @@ from stopset.offline.diagnose.smooth import calm
 from stopset.offline.diagnose.source import Source
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
+ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
+RATHER_NOT = 1e-3  # share of the rows' largest pattern below which one is not told from the others
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
 
-def swing(source: Source, joint: int, K: float, D: float, exact: bool) -> dict[int, tuple[Array, Array]]:
+def swing(source: Source, joint: int, shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
     """A link that swings behind its motor: row ``i`` sees ``M_ij x'' + dg_i/dq_j x``.
 
-    The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.
-    The link torque is calmed unless ``exact``, see `calm`.
+    The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.  ``shapes``: ``K, D``;
+    the link torque is calmed unless ``exact``, see `calm`; ``begun``: a trial may begin in the middle of a swing, see `_begun`.
     """
-    d, M, g, first = source.data, source.mass, source.stiff(joint, False), source.first
-    dt = d.step * d.kernel.dt
-    if exact:
-        moving = _true_swing(source, joint, K, D, dt)
+    d, g, K, D = source.data, source.stiff(joint, False), shapes["K"], shapes["D"]
+    if "exact" in shapes:
+        moving = _true_swing(source, joint, K, D, "begun" in shapes)
     else:
-        quiet = calm(np.ascontiguousarray(source.link[:, joint]), first)
-        inertia, stiff = np.ascontiguousarray(M[:, joint, joint]), np.ascontiguousarray(g[:, joint])
-        x, _, ddx = _link_filter(quiet, inertia, stiff, first, *source.start(joint), K, D, dt, SUBSTEPS)
-        moving = M[:, :, joint] * ddx[:, None] + g * x[:, None]
+        filtered = _Filter.of(source, joint, K, D)
+        quiet = calm(np.ascontiguousarray(source.link[:, joint]), source.first)
+        x, _, ddx = filtered(quiet, *filtered.at_rest(quiet))
+        moving = source.mass[:, :, joint] * ddx[:, None] + g * x[:, None]
     g_still = source.stiff(joint, True)
     x_still = -source.load_still[:, joint] / (K + g_still[:, joint])
     return {i: (moving[:, i, None], (g_still[:, i] * x_still)[:, None]) for i in range(d.n)}
 
 
-def _true_swing(source: Source, joint: int, K: float, D: float, dt: float) -> Array:
+@dataclass(frozen=True, slots=True)
+class _Filter:
+    """The equation of the swing: inertia ``M`` (N,), gravity's stiffness ``g`` (N,), ``K``, ``D``, ``dt`` [s] between rows."""
+
+    M: Array
+    g: Array
+    K: float
+    D: float
+    dt: float
+    first: Mask
+    rest: Array
+    lead: float
+
+    @staticmethod
+    def of(source: Source, joint: int, K: float, D: float) -> _Filter:
+        d = source.data
+        M = np.ascontiguousarray(source.mass[:, joint, joint])
+        g = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
+        return _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, *source.start(joint))
+
+    def __call__(self, link: Array, x0: Array, dx0: Array) -> tuple[Array, Array, Array]:
+        """Position, speed, acceleration (N,) of the swing that ``link`` [N m] drives, from its state at each trial's first row."""
+        return _swung(link, self.M, self.g, self.first, x0, dx0, self.K, self.D, self.dt, SUBSTEPS)
+
+    def at_rest(self, link: Array) -> tuple[Array, Array]:
+        """(N,) state at each trial's first row where the trial began at rest; bent by the present torque where it began in motion."""
+        return _led(link, self.M, self.g, self.first, self.rest, self.lead, self.K, self.D, self.dt / SUBSTEPS)
+
+
+def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = False) -> Array:
     """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
 
     A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small
     bend is solved for, so that a round only mends what is not linear in it.
     """
-    d, chain, first = source.data, source.robot.chain, source.first
-    M = np.ascontiguousarray(source.mass[:, joint, joint])
-    stiff = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
-    rest, lead = source.start(joint)
+    d, chain = source.data, source.robot.chain
+    filtered = _Filter.of(source, joint, K, D)
     x = ddx = np.zeros(len(d.q))
     bent = source.link.copy()
     for k in range(SWING_ROUNDS):
-        x, dx, ddx = _link_filter(bent[:, joint] - M * ddx - stiff * x, M, stiff, first, rest, lead, K, D, dt, SUBSTEPS)
+        driving = bent[:, joint] - filtered.M * ddx - filtered.g * x
+        state = filtered.at_rest(driving)
+        if begun:
+            state = _begun(source, joint, filtered, driving, state)
+        x, dx, ddx = filtered(driving, *state)
         lowest = joint if k + 1 < SWING_ROUNDS else 0
         bent_torques(chain, source.robot.pi, d.q, d.dq, d.ddq, joint, x, dx, ddx, lowest, bent)
     out: Array = bent - source.link
     return out
 
 
+def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    """(N,) state at each trial's first row that fits the trial's own torque best.
+
+    What the link did before is in no channel, and a swing that is hardly damped lasts longer than a stop.  Two numbers for each
+    trial fit a part of anything: this is for a gear whose elasticity is beyond doubt.
+    """
+    d, (x0, dx0) = source.data, (part.copy() for part in state)
+    j, first, nothing = joint, np.flatnonzero(source.first), np.zeros(len(d.q))
+    x, dx, _ = filtered(driving, x0, dx0)
+    # beside rotor and friction the motor carries the gear, which is bent by -x
+    own = source.robot.rotor[j] * d.ddq[:, j] + source.friction[j, 0] * d.way[:, j] + source.friction[j, 1] * d.dq[:, j]
+    left = d.tau[:, j] - own + filtered.K * x + filtered.D * dx
+    unit = np.where(source.first, 1.0, 0.0)
+    free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit)]
+    torques = [-filtered.K * x - filtered.D * dx for x, dx, _ in free]
+    A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
+    for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
+        rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
+        if len(rows) > ROWS_TO_BEGIN:
+            scale = np.sqrt(np.mean(A[rows] ** 2, axis=0)) + 1e-12
+            found = np.linalg.lstsq(A[rows] / scale, left[rows], rcond=RATHER_NOT)[0] / scale
+            x0[at] += found[0]
+            dx0[at] += found[1]
+    return x0, dx0
+
+
 @njit(cache=True, nogil=True)
-def _link_filter(
-    link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, dt: float, sub: int
+def _swung(
+    link: Array, M: Array, g: Array, first: Mask, x0: Array, dx0: Array, K: float, D: float, dt: float, sub: int
 ) -> tuple[Array, Array, Array]:
-    """Position, speed, acceleration of the link against the motor, by Newmark's rule; ``rest, lead``: see `Source.start`."""
+    """Position, speed, acceleration of the link against the motor, by Newmark's rule."""
     N = link.shape[0]
     out, rate, acc = np.zeros(N), np.zeros(N), np.zeros(N)
     h = dt / sub
     x = dx = 0.0
     for k in range(N):
-        steps, before = sub, k - 1
         if first[k]:
-            steps, before = round(lead / h), k
-            x, dx = -rest[k] / (K + g[k]), 0.0
-            if np.isnan(rest[k]):
-                x, steps = -link[k] / (K + g[k]), 0
-        stiff = K + g[k]
-        for s in range(steps):
-            w = (s + 0.5) / steps
-            f = -(link[before] + w * (link[k] - link[before]))
-            m = M[before] + w * (M[k] - M[before])
-            ddx = (f - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
-            x += h * dx + 0.5 * h * h * ddx
-            dx += h * ddx
+            x, dx = x0[k], dx0[k]
+        else:
+            for s in range(sub):
+                w = (s + 0.5) / sub
+                m = M[k - 1] + w * (M[k] - M[k - 1])
+                x, dx = _step(-(link[k - 1] + w * (link[k] - link[k - 1])), m, K + g[k], D, h, x, dx)
         out[k], rate[k] = x, dx
-        acc[k] = (-link[k] - D * dx - stiff * x) / M[k]
+        acc[k] = (-link[k] - D * dx - (K + g[k]) * x) / M[k]
     return out, rate, acc
+
+
+@njit(cache=True, nogil=True)
+def _led(
+    link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, h: float
+) -> tuple[Array, Array]:
+    """State at the first rows: from rest, ``lead`` [s] under the torque of the row; see `Source.start`."""
+    x0, dx0 = np.zeros(len(link)), np.zeros(len(link))
+    for k in np.flatnonzero(first):
+        if np.isnan(rest[k]):
+            x0[k] = -link[k] / (K + g[k])
+            continue
+        x, dx = -rest[k] / (K + g[k]), 0.0
+        for _ in range(round(lead / h)):
+            x, dx = _step(-link[k], M[k], K + g[k], D, h, x, dx)
+        x0[k], dx0[k] = x, dx
+    return x0, dx0
+
+
+@njit(cache=True, nogil=True)
+def _step(force: float, m: float, stiff: float, D: float, h: float, x: float, dx: float) -> tuple[float, float]:
+    """One step of Newmark's rule, ``h`` [s] long."""
+    ddx = (force - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
+    return x + h * dx + 0.5 * h * h * ddx, dx + h * ddx
