@@ -49,6 +49,7 @@ class Engine:
     rows: list[JointRows]
     fold_of_trial: Index
     friction: Array  # (n, 2) F_c, F_v of the first fit
+    told: Array  # (n, 2) the part of it that was taken off the rows beforehand
     grams: list[JointGram]
     prior_sd: Array  # (1 + base columns,) of y (unused) and the base model; inf: flat
     cad: Index  # base columns whose prior is the robot description
@@ -101,6 +102,7 @@ class Engine:
             rows,
             folds,
             friction,
+            known.friction if known else np.zeros((n, 2)),
             grams,
             sd,
             base.astype(np.intp),
@@ -243,6 +245,13 @@ class Engine:
             if h == before:
                 break
         return h, view._project(h)[0]
+
+    def tell_source(self, theta: Array) -> None:
+        """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `nuisance`."""
+        n = self.data.n
+        own = theta[10 * n : 15 * n].reshape(n, 5)
+        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.told]))
+        self._made.clear()
 
     def descriptions(self, h: Hyper) -> list[Hyper]:
         """``h`` with the description or the data sheet holding better or worse."""

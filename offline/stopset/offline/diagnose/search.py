@@ -76,12 +76,13 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
+        engine.active.append(candidate)
         if candidate.effect.name == "elasticity":
+            engine.tell_source(p.theta)
+            engine.active.pop()
             candidate = _added(engine, begun(engine, replace(top, candidate=candidate), hyper))
             engine.active.append(candidate)
             hyper, p = engine.fit(hyper)
-        else:
-            engine.active.append(candidate)
         error = held_out(engine, hyper)
         if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
             engine.active.pop()

@@ -25,6 +25,8 @@ class Source:
     gain: float = 1.0  # recorded over true torque: what a new load adds to the record
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
+    body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit
+    drive: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) rotor, Coulomb and viscous friction by the last fit
     _cache: dict[str, Array] = field(default_factory=dict)
     _signals: dict[int, Signals] = field(default_factory=dict)
     _levers: dict[bool, Levers] = field(default_factory=dict)
@@ -37,8 +39,14 @@ class Source:
             self.built_up = np.clip(half / np.maximum(friction[:, 0], 1e-9), 0.0, 1.0)
         self._signals.clear()
 
+    def set_fit(self, body: Array, drive: Array) -> None:
+        """What a fit of the base model says of links (10 n,) and drives (n, 3)."""
+        self.body, self.drive = body, drive
+
     def __post_init__(self) -> None:
-        self.built_up = np.zeros(self.data.n)
+        n = self.data.n
+        self.built_up, self.body = np.zeros(n), np.zeros(10 * n)
+        self.drive = np.column_stack([self.robot.rotor, np.zeros((n, 2))])
 
     def _get(self, key: str, make: Callable[[], Array]) -> Array:
         if key not in self._cache:

@@ -15,7 +15,7 @@ from stopset.offline.diagnose.source import Source
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
-RATHER_NOT = 1e-3  # share of the rows' largest pattern below which one is not told from the others
+RATHER_NOT = 1e-6  # share of the rows' largest pattern below which one is not told from the others
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
 
@@ -77,8 +77,9 @@ def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = Fa
     filtered = _Filter.of(source, joint, K, D)
     x = ddx = np.zeros(len(d.q))
     bent = source.link.copy()
+    more = source.regressor[:, joint] @ source.body * begun  # what a fit says beyond the description
     for k in range(SWING_ROUNDS):
-        driving = bent[:, joint] - filtered.M * ddx - filtered.g * x
+        driving = bent[:, joint] + more - filtered.M * ddx - filtered.g * x
         state = filtered.at_rest(driving)
         if begun:
             state = _begun(source, joint, filtered, driving, state)
@@ -90,28 +91,31 @@ def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = Fa
 
 
 def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-    """(N,) state at each trial's first row that fits the trial's own torque best.
+    """(N,) state at each trial's first row that its own torque speaks for; swings as large as later ones are expected.
 
     What the link did before is in no channel, and a swing that is hardly damped lasts longer than a stop.  Two numbers for each
     trial fit a part of anything: this is for a gear whose elasticity is beyond doubt.
     """
     d, (x0, dx0) = source.data, (part.copy() for part in state)
     j, first, nothing = joint, np.flatnonzero(source.first), np.zeros(len(d.q))
+    K, M = filtered.K, float(np.median(filtered.M))
     x, dx, _ = filtered(driving, x0, dx0)
     # beside rotor and friction the motor carries the gear, which is bent by -x
-    own = source.robot.rotor[j] * d.ddq[:, j] + source.friction[j, 0] * d.way[:, j] + source.friction[j, 1] * d.dq[:, j]
-    left = d.tau[:, j] - own + filtered.K * x + filtered.D * dx
-    unit = np.where(source.first, 1.0, 0.0)
-    free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit)]
-    torques = [-filtered.K * x - filtered.D * dx for x, dx, _ in free]
+    own = np.stack([d.ddq[:, j], d.way[:, j], d.dq[:, j]], axis=1) @ source.drive[j]
+    left = d.tau[:, j] - own + K * x + filtered.D * dx
+    usual = max(float(np.std((K * x + driving)[d.ok[:, j]])), 1e-9)  # torque of the swing beyond that of a rigid gear
+    unit = np.where(source.first, usual / K, 0.0)
+    free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit * np.sqrt(K / M))]
+    torques = [-K * x - filtered.D * dx for x, dx, _ in free]
     A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
+    noise = float(d.torque_noise[j] * np.linalg.norm(d.kernel.h))
     for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
         rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
         if len(rows) > ROWS_TO_BEGIN:
-            scale = np.sqrt(np.mean(A[rows] ** 2, axis=0)) + 1e-12
-            found = np.linalg.lstsq(A[rows] / scale, left[rows], rcond=RATHER_NOT)[0] / scale
-            x0[at] += found[0]
-            dx0[at] += found[1]
+            expected = noise * np.eye(2, A.shape[1])  # of each start swing: the usual size
+            found = np.linalg.lstsq(np.vstack([A[rows], expected]), np.append(left[rows], np.zeros(2)), rcond=RATHER_NOT)[0]
+            x0[at] += found[0] * unit[at]
+            dx0[at] += found[1] * unit[at] * np.sqrt(K / M)
     return x0, dx0
 
 
