@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.offline.diagnose.engine import Engine, Hyper, Scored
+from stopset.offline.diagnose.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.scores import score_new
 
 SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
@@ -31,28 +31,26 @@ def possible(engine: Engine, s: Scored) -> bool:
     return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < BUILT_UP * engine.friction[c.joints[0], 0])
 
 
-def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Candidate:
     """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
-    if scored.candidate.effect.name != "elasticity" or "exact" in scored.candidate.shapes:
-        return scored
-    return _climbed(engine, scored, "exact", hyper)
-
-
-def begun(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
-    """An elasticity that has been claimed: with the swings that its trials began with."""
-    return scored if scored.candidate.effect.name != "elasticity" else _climbed(engine, scored, "begun", hyper)
-
-
-def _climbed(engine: Engine, scored: Scored, how: str, hyper: Hyper) -> Scored:
-    """Stiffness and damping of most evidence when the column is made as ``how`` says; the score stays the one it was claimed with."""
     c = scored.candidate
+    return c if c.effect.name != "elasticity" or "exact" in c.shapes else _climbed(engine, c, "exact", hyper)
+
+
+def begun(engine: Engine, elasticity: Candidate, hyper: Hyper) -> Candidate:
+    """An elasticity that has been claimed, with the swings that its trials began with."""
+    return _climbed(engine, elasticity, "begun", hyper)
+
+
+def _climbed(engine: Engine, c: Candidate, how: str, hyper: Hyper) -> Candidate:
+    """The stiffness and damping of most evidence when the column is made as ``how`` says."""
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
         return score_new(engine, c.effect, c.joints, shapes, hyper, quick=True)
 
     best = value({**c.shapes, how: 1.0})
     if best is None:
-        return scored
+        return c
     steps = {p.symbol: 0.4 for p in c.effect.shapes}
     while max(steps.values()) > 0.02:
         for symbol in steps:
@@ -63,7 +61,7 @@ def _climbed(engine: Engine, scored: Scored, how: str, hyper: Hyper) -> Scored:
                 best = max(better, key=lambda t: t.score)
             else:
                 steps[symbol] *= 0.4
-    return replace(best, score=scored.score)
+    return best.candidate
 
 
 def _shifted(engine: Engine, start: Scored, hyper: Hyper) -> float:

@@ -18,7 +18,7 @@ from stopset.offline.diagnose.scores import scores
 from stopset.offline.diagnose.wanted import LOUD, exact, wanted
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
-FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
+FORM_ERROR = 0.003  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
 SIMPLER = 0.01  # share of its evidence for which a law that looks alike gives way to one of fewer parameters
 LOWERED = 0.02  # share by which a claim must lower a joint's torque error on motions not fitted; 1.4-fold ones lower it by 0.29
 SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model
@@ -76,29 +76,50 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
         top, candidate, hyper, p = _settle(engine, near, hyper)
+        earlier = list(engine.active)
         engine.active.append(candidate)
-        if candidate.effect.name == "elasticity":
-            engine.tell_source(p.theta)
-            engine.active.pop()
-            candidate = _added(engine, begun(engine, replace(top, candidate=candidate), hyper))
-            engine.active.append(candidate)
-            hyper, p = engine.fit(hyper)
+        hyper, p = _with_swings(engine, hyper, p)
         error = held_out(engine, hyper)
         if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
-            engine.active.pop()
+            engine.active = earlier
             hyper, p = engine.fit(hyper)
             refused.add(top.candidate.key)
             continue
         before = error
         after = _excess(engine, p.theta, hyper)
         rivals = tuple(r for r in near if r is not top)
-        claims.append(Claim(replace(top, candidate=candidate), top.score, rivals, excess, after))
+        claims.append(Claim(top, top.score, rivals, excess, after))
         excess = after
+    claims = _as_fitted(engine, claims, p.theta)
     kept = _needed(engine, claims, hyper, threshold)
     if len(kept) < len(claims):
         hyper, p = engine.fit(hyper)
         excess = _excess(engine, p.theta, hyper)
+        kept = _as_fitted(engine, kept, p.theta)
     return Found(tuple(kept), tuple(left), hyper, excess, first)
+
+
+def _with_swings(engine: Engine, hyper: Hyper, p: Projection) -> tuple[Hyper, Projection]:
+    """Claimed elasticities estimated again, with all that is known by now, and the whole model with them."""
+    for k, c in enumerate(engine.active):
+        if c.effect.name == "elasticity":
+            engine.tell_source(p.theta)
+            engine.active.pop(k)
+            engine.active.insert(k, _added(engine, begun(engine, c, hyper)))
+            hyper, p = engine.fit(hyper)
+    return hyper, p
+
+
+def _as_fitted(engine: Engine, claims: Sequence[Claim], theta: Array) -> list[Claim]:
+    """The claims with candidates, shapes and coefficients of the final fit; ``theta``: of the engine's nuisance."""
+    place = {column: k for k, column in enumerate(engine.nuisance.tolist())}
+    now = {c.key: c for c in engine.active}
+    out = []
+    for claim in claims:
+        c = now[claim.scored.candidate.key]
+        value = theta[[place[k] for k in c.cols.tolist()]]
+        out.append(replace(claim, scored=replace(claim.scored, candidate=c, theta=value)))
+    return out
 
 
 def _unexcused(engine: Engine, candidate: Candidate, before: Array, hyper: Hyper) -> Array:
@@ -146,9 +167,9 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
     return max(simpler, key=lambda x: x[0], default=best)[1:]
 
 
-def _added(engine: Engine, scored: Scored) -> Candidate:
-    """A contender with columns of its own in the engine."""
-    c = engine.add(scored.candidate.effect, scored.candidate.joints, scored.candidate.shapes)
+def _added(engine: Engine, candidate: Candidate) -> Candidate:
+    """A candidate with columns of its own in the engine."""
+    c = engine.add(candidate.effect, candidate.joints, candidate.shapes)
     assert c is not None
     return c
 
@@ -170,11 +191,8 @@ def _needed(engine: Engine, claims: Sequence[Claim], hyper: Hyper, threshold: fl
     for claim in claims[:-1]:
         others = [c.scored.candidate for c in kept if c is not claim]
         engine.active = known + others
-        again = scores(engine, [claim.scored.candidate], hyper)[0]
-        if again.score < threshold:
+        if scores(engine, [claim.scored.candidate], hyper)[0].score < threshold:
             kept.remove(claim)
-        else:
-            kept[kept.index(claim)] = replace(claim, scored=replace(again, score=claim.score))
     engine.active = known + [c.scored.candidate for c in kept]
     return kept
 
