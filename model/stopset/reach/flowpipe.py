@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
@@ -190,8 +191,16 @@ def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:
         return path
     Ad, Bd = discretise(abstraction, dt)
     out = np.empty((u.shape[0], x0.shape[0]))
-    out[0] = x0
-    drive = u @ Bd.T
-    for k in range(u.shape[0] - 1):
-        out[k + 1] = Ad @ out[k] + drive[k]
+    out[0], out[1:] = x0, u[:-1] @ Bd.T
+    _march(Ad, out)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _march(Ad: Array, x: Array) -> None:
+    """``x(k+1) <- Ad x(k) + x(k+1)`` in place: rows (N, 2n) hold the start, then what drives each step."""
+    for k in range(len(x) - 1):
+        for i in range(Ad.shape[0]):
+            for j in range(Ad.shape[1]):
+                if Ad[i, j] != 0.0:
+                    x[k + 1, i] += Ad[i, j] * x[k, j]

@@ -73,7 +73,6 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
         )
     _check_types(path, schema)
     raw = (schema.metadata or {}).get(b"recording")
-    sources = ((path.name, _sha256(path)),)
     if raw is None:
         if "phase" not in columns or not all(f"tau_{j}" in columns for j in joints):
             raise RecordingError(
@@ -81,7 +80,7 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
                 "add the metadata (effort, velocity, clock, rate_hz)"
             )
         note = f"{path.name} has no metadata: taken as motor torque, measured velocity, recorded clock"
-        return Meta(joints=joints, warnings=(note,), sources=sources)
+        return Meta(joints=joints, warnings=(note,))
     try:
         d = json.loads(raw)
         effort = str(d["effort"])
@@ -94,7 +93,6 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             clock=str(d.get("clock", "recorded")),
             rate_hz=float("nan" if d.get("rate_hz") is None else d["rate_hz"]),
             torque_constant=None if constant is None else tuple(float(c) for c in constant),
-            sources=sources,
         )
     except (ValueError, TypeError, KeyError) as e:
         raise RecordingError(
@@ -133,9 +131,9 @@ def _check_types(path: Path, schema: pa.Schema) -> None:
 
 
 def read_meta(path: str | Path) -> Meta:
-    """Metadata of one file, from its header alone."""
+    """Metadata of one file, from its header; the whole file is read for its SHA-256 only."""
     (p,) = _paths(path)
-    return _meta(p, _open(p)[0])
+    return replace(_meta(p, _open(p)[0]), sources=((p.name, _sha256(p)),))
 
 
 def _check_robot(path: Path, meta: Meta, robot: Robot) -> None:
@@ -273,7 +271,7 @@ def _trial(
 def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | None = None) -> Recordings:
     """All trials of the files in memory; see `stream_recordings` for one at a time and for what is checked."""
     files = _paths(paths)
-    metas = [_meta(p, _open(p)[0]) for p in files]
+    metas = [read_meta(p) for p in files]
     first = metas[0]
     for p, m in zip(files[1:], metas[1:], strict=True):
         if m.effort != first.effort:

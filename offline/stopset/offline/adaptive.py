@@ -23,14 +23,14 @@ from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline import drift
 from stopset.offline.adaptive_file import load_sums, save_sums
-from stopset.offline.assembly import STOPS, Identification, concluded, stopped
+from stopset.offline.assembly import Identification, concluded, stopped
 from stopset.offline.identify import identified
 from stopset.offline.parts import Progress
 from stopset.offline.revise import description, settings_of
 from stopset.offline.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.sources import campaign_of, continued, joined, numbered_on
 from stopset.offline.sums import Kept, Sums, sums_of
-from stopset.offline.survey import POWERED, Survey, Tally
+from stopset.offline.survey import POWERED, STOPS, Survey, Tally
 from stopset.recording import Recording
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]

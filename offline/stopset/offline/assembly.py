@@ -26,7 +26,6 @@ from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 
 Tell = Callable[[str], None]
-STOPS = ("stop0", "stop1")
 
 
 @dataclass(frozen=True, slots=True)

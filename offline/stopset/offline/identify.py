@@ -9,7 +9,7 @@ from typing import Literal
 
 from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
-from stopset.offline.assembly import STOPS, Identification, Tell, concluded, packed, stopped
+from stopset.offline.assembly import Identification, Tell, concluded, packed, stopped
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
@@ -52,7 +52,7 @@ def identified(
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
     tell("reading the recordings")
-    tally = tallied(source)
+    tally, stops = tallied(source)
     found = tally.survey()
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
@@ -76,7 +76,7 @@ def identified(
             "signals, or take the linear model (--model 1 --order 1)"
         )
     out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
-    out = stopped(out, [r for r in source() if r.phase in STOPS], tell)
+    out = stopped(out, stops, tell)
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from stopset.offline.conform.noise import spread
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Suite = tuple[str, int]
 
 OVERLAP = 0.4  # of the shorter recording must be shared at least
@@ -52,7 +54,7 @@ class _Signals:
         mean = np.mean(np.vstack([x.mean(axis=0) for x in torques]), axis=0)
         self.x = [x - mean for x in torques]
         self.size = next_fast_len(2 * max(len(x) for x in torques), real=True)
-        self.spectrum = [rfft(x, self.size, axis=0) for x in self.x]
+        self.spectrum = [rfft(x.T, self.size) for x in self.x]
         self.sums = [np.vstack([np.zeros(x.shape[1]), np.cumsum(x, axis=0)]) for x in self.x]
         self.squares = [np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))]) for x in self.x]
         self.noise = [float((spread(x) ** 2).sum()) for x in self.x]
@@ -66,17 +68,29 @@ class _Signals:
         a, b = len(self.x[i]), len(self.x[k])
         if not self.varies[i] and not self.varies[k]:
             return True
-        least = max(FEWEST, round(OVERLAP * min(a, b)))
-        if min(a, b) < least:
+        shift, i0, k0, m = _overlaps(a, b)
+        if not len(shift):
             return False
-        shift = np.arange(least - b, a - least + 1)  # sample j of k beside sample j + shift of i
-        product = irfft((self.spectrum[i] * np.conj(self.spectrum[k])).sum(axis=1), self.size)[shift]
-        i0, k0 = np.maximum(shift, 0), np.maximum(-shift, 0)
-        m = np.minimum(a - i0, b - k0)
+        product = irfft((self.spectrum[i] * self.spectrum[k].conj()).sum(axis=0), self.size)[shift]
         ours, theirs = self.squares[i][i0 + m] - self.squares[i][i0], self.squares[k][k0 + m] - self.squares[k][k0]
-        apart = np.maximum(ours + theirs - 2.0 * product, 0.0)
-        middle = ((self.sums[k][k0 + m] - self.sums[k][k0]) ** 2).sum(axis=1) / m
-        varies = np.sqrt(np.maximum(theirs - middle, 0.0) / m)
+        apart = np.sqrt(np.maximum(ours + theirs - 2.0 * product, 0.0) / m)
         noise = np.sqrt(self.noise[i] + self.noise[k])
-        same = np.sqrt(apart / m) <= NOISES * noise + ALIKE * varies
+        # nothing varies by more than its size: most pairs are told apart by that already
+        near = np.flatnonzero(apart <= NOISES * noise + ALIKE * np.sqrt(theirs / m))
+        if not len(near):
+            return False
+        k0, m = k0[near], m[near]
+        middle = ((self.sums[k][k0 + m] - self.sums[k][k0]) ** 2).sum(axis=1) / m
+        varies = np.sqrt(np.maximum(theirs[near] - middle, 0.0) / m)
+        same = apart[near] <= NOISES * noise + ALIKE * varies
         return bool(np.any(same & (varies > VARIES * noise) & (varies > 0)))
+
+
+@lru_cache(maxsize=64)
+def _overlaps(a: int, b: int) -> tuple[Index, Index, Index, Index]:
+    """Every shift at which signals of lengths ``a`` and ``b`` share enough; where the shared part begins in each; its length."""
+    least = max(FEWEST, round(OVERLAP * min(a, b)))
+    # sample j of the second beside sample j + shift of the first
+    shift = np.arange(least - b, a - least + 1 if min(a, b) >= least else least - b)
+    i0, k0 = np.maximum(shift, 0), np.maximum(-shift, 0)
+    return shift, i0, k0, np.minimum(a - i0, b - k0)

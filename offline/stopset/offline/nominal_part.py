@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Model
-from stopset.artifact.inputs import input_map
+from stopset.artifact.inputs import compensated, input_map
 from stopset.effects.base import Effect, Fitted
 from stopset.errors import EffectError
 from stopset.offline.conform.sets import Pairs
@@ -166,7 +166,8 @@ def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -
 
 
 def roller(nominal: NominalPart | Model, effort: str, found: Survey) -> RollOut | None:
-    """Open-loop simulation with effects at the simulated state, for compensated torque; None: the linear prediction."""
-    if effort != "compensated_torque" or not nominal.abstraction.decoupled:
+    """Open-loop simulation with effects at the simulated state, for compensated torque; None: the abstraction alone says it."""
+    abstraction = nominal.abstraction
+    if effort != "compensated_torque" or not abstraction.decoupled or not compensated(nominal.effects, abstraction):
         return None
-    return RollOut(nominal.robot, nominal.abstraction, nominal.effects, found.warm)
+    return RollOut(nominal.robot, abstraction, nominal.effects, found.warm)

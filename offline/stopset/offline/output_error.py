@@ -8,7 +8,7 @@ Source: Liu & Althoff (2018), eq. (13); Ljung, System Identification (1999), sec
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 # a velocity error counts as the way it goes in this time [s]: rad and rad/s are not addable (trap P11)
 VELOCITY_TIME = 0.3
 ITERATIONS = 15  # of the damped Gauss-Newton steps with effects; they start from the fit without
+STARTS = ((1.0, 5.0), (5.0, 20.0), (12.0, 30.0))  # inertia [kg m^2] and damping [N m s] to start from
+FEW = 24  # trials that find the way to the minimum; the minimum itself is that of all of them
+FAR = 30.0  # of a logarithm
 PROGRESS = 1e-5  # relative fall of the cost below which the fit is done
 # a joint that hardly moves fits any inertia, as the infinite one explains standing still best of all; where the relative
 # standard deviation says so the description's inertia and a drive's usual time constant J / v decide, each within a factor e
@@ -66,20 +69,7 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
 
 def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
     """``log J, log v, offset`` without effects: linear filters over the whole batch; ``described``: inertia expected [kg m^2]."""
-    dt, weight = batch.dt, batch.inside
-    impulse = np.cumsum(batch.u * dt, axis=0)
-    elapsed = dt * np.arange(len(batch.u))[:, None]
-
-    def misfit(p: Array) -> Array:
-        J, v, offset = np.exp(p[0]), np.exp(p[1]), p[2]
-        decay, gain = np.exp(-v * dt / J), -np.expm1(-v * dt / J) / v
-        drive = np.vstack([batch.dq[:1], gain * (batch.u[:-1] - offset)])
-        dq = lfilter([1.0], [1.0, -decay], drive, axis=0)
-        # J (dq(t) - dq0) + v (q(t) - q0) = int u: position without a second integration
-        moved = np.vstack([np.zeros_like(impulse[:1]), impulse[:-1]]) - offset * elapsed
-        q = batch.q[0] + (moved - J * (dq - dq[0])) / v
-        return np.concatenate([((batch.q - q) * weight).ravel(), (VELOCITY_TIME * (batch.dq - dq) * weight).ravel()])
-
+    misfit = _lag_misfit(batch)
     if described is not None:
         expected = np.array([np.log(described), np.log(described / USUAL_TIME), 0.0])
         # the trial is the independent unit: what is expected weighs as much as one of them
@@ -89,9 +79,30 @@ def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
             return np.concatenate([misfit(p), weigh * np.array([p[0] - expected[0], p[1] - p[0] + np.log(USUAL_TIME)])])
 
         return np.asarray(least_squares(with_expected, expected, method="lm").x)
-    starts = ((1.0, 5.0), (5.0, 20.0), (12.0, 30.0))
-    fits = [least_squares(misfit, [np.log(J), np.log(v), 0.0], method="lm") for J, v in starts]
-    return np.asarray(min(fits, key=lambda r: float(r.cost)).x)
+    # from afar on the trials that move most, then the last steps on all of them
+    few = _lag_misfit(batch.trials(np.argsort(-np.ptp(batch.q, axis=0), kind="stable")[:FEW]))
+    near = [least_squares(few, [np.log(J), np.log(v), 0.0], method="lm").x for J, v in STARTS]
+    return np.asarray(least_squares(misfit, min(near, key=lambda p: float(np.sum(misfit(p) ** 2))), method="lm").x)
+
+
+def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:
+    """Weighted errors (rows,) of position and velocity, by ``log J, log v, offset``."""
+    dt, weight = batch.dt, batch.inside
+    impulse = np.cumsum(batch.u * dt, axis=0)
+    elapsed = dt * np.arange(len(batch.u))[:, None]
+
+    def misfit(p: Array) -> Array:
+        # what hardly moves sends inertia and damping to infinity, where they all fit alike
+        (J, v), offset = np.exp(np.clip(p[:2], -FAR, FAR)), p[2]
+        decay, gain = np.exp(-v * dt / J), -np.expm1(-v * dt / J) / v
+        drive = np.vstack([batch.dq[:1], gain * (batch.u[:-1] - offset)])
+        dq = lfilter([1.0], [1.0, -decay], drive, axis=0)
+        # J (dq(t) - dq0) + v (q(t) - q0) = int u: position without a second integration
+        moved = np.vstack([np.zeros_like(impulse[:1]), impulse[:-1]]) - offset * elapsed
+        q = batch.q[0] + (moved - J * (dq - dq[0])) / v
+        return np.concatenate([((batch.q - q) * weight).ravel(), (VELOCITY_TIME * (batch.dq - dq) * weight).ravel()])
+
+    return misfit
 
 
 def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jacobian: bool) -> tuple[Array, Array]:

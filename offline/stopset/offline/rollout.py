@@ -43,6 +43,11 @@ class JointBatch:
     warm: Array  # (B,)
     inside: NDArray[np.bool_]
 
+    def trials(self, chosen: NDArray[np.int64]) -> JointBatch:
+        """Some of the trials, in the order of ``chosen``."""
+        q, dq, u, load, temp = (np.ascontiguousarray(x[:, chosen]) for x in (self.q, self.dq, self.u, self.load, self.temp))
+        return JointBatch(self.dt, q, dq, u, load, temp, self.warm[chosen], self.inside[:, chosen])
+
 
 @dataclass(frozen=True, slots=True)
 class EffectTerm:

@@ -24,6 +24,7 @@ KEEP = 256  # trials kept for fits that need them in memory
 REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
 # which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
 POWERED = ("open_loop", "closed_loop")
+STOPS = ("stop0", "stop1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,15 +154,20 @@ class Tally:
 
 def survey(source: Source) -> Survey:
     """Read all trials once. Raises `RecordingError` if no trial has powered motion."""
-    return tallied(source).survey()
+    return tallied(source)[0].survey()
 
 
-def tallied(source: Source) -> Tally:
-    """The counts of a survey, to be kept for later recordings. Raises `RecordingError` if no phase has powered motion."""
-    tally = Tally(_phase(source))
+def tallied(source: Source) -> tuple[Tally, list[Recording]]:
+    """The counts of a survey, and the stops, which are short and needed whole.
+
+    Raises `RecordingError` if no phase has powered motion.
+    """
+    tally, stops = Tally(_phase(source)), []
     for r in source():
         tally.add(r)
-    return tally
+        if r.phase in STOPS:
+            stops.append(r)
+    return tally, stops
 
 
 def _phase(source: Source) -> str:

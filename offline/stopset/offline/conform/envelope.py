@@ -261,6 +261,9 @@ class Deviations:
 
     def add_to(self, targets: Sequence[Envelope], r: Recording, u: Array) -> None:
         """`add` to several envelopes at once: the windows are the same, and where none is beyond any of them is not looked up."""
+        if len(targets) == 1:
+            self.add(targets[0], r, u)
+            return
         one = self.empty()
         np.minimum.reduce([t.hi for t in targets], out=one.hi)
         np.maximum.reduce([t.lo for t in targets], out=one.lo)

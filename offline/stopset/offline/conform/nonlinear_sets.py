@@ -133,7 +133,7 @@ def conform_nonlinear(
     def refitted(rest: list[list[Trial]]) -> Fit:
         return algorithm.fit([t for rows in rest for t in rows], options.conform)
 
-    alone = influence({m: data[m] for m in division.used}, refitted, fit, MOST_LEFT_OUT)
+    alone = influence({m: data[m] for m in division.used}, refitted, fit, most=MOST_LEFT_OUT)
     return Conformance(
         packed(final), packed(companion.inflated(float(more) * (1.0 + 1e-9))), promise, np.full(len(joints), margin),
         {options.conform: fit, other: second}, alone, fit.cost, tuple(notes),

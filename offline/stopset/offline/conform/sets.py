@@ -156,10 +156,11 @@ def conform(
     extra = float((final.inputs.width / np.maximum(grown.inputs.width, 1e-12)).max())
     if extra > 1.0 + 1e-6:
         notes.append(f"grown by up to another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
+    fixing = [m for m, env in used.items() if g.touching(fit, R, env)]
     promise = Guarantee(
         motions=len(division.held), violated=violated, upper_bound=g.clopper_pearson(violated, len(division.held)),
         confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used),
-        scenario_bound=g.scenario_bound(sum(g.touching(fit, R, env) for env in used.values()), len(used)),
+        scenario_bound=g.scenario_bound(len(fixing), len(used)),
     )  # fmt: skip
     what = "in position and velocity" if options.conform == "all" else "in position"
     where = "every sample" if options.windows == "sliding" else "each trial's start only"
@@ -190,7 +191,9 @@ def conform(
         )
     grown = second.inflated(chosen)
     companion = packed(enclosing(grown, R, everything, alone))
-    return Conformance(packed(final), companion, promise, factors, table, influence(used, fitted, fit), fit.cost, tuple(notes))
+    return Conformance(
+        packed(final), companion, promise, factors, table, influence(used, fitted, fit, fixing), fit.cost, tuple(notes)
+    )
 
 
 def seen_by(abstraction: Abstraction, dt: float, steps: int, template: Template | None) -> Responses:
@@ -270,12 +273,18 @@ def _variants(start: Envelope, abstraction: Abstraction, joints: tuple[str, ...]
     }
 
 
-def influence(used: Mapping[int, T], fitted: Callable[[list[T]], Fit], fit: Fit, most: int = 64) -> dict[int, tuple[float, ...]]:
-    """Leave one motion out: relative change of each joint's U width; nothing where there are more than ``most``."""
+def influence(
+    used: Mapping[int, T], fitted: Callable[[list[T]], Fit], fit: Fit, fixing: Collection[int] | None = None, most: int = 64
+) -> dict[int, tuple[float, ...]]:
+    """Leave one motion out: relative change of each joint's U width; nothing where there are more than ``most``.
+
+    ``fixing``: the motions that reach the tube (None: any may); without another one the program has the same solution.
+    """
     if not 2 <= len(used) <= most:
         return {}
     out = {}
     for m in used:
-        rest = fitted([data for k, data in used.items() if k != m])
+        alters = fixing is None or m in fixing
+        rest = fitted([data for k, data in used.items() if k != m]) if alters else fit
         out[m] = tuple((rest.U.width / np.maximum(fit.U.width, 1e-12) - 1.0).tolist())
     return out

@@ -1,0 +1,43 @@
+"""Inertia and damping by output error: the minimum is that of all trials, however few of them showed the way to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from stopset.offline.output_error import FEW, STARTS, _lag_misfit, fit_lag
+from stopset.offline.rollout import JointBatch
+
+DT, N = 0.01, 200
+
+
+def batch(J: float, v: float, moving: int, still: int, seed: int) -> JointBatch:
+    """Trials of one joint with disturbed torques, of different lengths; ``still`` ones, first, hardly move."""
+    rng = np.random.default_rng(seed)
+    B = moving + still
+    size = np.r_[np.full(still, 1e-4), np.ones(moving)]
+    u = size * v * np.sin(rng.uniform(0.5, 4, B) * DT * np.arange(N)[:, None] + rng.uniform(0, 6, B))
+    push = size * 0.3 * v * lfilter([0.05], [1, -0.95], rng.normal(size=(N, B)), axis=0)
+    decay = np.exp(-v * DT / J)
+    dq = lfilter([1.0], [1.0, -decay], np.vstack([np.zeros((1, B)), (1 - decay) / v * (u + push - 0.1 * size)[:-1]]), axis=0)
+    q = np.vstack([np.zeros((1, B)), np.cumsum(0.5 * DT * (dq[1:] + dq[:-1]), axis=0)])
+    inside = np.arange(N)[:, None] < rng.integers(N // 2, N + 1, B)
+    none = np.zeros((N, B))
+    return JointBatch(
+        DT, q + rng.normal(0, 1e-5, q.shape), dq + rng.normal(0, 1e-3, dq.shape), u, none, none, np.zeros(B), inside
+    )
+
+
+@pytest.mark.parametrize(("J", "v", "moving", "still"), [(1.9, 12.6, 80, 0), (0.43, 4.0, 30, 120), (12.0, 27.0, 6, 100)])
+def test_the_fit_is_the_best_that_any_start_leads_to_on_all_trials(J: float, v: float, moving: int, still: int) -> None:
+    data = batch(J, v, moving, still, seed=int(10 * J))
+    assert moving + still > FEW
+    misfit = _lag_misfit(data)
+    every = [least_squares(misfit, [np.log(a), np.log(b), 0.0], method="lm") for a, b in STARTS]
+    best = min(every, key=lambda r: float(r.cost))
+    found = fit_lag(data)
+    assert 0.5 * np.sum(misfit(found) ** 2) <= best.cost * (1 + 1e-7)
+    np.testing.assert_allclose(found, best.x, rtol=0, atol=1e-4)
+    assert np.exp(found[:2]) == pytest.approx([J, v], rel=0.1)
