@@ -11,6 +11,7 @@ import pytest
 
 from stopset.effects import Effect, get
 from stopset.offline.diagnose import Diagnosis, diagnose, swing
+from stopset.offline.diagnose import search as search_module
 from stopset.offline.diagnose.candidate import Candidate
 from stopset.offline.diagnose.diagnosis import QUIET, WANDER
 from stopset.offline.diagnose.engine import Engine, _put
@@ -19,7 +20,7 @@ from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, 
 from stopset.offline.diagnose.prepare import Kernel
 from stopset.offline.diagnose.residual import slow_excess
 from stopset.offline.diagnose.scores import scores
-from stopset.offline.diagnose.search import THRESHOLD, foretells
+from stopset.offline.diagnose.search import SENSORS, THRESHOLD, foretells
 from stopset.offline.diagnose.wanted import LAGS
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
@@ -346,3 +347,40 @@ def test_a_person_pushing_the_arm_is_no_friction_law() -> None:
     found = diagnose(load_robot(DATA / "ur10e" / "robot.urdf"), read_recordings(DATA / "ur10e" / "push.parquet"))
     assert found.verdict == "unknown" and not found.ranked
     assert "contact" in str(found.next_experiment)
+
+
+def test_a_soft_gear_is_found_as_it_is_though_trials_begin_in_the_middle_of_a_swing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the link did before a trial is in no channel: taken to be at rest there, it would leave twenty times the noise."""
+    scenario = prepare(robot_from_text(ARM), ["elasticity:a"], 41, "compact", "easy", "exact")
+    recordings = Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    true = scenario.truth["effects"][0]["params"]
+    found = diagnose(scenario.robot, recordings, names=("elasticity",))
+    assert [(r.effect, r.joints) for r in found.ranked] == [("elasticity", ("a",))]
+    values = {k: p.value for k, p in found.ranked[0].parameters.items()}
+    assert values["K"] == pytest.approx(true["stiffness_Nm_per_rad"], rel=0.02)
+    assert values["D"] == pytest.approx(true["damping_Nms_per_rad"], rel=0.1)
+    assert values["share"] == pytest.approx(1.0, abs=0.03) and found.excess["a"] < SENSORS
+    monkeypatch.setattr(search_module, "begun", lambda engine, candidate, hyper: candidate)
+    assert diagnose(scenario.robot, recordings, names=("elasticity",)).excess["a"] > 10 * SENSORS
+
+
+def test_a_swing_at_the_start_is_told_from_the_trials_own_torque(engine: Engine) -> None:
+    """A link let go: the torque of its free swing alone, laid over the record, gives back where and how fast it began."""
+    j, source = 0, engine.source
+    K, D = 900.0, 3.0
+    filtered = swing._Filter.of(source, j, K, D)
+    driving = source.link[:, j]
+    rest = filtered.at_rest(driving)
+    rng = np.random.default_rng(3)
+    x0, dx0 = (np.where(source.first, rng.normal(0, s, len(driving)), 0.0) for s in (0.02, 0.3))
+    x, dx, _ = filtered(np.zeros(len(driving)), x0, dx0)
+    d = dataclasses.replace(source.data, tau=source.data.tau.copy())
+    x_rest, dx_rest, _ = filtered(driving, *rest)
+    d.tau[:, j] = source.drive[j, 0] * d.ddq[:, j] + 2.0 * d.way[:, j] - K * (x + x_rest) - D * (dx + dx_rest)
+    got = swing._begun(dataclasses.replace(source, data=d), j, filtered, driving, rest)
+    known = [
+        t.rows.start for t in d.trials if t.rows.stop > t.rows.start and d.ok[t.rows, j].sum() > 3 * swing.ROWS_TO_BEGIN
+    ]  # of which enough is seen
+    assert len(known) > 5
+    for found, at_rest, true in zip(got, rest, (x0, dx0), strict=True):
+        assert np.allclose((found - at_rest)[known], true[known], rtol=0.02, atol=0.02 * np.std(true[known]))

@@ -20,12 +20,11 @@ from stopset.offline.diagnose.leftover import Pattern, pattern
 from stopset.offline.diagnose.partial import Partial, partial
 from stopset.offline.diagnose.prepare import Array
 from stopset.offline.diagnose.residual import Dependence, dependences, slow_excess
-from stopset.offline.diagnose.search import THRESHOLD, Claim, Found, search
+from stopset.offline.diagnose.search import SENSORS, THRESHOLD, Claim, Found, search
 from stopset.offline.diagnose.uncertainty import deviations
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
-SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
 QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
 WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
 PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25

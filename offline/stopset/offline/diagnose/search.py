@@ -18,7 +18,9 @@ from stopset.offline.diagnose.scores import scores
 from stopset.offline.diagnose.wanted import LOUD, exact, wanted
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
-FORM_ERROR = 0.003  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
+FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
+TRUE_FORM = 0.003  # the same where only the sensors' noise is left of its joints
+SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
 SIMPLER = 0.01  # share of its evidence for which a law that looks alike gives way to one of fewer parameters
 LOWERED = 0.02  # share by which a claim must lower a joint's torque error on motions not fitted; 1.4-fold ones lower it by 0.29
 SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model
@@ -71,7 +73,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         left = scores(engine, fit, hyper)
         taken = {c.key for c in engine.active}
         best = refined(engine, [s for s in left if s.candidate.key not in taken | refused], hyper)
-        best = [s for s in best if s.score >= max(threshold, _form_error(s, claims))]
+        best = [s for s in best if s.score >= max(threshold, _form_error(s, claims, excess))]
         if not best:
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
@@ -134,11 +136,14 @@ def _unexcused(engine: Engine, candidate: Candidate, before: Array, hyper: Hyper
     return error
 
 
-def _form_error(scored: Scored, claims: Sequence[Claim]) -> float:
-    """Evidence on the same rows that an earlier claim's imperfect law may have left over."""
-    mine = set(scored.candidate.joints)
-    touching = [c.score for c in claims if not mine or not c.joints or mine & set(c.joints)]
-    return FORM_ERROR * max(touching, default=0.0)
+def _form_error(scored: Scored, claims: Sequence[Claim], excess: Sequence[float]) -> float:
+    """Evidence on the same rows that an earlier claim's imperfect law may have left over; ``excess``: by joint, after the claims."""
+    mine, out = set(scored.candidate.joints), 0.0
+    for c in claims:
+        if not mine or not c.joints or mine & set(c.joints):
+            left = max(excess[j] for j in c.joints or range(len(excess)))
+            out = max(out, c.score * (FORM_ERROR if left > SENSORS else TRUE_FORM))
+    return out
 
 
 def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
