@@ -18,8 +18,9 @@ CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before 
 def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
     """The best distinct contenders with their shapes refined, best first."""
     contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
+    out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
     for s in scored:
-        if len(contenders) < CONTENDERS and s.admissible and s.score > 0:
+        if len(contenders) < CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
             contenders.setdefault(s.candidate.key, s)
     refined = [refine(engine, s, hyper) for s in contenders.values()]
     return sorted((s for s in refined if possible(engine, s)), key=lambda s: -s.score)
@@ -31,19 +32,24 @@ def possible(engine: Engine, s: Scored) -> bool:
     return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < BUILT_UP * engine.friction[c.joints[0], 0])
 
 
+def _out_of_step(s: Scored) -> bool:
+    """An elasticity between two stiffnesses of the grid: out of step with the true swing its own explains a part only."""
+    return s.candidate.effect.name == "elasticity" and not s.admissible and float(s.theta[0]) > 0
+
+
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Candidate:
     """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
     c = scored.candidate
-    return c if c.effect.name != "elasticity" or "exact" in c.shapes else _climbed(engine, c, "exact", hyper)
+    return c if c.effect.name != "elasticity" or "exact" in c.shapes else _climbed(engine, c, "exact", 0.4, hyper)
 
 
 def begun(engine: Engine, elasticity: Candidate, hyper: Hyper) -> Candidate:
     """An elasticity that has been claimed, with the swings that its trials began with."""
-    return _climbed(engine, elasticity, "begun", hyper)
+    return _climbed(engine, elasticity, "begun", 0.06 if "begun" in elasticity.shapes else 0.16, hyper)
 
 
-def _climbed(engine: Engine, c: Candidate, how: str, hyper: Hyper) -> Candidate:
-    """The stiffness and damping of most evidence when the column is made as ``how`` says."""
+def _climbed(engine: Engine, c: Candidate, how: str, step: float, hyper: Hyper) -> Candidate:
+    """The stiffness and damping of most evidence when the column is made as ``how`` says; ``step``: how far off they may be."""
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
         return score_new(engine, c.effect, c.joints, shapes, hyper, quick=True)
@@ -51,8 +57,8 @@ def _climbed(engine: Engine, c: Candidate, how: str, hyper: Hyper) -> Candidate:
     best = value({**c.shapes, how: 1.0})
     if best is None:
         return c
-    steps = {p.symbol: 0.4 for p in c.effect.shapes}
-    while max(steps.values()) > 0.02:
+    steps, enough = {"K": step, "D": 2.5 * step}, {"K": 0.01, "D": 0.06}  # damping matters less
+    while any(steps[symbol] > enough[symbol] for symbol in steps):
         for symbol in steps:
             here = best.candidate.shapes
             trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
@@ -94,7 +100,7 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
 
     def value(trial: Mapping[str, float]) -> Scored | None:
         s = score_new(engine, effect, joints, trial, hyper, quick=True)
-        return s if s is not None and possible(engine, s) else None
+        return s if s is not None and (possible(engine, s) or _out_of_step(s)) else None
 
     if "d0" in shapes:
         shapes = {"d0": _shifted(engine, scored, hyper)}

@@ -80,13 +80,17 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         top, candidate, hyper, p = _settle(engine, near, hyper)
         earlier = list(engine.active)
         engine.active.append(candidate)
-        hyper, p = _with_swings(engine, hyper, p)
+        if candidate.effect.name == "elasticity":
+            hyper, p = _with_swings(engine, hyper, p)
         error = held_out(engine, hyper)
         if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
             engine.active = earlier
             hyper, p = engine.fit(hyper)
             refused.add(top.candidate.key)
             continue
+        if candidate.effect.name != "elasticity" and any(c.effect.name == "elasticity" for c in earlier):
+            hyper, p = _with_swings(engine, hyper, p)
+            error = held_out(engine, hyper)
         before = error
         after = _excess(engine, p.theta, hyper)
         rivals = tuple(r for r in near if r is not top)
