@@ -307,3 +307,17 @@ def test_a_late_torque_is_told_of_compensated_torque_too(tmp_path: Path, trials:
     for late, told in ((0.0, False), (0.03, True)):
         i = look(tmp_path, [compensated(r, late) for r in moving_ones], meta)
         assert ("torque_delay" in kinds(i)) == told, [f.says for f in i.findings]
+
+
+@pytest.mark.parametrize("factor", [1.05, 0.95, 1.015, 1.3])
+def test_a_clock_that_runs_fast_or_slow_is_told_without_a_stated_rate(
+    tmp_path: Path, trials: tuple[Recording, ...], factor: float
+) -> None:
+    unstated = replace(META, rate_hz=float("nan"))
+    i = look(tmp_path, [replace(r, t=factor * r.t) for r in trials], unstated)
+    (found,) = [f for f in i.findings if f.kind == "clock_scale"]
+    assert found.severity == "error" and found.value == pytest.approx(factor, rel=2e-3)
+    assert f"{'fast' if factor > 1 else 'slow'}" in found.seen and i.wrong
+    # a calibration of one joint's speed is no clock
+    scaled = look(tmp_path, [replace(r, dq=r.dq * [1.0, factor, 1.0]) for r in trials], unstated)
+    assert [f.joint for f in scaled.findings if f.kind == "dq_scale"] == [JOINTS[1]] and "clock_scale" not in kinds(scaled)

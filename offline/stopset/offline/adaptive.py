@@ -26,6 +26,7 @@ from stopset.offline.adaptive_file import load_sums, save_sums
 from stopset.offline.assembly import Identification, concluded, stopped
 from stopset.offline.identify import identified
 from stopset.offline.parts import Progress
+from stopset.offline.plausible import check_signals
 from stopset.offline.revise import description, settings_of
 from stopset.offline.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.sources import campaign_of, continued, joined, numbered_on
@@ -107,6 +108,7 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
             stops.append(r)
     _check_phases(phases, tally, kept)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
+    check_signals(robot, meta, found.sample)
     numbers = _numbers(kept, found)
     new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(kept.tally.steps)
     tell(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")

@@ -18,6 +18,7 @@ from stopset.offline.errors import Figures
 from stopset.offline.nominal_part import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.order import abstracted
 from stopset.offline.parts import Progress
+from stopset.offline.plausible import check_signals
 from stopset.offline.settings import Settings
 from stopset.offline.signals_file import Signals
 from stopset.offline.sources import Campaign, campaign_of
@@ -54,6 +55,7 @@ def identified(
     tell("reading the recordings")
     tally, stops = tallied(source)
     found = tally.survey()
+    check_signals(robot, meta, found.sample)
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out

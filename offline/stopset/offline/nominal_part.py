@@ -18,6 +18,7 @@ from stopset.offline.effect_names import find, matches, parse_effect
 from stopset.offline.known import described, plain
 from stopset.offline.nominal.gram import NormalEquations
 from stopset.offline.output_error import fit_joint
+from stopset.offline.plausible import check_torque
 from stopset.offline.rollout import EffectTerm, RollOut, joint_batches
 from stopset.offline.settings import Settings
 from stopset.offline.survey import Source, Survey, on_grid
@@ -52,7 +53,7 @@ def fit_nominal(
     """Everything that must be known before the sets, from all trials of ``source``."""
     if meta.effort == "compensated_torque":
         return _compensated(robot, found, settings)
-    return _motor(robot, source, found, settings, known)
+    return _motor(robot, meta, source, found, settings, known)
 
 
 def known_effects(
@@ -110,7 +111,7 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
     return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes, doubt=doubt)
 
 
-def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
+def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
     """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
     from stopset.offline.nominal import identify_nominal
 
@@ -122,6 +123,7 @@ def _motor(robot: Robot, source: Source, found: Survey, settings: Settings, know
         return (plain(r, cad, known, found.warm(r)) for r in source())
 
     nominal = identify_nominal(cad, trials, tuple(friction))
+    check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")

@@ -24,6 +24,8 @@ RATIOS = {  # dq over the derivative of q -> what it means
 }
 AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a ratio above is explained
 CORRELATED = 0.9  # below it dq does not follow q at all
+CLEAR = 0.9985  # above it neither noise of q nor a filter that dq went through changes the scale by as much as `OFF_RATE`
+ALIKE = 0.005  # scales of all joints this near to each other have one cause
 RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD errors live here
 RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up, so that accelerations are wrong
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
@@ -141,24 +143,43 @@ def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
     aa, ab, bb = t.way
     moved = _moved(t)
     period = float(np.median(t.period)) if t.period else float("nan")
+    clear: dict[int, float] = {}
     for j, joint in enumerate(joints):
         if not moved[j] or aa[j] <= 0:
             continue
         k = ab[j] / aa[j]
         r = ab[j] / np.sqrt(aa[j] * bb[j]) if bb[j] > 0 else 0.0
+        meaning = next((m for ratio, m in RATIOS.items() if abs(k / ratio - 1) < AGREES), None)
         if abs(r) < CORRELATED:
             seen = "dq is zero while q moves" if bb[j] == 0 else f"dq follows the motion of q with a correlation of {r:.2f}"
             out.append(
                 Finding("dq_not_derivative", "error", joint, seen, "dq = dq/dt", "columns may be swapped: mend them", float(r))
             )
-        elif abs(k - 1) > AGREES:
-            meaning = next((m for ratio, m in RATIOS.items() if abs(k / ratio - 1) < AGREES), None)
+        elif abs(k - 1) > AGREES and (meaning or r < CLEAR):
             kind = "wrong_unit" if meaning and k > 0 else "dq_not_derivative"
             seen = f"dq is {k:.4g} times the derivative of q" + (f" ({meaning})" if meaning else "")
             out.append(Finding(kind, "error", joint, seen, "1 (rad, rad/s, s)", "convert the columns to SI", float(k)))
         else:
+            if r > CLEAR:
+                clear[j] = float(k)
             out += _lag(t, j, joint, period)
-    return out + _derived(t, joints, meta, period)
+    return out + _scaled(clear, joints) + _derived(t, joints, meta, period)
+
+
+def _scaled(scale: dict[int, float], joints: Sequence[str]) -> list[Finding]:
+    """A measured dq that is more or less than the derivative of q, by no unit's factor: of all joints alike it is the clock."""
+    k = np.array(list(scale.values()))
+    if len(k) > 1 and np.ptp(k) < ALIKE and abs(np.median(k) - 1) > OFF_RATE:
+        ratio = float(np.median(k))
+        seen = f"dq of all joints that move is {ratio:.4g} times the derivative of q: t runs {abs(ratio - 1):.1%} {'fast' if ratio > 1 else 'slow'}"
+        return [Finding("clock_scale", "error", None, seen, "1", f"divide t by {ratio:.4g}, or correct dq", ratio)]
+    return [
+        Finding("dq_scale", "warning" if abs(v - 1) < AGREES else "error", joints[j],
+                f"dq is {v:.4g} times the derivative of q", f"1 to {OFF_RATE:.0%}",
+                "look for a gear ratio or a calibration of dq that is off", v)
+        for j, v in scale.items()
+        if abs(v - 1) > OFF_RATE
+    ]  # fmt: skip
 
 
 def _moved(t: Tally) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ import numpy as np
 from stopset.errors import RecordingError
 from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.findings import Finding
+from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Need, needs
 from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
@@ -20,7 +21,7 @@ from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Tolerance, prior_of
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Recording, read_meta, stream_recordings
-from stopset.recording.types import Meta
+from stopset.recording.types import Array, Meta
 from stopset.robot import Robot
 
 # friction that is left out of the model looks like delay
@@ -66,6 +67,7 @@ class _Campaign:
     """Counts by phase, kept while the trials stream by."""
 
     tally: Tally
+    momentum: Momentum | None = None  # of compensated torque, where the robot is known
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     suites: dict[tuple[str, int], int] = field(default_factory=dict)
@@ -76,6 +78,8 @@ class _Campaign:
     def add(self, r: Recording) -> None:
         self.tally.add(r)
         self.sample.add(r)
+        if self.momentum is not None:
+            self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
         self.suites[r.motion] = self.suites.get(r.motion, 0) + 1
@@ -115,8 +119,8 @@ def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) 
 def _inspect(path: Path, robot: Robot | None) -> Inspection:
     meta = read_meta(path)
     joints = robot.joints if robot is not None else meta.joints
-    campaign = _Campaign(Tally(len(joints)))
     compensated = meta.effort == "compensated_torque"
+    campaign = _Campaign(Tally(len(joints)), Momentum(robot) if robot is not None and compensated else None)
     data: NormalEquations | None = None
     refused = None
     try:
@@ -137,7 +141,9 @@ def _findings(
 ) -> list[Finding]:
     t = campaign.tally
     speeds = detect.velocity(t, joints, meta)
-    clock = detect.clock(t, meta, dq_sound=all(f.kind == "velocity_derived" for f in speeds))
+    clock = detect.clock(t, meta, dq_sound=all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds))
+    if any(f.kind == "dropped_samples" for f in clock):  # stamps made up for fewer samples run slow by that alone
+        speeds = [f for f in speeds if f.kind != "clock_scale"]
     out = [*clock, *speeds, *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
@@ -151,35 +157,35 @@ def _findings(
     else:
         # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
         torn = any(f.severity == "error" for f in clock)
-        out += _torque(robot, data, joints, meta, sign, torn)
+        scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
+        out += _torque(robot, data, scales, meta, sign, torn)
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
 
 
 def _torque(
-    robot: Robot, data: NormalEquations, joints: Sequence[str], meta: Meta, sign: list[Finding], torn: bool
+    robot: Robot, data: NormalEquations, scales: tuple[Array, Array], meta: Meta, sign: list[Finding], torn: bool
 ) -> list[Finding]:
     """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
     compensated = meta.effort == "compensated_torque"
-    out = sign
-    if not compensated:
-        scale, std = torque_scales(robot, data)
-        gear = np.array([d.gear_ratio for d in robot.drives])
-        right = detect.RIGHT_TORN if torn else detect.RIGHT
-        against = detect.torque_scale(scale, std, joints, gear, _constants(meta, joints), right)
-        told = {f.joint for f in against}
-        out = [*against, *(f for f in sign if f.joint not in told)]
+    against = against_model(robot, meta, *scales, detect.RIGHT_TORN if torn or compensated else detect.RIGHT)
+    told = {f.joint for f in against}
+    out = [*against, *(f for f in sign if f.joint not in told)]
     if out or torn:
         return out
     delay = estimate_delay(data, prior_of(robot, Tolerance()))
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
-    return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, joints, least)
+    return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
 
 
-def _constants(meta: Meta, joints: Sequence[str]) -> np.ndarray:
-    if meta.torque_constant is None:
-        return np.full(len(joints), np.nan)
-    by = dict(zip(meta.joints, meta.torque_constant, strict=True))
-    return np.array([by.get(j, np.nan) for j in joints])
+def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tuple[float, float]) -> list[Finding]:
+    """Torque that is by a unit or a sign apart from what the robot needs: ``scale`` (n,) measured over modelled, ``std`` its error.
+
+    ``right``: between which scales all may be payload, drive gain and errors of the description.
+    """
+    gear = np.array([d.gear_ratio for d in robot.drives])
+    by = dict(zip(meta.joints, meta.torque_constant, strict=True)) if meta.torque_constant is not None else {}
+    constant = np.array([by.get(j, np.nan) for j in robot.joints])
+    return detect.torque_scale(scale, std, robot.joints, gear, constant, right)
 
 
 def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:
