@@ -321,3 +321,25 @@ def test_a_clock_that_runs_fast_or_slow_is_told_without_a_stated_rate(
     # a calibration of one joint's speed is no clock
     scaled = look(tmp_path, [replace(r, dq=r.dq * [1.0, factor, 1.0]) for r in trials], unstated)
     assert [f.joint for f in scaled.findings if f.kind == "dq_scale"] == [JOINTS[1]] and "clock_scale" not in kinds(scaled)
+
+
+def test_the_guarantee_counts_motions_not_suites_and_what_identification_holds_out(tmp_path: Path) -> None:
+    """Two suites that start at two places of one motion are one independent motion, as for `identify`."""
+    truth = Truth(arm())
+
+    def suites(number: int) -> list[Recording]:
+        out = []
+        for k in range(number):
+            long = moving(truth, k, 8.0, 0.8, seed=10 + k)
+            out += [
+                replace(long.cut(lo, lo + 1400), phase="open_loop", suite=2 * k + i, t=long.t[:1400], place=2 * k + i)
+                for i, lo in enumerate((0, 400))
+            ]
+        return out
+
+    def said(number: int) -> str:
+        (need,) = [n for n in look(tmp_path, suites(number)).missing if n.part == "guarantee"]
+        return need.says
+
+    assert "2 independent open-loop motions, too few to hold any out" in said(2)
+    assert "9 independent open-loop motions, of which 2 are held out: if none violates the sets, at most 77.6 % may" in said(9)

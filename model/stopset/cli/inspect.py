@@ -47,7 +47,7 @@ def _tell(r: Inspection) -> None:
     say(f"{r.path}\n  {o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "
         f"{o['velocity']} velocity, {o['clock']} clock; channels {', '.join(o['channels'])}")  # fmt: skip
     for phase, p in o["phases"].items():
-        say(f"  {phase:12} {p['trials']:5} trials of {p['motions']} motions, {p['seconds']:.4g} s")
+        say(f"  {phase:12} {p['trials']:5} trials of {p['motions']} suites, {p['seconds']:.4g} s")
     for joint, x in o["joints"].items():
         say(f"  {joint:24} q {_range(x['q'], 'rad')}  dq {_range(x['dq'], 'rad/s')}  tau {_range(x['tau'], 'N m')}")
     _list("wrong", [f"[{f.severity}] {f.says}" for f in r.findings] + ([f"[error] {r.refused}"] if r.refused else []))

@@ -16,6 +16,7 @@ from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Need, needs
 from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
+from stopset.offline.motions import independent_motions
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Tolerance, prior_of
@@ -71,6 +72,7 @@ class _Campaign:
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     suites: dict[tuple[str, int], int] = field(default_factory=dict)
+    torques: dict[tuple[str, int], Array] = field(default_factory=dict)  # of one trial of each open-loop suite
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: Sample = field(default_factory=Sample)
@@ -82,6 +84,8 @@ class _Campaign:
             self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
+        if r.phase == "open_loop":
+            self.torques.setdefault(r.motion, r.tau)
         self.suites[r.motion] = self.suites.get(r.motion, 0) + 1
         for name in ("temp", "current", "stop_trigger"):
             if getattr(r, name) is not None:
@@ -194,9 +198,10 @@ def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]
     n = campaign.tally.n
     low = campaign.slowest if len(campaign.slowest) == n else np.full(n, np.inf)
     repeats = max((c for (p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
+    motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
     speed = np.column_stack([low, top])
-    return needs(campaign.phases(), paired, speed, limit, "temp" in campaign.channels, meta.effort, repeats)
+    return needs(campaign.phases(), paired, speed, limit, "temp" in campaign.channels, meta.effort, repeats, motions)
 
 
 def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from stopset.offline.conform.guarantee import FEWEST_MOTIONS, HELD_OUT_EVERY, split
 from stopset.offline.inspect.tally import MOVING
 from stopset.recording.types import Array
 
@@ -40,10 +41,11 @@ def needs(
     temperature: bool,
     effort: str,
     repeats: int,
+    motions: int,
 ) -> list[Need]:
     """``phases``: phase -> counts; ``paired_poses``: poses from both sides; ``speed`` (n, 2): lowest fast, highest speed
     of the joints as the campaign has them; ``limit`` (n,) [rad/s] of the robot if known; ``repeats``: most trials of an
-    open-loop suite."""
+    open-loop suite; ``motions``: independent ones in open loop, of which suites may be several starts."""
     out: list[Need] = []
     if effort == "compensated_torque":
         out.append(
@@ -65,7 +67,6 @@ def needs(
         )
     elif limit is not None:
         out += _speeds(speed, limit)
-    motions = phases.get("open_loop", {}).get("motions", 0)
     if motions == 0:
         out.append(
             Need(
@@ -78,13 +79,13 @@ def needs(
         if repeats < REPEATS:
             seen = f"at most {repeats} trial{'s' if repeats != 1 else ''} per open-loop suite, {REPEATS} wanted"
             out.append(Need("what does not repeat", seen, "repeat each suite from the same start with the same torques"))
-        if motions < MOTIONS_1_PERCENT:
-            held = max(motions // 2, 1)
-            out.append(
-                Need("guarantee", f"{motions} independent open-loop motions: with half held out and none violated, at most "
-                     f"{100 * upper_bound(held):.1f} % may violate (95 %)",
-                     f"{MOTIONS_1_PERCENT} clean held-out motions make it 1 %")
-            )  # fmt: skip
+        held = len(split(range(motions)).held)
+        if held < MOTIONS_1_PERCENT:
+            seen = f"{motions} independent open-loop motion{'s' if motions != 1 else ''}"
+            bound = f"of which {held} are held out: if none violates the sets, at most {100 * upper_bound(held):.1f} % may (95 %)"
+            none = f"too few to hold any out and promise something of others; {FEWEST_MOTIONS} begin to"
+            do = f"record more motions: {MOTIONS_1_PERCENT} held out and clean, of {HELD_OUT_EVERY * MOTIONS_1_PERCENT}, make it 1 %"
+            out.append(Need("guarantee", f"{seen}, {bound if held else none}", do))
     for phase, what in (("stop0", "brake delay, rise and torque; sets of STOP 0"), ("stop1", "sets of STOP 1")):
         if phase not in phases:
             out.append(Need(what, f"no {phase} recording", f"add phase {phase}: stops at several speeds, with stop_trigger"))
