@@ -7,7 +7,8 @@ import pytest
 
 from stopset.artifact import Abstraction
 from stopset.errors import RecordingError
-from stopset.offline.conform.envelope import Deviations, Envelope, _extremes
+from stopset.offline.conform.envelope import Deviations, Envelope
+from stopset.offline.conform.windows import extremes
 from stopset.recording import Recording
 
 DT = 0.01
@@ -21,10 +22,10 @@ def test_extremes_are_those_of_the_floats_to_the_last_bit() -> None:
             x = rng.normal(size=size) * 10.0 ** rng.integers(-320, 300, size)
             some = rng.random(size) < 0.2
             x[some] = rng.choice([0.0, -0.0, tiny, -tiny, np.inf, -np.inf], some.sum())
-            assert _extremes(x) == (x.max(), x.min())
+            assert extremes(x) == (x.max(), x.min())
     # the largest and the smallest of zeros is zero, whatever their signs: the file's bits do not depend on the order of trials
     for zeros in ([-0.0], [0.0, -0.0], [-0.0, 0.0], [-1.0, -0.0], [-0.0, 1.0]):
-        assert not any(v == 0.0 and np.signbit(v) for v in _extremes(np.array(zeros)))
+        assert not any(v == 0.0 and np.signbit(v) for v in extremes(np.array(zeros)))
 
 
 def trial(k: int, samples: int) -> tuple[Recording, np.ndarray]:
