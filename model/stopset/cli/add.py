@@ -20,6 +20,7 @@ SHOWN = (
     ("held_out_velocity_rmse", "velocity error, held out", "rad/s"),
     ("held_out_position_rmse", "open-loop position error, held out", "rad"),
     ("sum_U_width", "sum of U widths", "N m"),
+    ("sum_U_width_without_margin", "  of it without margin", "N m"),
     ("stop0_angle", "STOP 0 angle bound at full speed, mean of axes", "rad"),
 )
 

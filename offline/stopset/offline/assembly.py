@@ -76,7 +76,8 @@ def packed(
     if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
         result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
         by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
-    total = {"sum_U_width": float(result.sets.U.width.sum())} | _sums(errors)
+    bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
+    total = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())} | _sums(errors)
     notes = list(result.notes)
     if by_band:
         notes.append(

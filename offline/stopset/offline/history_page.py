@@ -13,6 +13,7 @@ FIGURES = (
     ("held_out_torque_rmse", "torque error on held-out data [N m]"),
     ("held_out_position_rmse", "open-loop position error on held-out data [rad]"),
     ("sum_U_width", "sum of U widths [N m]"),
+    ("sum_U_width_without_margin", "sum of U widths without margin [N m]"),
     ("stop0_angle", "STOP 0 angle bound at full speed [rad]"),
 )
 
