@@ -343,3 +343,19 @@ def test_the_guarantee_counts_motions_not_suites_and_what_identification_holds_o
 
     assert "2 independent open-loop motions, too few to hold any out" in said(2)
     assert "9 independent open-loop motions, of which 2 are held out: if none violates the sets, at most 77.6 % may" in said(9)
+
+
+def test_a_joint_at_rest_is_no_swapped_column_however_long_it_rests(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """Noise at standstill adds up over a campaign to more than a motion: its dq follows nothing and need not."""
+    rng = np.random.default_rng(8)
+    step = 2.0**-14
+
+    def rested(r: Recording) -> Recording:
+        q, dq = r.q.copy(), r.dq.copy()
+        q[:, 2] = step * np.round(0.3 / step + rng.normal(0, 0.5, len(q)))
+        dq[:, 2] = rng.normal(0, 1e-3, len(q))
+        return replace(r, q=q, dq=dq)
+
+    moving = [r for r in trials if r.phase != "static"]
+    long = [replace(rested(r), trial=100 * k + r.trial) for k in range(10) for r in moving]
+    assert "dq_not_derivative" not in kinds(look(tmp_path, long, robot=False))

@@ -25,6 +25,7 @@ RATIOS = {  # dq over the derivative of q -> what it means
 AGREES = 0.1  # relative: a scale within this of 1 is right, within it of a ratio above is explained
 CORRELATED = 0.9  # below it dq does not follow q at all
 CLEAR = 0.9985  # above it neither noise of q nor a filter that dq went through changes the scale by as much as `OFF_RATE`
+STILL = 6.0  # steps of the encoder per window, root mean square: noise makes less
 ALIKE = 0.005  # scales of all joints this near to each other have one cause
 RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD errors live here
 RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up, so that accelerations are wrong
@@ -183,8 +184,9 @@ def _scaled(scale: dict[int, float], joints: Sequence[str]) -> list[Finding]:
 
 
 def _moved(t: Tally) -> NDArray[np.bool_]:
-    """(n,) whether a joint went further than the steps of its encoder."""
-    return np.asarray(t.way[0] > (30 * np.where(np.isfinite(t.resolution), t.resolution, 0.0)) ** 2)
+    """(n,) whether a joint went further than the steps of its encoder, and than many windows of noise at standstill add up to."""
+    step = np.where(np.isfinite(t.resolution), t.resolution, 0.0)
+    return np.asarray(t.way[0] > np.maximum((30 * step) ** 2, t.windows * (STILL * step) ** 2))
 
 
 def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:

@@ -35,6 +35,7 @@ class Tally:
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
     period: list[float] = field(default_factory=list)  # per trial: the usual one
     mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
+    windows: int = 0  # of `WINDOW`, that `way` sums over
     way: Array = field(init=False)  # (3, n) sums of a^2, a b, b^2: way of q, integral of dq
     lagged: Array = field(init=False)  # (2 LAGS + 1, n) squared difference of dq, shifted, to the derivative of q
     speed2: Array = field(init=False)
@@ -115,6 +116,7 @@ class Tally:
             integral = np.zeros_like(r.q)
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
+            self.windows += len(a)
             self.way += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
             mean = np.diff(b, axis=0) / (w * h) ** 2
             if len(mean):
