@@ -24,6 +24,8 @@ WRONG = {
     "kN m": (lambda r: replace(r, tau=1e-3 * r.tau), "it is in kN m"),
     "sign": (lambda r: replace(r, tau=-r.tau), "turn the sign of tau"),
     "clock": (lambda r: replace(r, t=1.05 * r.t), "t runs 5.0% fast"),
+    "sign of dq": (lambda r: replace(r, dq=-r.dq), "dq has the wrong sign"),
+    "swapped": (lambda r: replace(r, dq=r.dq[:, [1, 0, 2]]), "columns may be swapped"),
 }
 Break = Callable[[Recording], Recording]
 

@@ -157,7 +157,7 @@ def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
                 Finding("dq_not_derivative", "error", joint, seen, "dq = dq/dt", "columns may be swapped: mend them", float(r))
             )
         elif abs(k - 1) > AGREES and (meaning or r < CLEAR):
-            kind = "wrong_unit" if meaning and k > 0 else "dq_not_derivative"
+            kind = "dq_scale" if not meaning else "wrong_unit" if k > 0 else "dq_not_derivative"
             seen = f"dq is {k:.4g} times the derivative of q" + (f" ({meaning})" if meaning else "")
             out.append(Finding(kind, "error", joint, seen, "1 (rad, rad/s, s)", "convert the columns to SI", float(k)))
         else:
