@@ -14,12 +14,13 @@ from stopset.offline.diagnose.held_out import held_out
 from stopset.offline.diagnose.prepare import Array
 from stopset.offline.diagnose.refine import begun, refined, sharpened
 from stopset.offline.diagnose.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.scores import scores
+from stopset.offline.diagnose.scores import score_new, scores
 from stopset.offline.diagnose.wanted import LOUD, exact, wanted
 
 THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
 FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
 TRUE_FORM = 0.003  # the same where only the sensors' noise is left of its joints
+UNHEARD = 1e9  # noise variance of rows that are to say nothing
 SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
 SIMPLER = 0.01  # share of its evidence for which a law that looks alike gives way to one of fewer parameters
 LOWERED = 0.02  # share by which a claim must lower a joint's torque error on motions not fitted; 1.4-fold ones lower it by 0.29
@@ -73,7 +74,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         left = scores(engine, fit, hyper)
         taken = {c.key for c in engine.active}
         best = refined(engine, [s for s in left if s.candidate.key not in taken | refused], hyper)
-        best = [s for s in best if s.score >= max(threshold, _form_error(s, claims, excess))]
+        best = [s for s in best if s.score >= threshold and _stands(engine, s, claims, excess, hyper, threshold)]
         if not best:
             break
         near = [s for s in best if s.score > best[0].score - max(12.0, 0.05 * best[0].score)]
@@ -96,13 +97,10 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         rivals = tuple(r for r in near if r is not top)
         claims.append(Claim(top, top.score, rivals, excess, after))
         excess = after
-    claims = _as_fitted(engine, claims, p.theta)
-    kept = _needed(engine, claims, hyper, threshold)
-    if len(kept) < len(claims):
-        hyper, p = engine.fit(hyper)
-        excess = _excess(engine, p.theta, hyper)
-        kept = _as_fitted(engine, kept, p.theta)
-    return Found(tuple(kept), tuple(left), hyper, excess, first)
+    kept = _needed(engine, _as_fitted(engine, claims, p.theta), hyper, threshold)
+    kept = [_settled_again(engine, claim, hyper) for claim in kept]
+    hyper, p = engine.fit(hyper)
+    return Found(tuple(_as_fitted(engine, kept, p.theta)), tuple(left), hyper, _excess(engine, p.theta, hyper), first)
 
 
 def _with_swings(engine: Engine, hyper: Hyper, p: Projection) -> tuple[Hyper, Projection]:
@@ -140,14 +138,27 @@ def _unexcused(engine: Engine, candidate: Candidate, before: Array, hyper: Hyper
     return error
 
 
-def _form_error(scored: Scored, claims: Sequence[Claim], excess: Sequence[float]) -> float:
-    """Evidence on the same rows that an earlier claim's imperfect law may have left over; ``excess``: by joint, after the claims."""
-    mine, out = set(scored.candidate.joints), 0.0
-    for c in claims:
-        if not mine or not c.joints or mine & set(c.joints):
-            left = max(excess[j] for j in c.joints or range(len(excess)))
-            out = max(out, c.score * (FORM_ERROR if left > SENSORS else TRUE_FORM))
-    return out
+def _stands(engine: Engine, s: Scored, claims: Sequence[Claim], excess: Sequence[float], hyper: Hyper, threshold: float) -> bool:
+    """Whether a contender's evidence is more than what earlier claims' imperfect laws may have left over on the same rows.
+
+    What the whole arm shows may stand without the rows of the joints concerned instead.  ``excess``: by joint, after the claims.
+    """
+    c = s.candidate
+    touching = [x for x in claims if not c.joints or not x.joints or set(c.joints) & set(x.joints)]
+    if s.score >= max((_form_error(x, excess) for x in touching), default=0.0):
+        return True
+    if c.joints or any(not x.joints for x in touching):
+        return False
+    concerned = {j for x in touching for j in x.joints if s.score < _form_error(x, excess)}
+    elsewhere = replace(hyper, kappa=tuple(UNHEARD if j in concerned else k for j, k in enumerate(hyper.kappa)))
+    again = score_new(engine, c.effect, c.joints, c.shapes, elsewhere)
+    return again is not None and again.score >= threshold
+
+
+def _form_error(claim: Claim, excess: Sequence[float]) -> float:
+    """Evidence that a claim's imperfect law may have left over at its joints."""
+    left = max(excess[j] for j in claim.joints or range(len(excess)))
+    return claim.score * (FORM_ERROR if left > SENSORS else TRUE_FORM)
 
 
 def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
@@ -174,6 +185,21 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
     best = max(settled, key=lambda x: x[0])
     simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - SIMPLER * best[1].score]
     return max(simpler, key=lambda x: x[0], default=best)[1:]
+
+
+def _settled_again(engine: Engine, claim: Claim, hyper: Hyper) -> Claim:
+    """A narrow decision between contenders taken again, now that all the other causes are known."""
+    if not claim.rivals or claim.scored.candidate.effect.name == "elasticity":
+        return claim
+    mine = next(k for k, c in enumerate(engine.active) if c.key == claim.scored.candidate.key)
+    here = engine.active.pop(mine)
+    top, candidate, _, _ = _settle(engine, [claim.scored, *claim.rivals], hyper)
+    same = candidate.key == here.key
+    engine.active.insert(mine, here if same else candidate)
+    if same:
+        return claim
+    rivals = tuple(r for r in (claim.scored, *claim.rivals) if r is not top)
+    return replace(claim, scored=top, score=top.score, rivals=rivals)
 
 
 def _added(engine: Engine, candidate: Candidate) -> Candidate:
