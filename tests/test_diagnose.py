@@ -20,7 +20,7 @@ from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, 
 from stopset.offline.diagnose.prepare import Kernel
 from stopset.offline.diagnose.residual import slow_excess
 from stopset.offline.diagnose.scores import scores
-from stopset.offline.diagnose.search import SENSORS, THRESHOLD, foretells
+from stopset.offline.diagnose.search import FORM_ERROR, SENSORS, THRESHOLD, Claim, _stands, foretells
 from stopset.offline.diagnose.wanted import LAGS
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
@@ -384,3 +384,36 @@ def test_a_swing_at_the_start_is_told_from_the_trials_own_torque(engine: Engine)
     assert len(known) > 5
     for found, at_rest, true in zip(got, rest, (x0, dx0), strict=True):
         assert np.allclose((found - at_rest)[known], true[known], rtol=0.02, atol=0.02 * np.std(true[known]))
+
+
+def test_what_the_whole_arm_shows_stands_without_the_rows_of_a_joint_whose_claim_may_be_imperfect() -> None:
+    scenario = prepare(robot_from_text(ARM), ["base_tilt"], 51, "short", "easy", "exact")
+    engine = Engine.build(
+        scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    )
+    hyper, _ = engine.fit()
+    tilt, stribeck = engine.add_all([(get("base_tilt"), (), {}), (get("stribeck"), (1,), {"v_s": 0.1})])
+    found = scores(engine, [tilt], hyper)[0]
+    assert found.score > 2 * THRESHOLD
+    large = 2 * found.score / FORM_ERROR  # whose imperfect form may leave twice the evidence of the tilt over
+
+    def stands(claimed: Candidate, excess: tuple[float, float]) -> bool:
+        claim = Claim(dataclasses.replace(found, candidate=claimed), large, (), excess, excess)
+        return _stands(engine, found, [claim], excess, hyper, THRESHOLD)
+
+    assert stands(stribeck, (1.0, 1.0))  # only noise is left: the form is true
+    assert stands(stribeck, (1.0, 2.0))  # the other joint's rows show it too
+    assert not stands(dataclasses.replace(stribeck, joints=(0, 1)), (2.0, 2.0))  # no rows are left that could
+    assert not stands(dataclasses.replace(stribeck, joints=()), (2.0, 2.0))
+    local = dataclasses.replace(found, candidate=stribeck)
+    claim = Claim(local, large, (), (2.0, 2.0), (2.0, 2.0))
+    assert not _stands(engine, local, [claim], (2.0, 2.0), hyper, THRESHOLD)
+
+
+def test_a_narrow_decision_is_taken_again_once_the_other_causes_are_known() -> None:
+    """Before the other joint's torque gain is known, a spring of next to no stiffness beats the asymmetric friction that it is."""
+    scenario = prepare(robot_from_text(ARM), ["asymmetric_coulomb:b", "torque_gain:a"], 52, "compact", "easy", "exact")
+    meta = dataclasses.replace(scenario.meta, sources=())
+    names = ("asymmetric_coulomb", "spring", "torque_gain")
+    found = diagnose(scenario.robot, Recordings(meta, tuple(scenario.recordings())), names=names)
+    assert {r.label for r in found.ranked} == {"asymmetric_coulomb:b", "torque_gain:a"}
