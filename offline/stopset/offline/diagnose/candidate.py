@@ -14,6 +14,7 @@ from stopset.offline.diagnose.prepare import Array, Index
 HELD = 1e12  # prior precision of a term held at zero
 MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
 LAG_PRICE = 2 * float(np.log(40.0))  # of a lag: half a millisecond found among 20
+SWING_PRICE = 2 * float(np.log(1000.0))  # of a stiffness found to a per cent and a damping to a tenth
 SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a group, in units of its terms' prior deviations; each is charged for the choice
 
 
@@ -39,8 +40,10 @@ class Candidate:
 
     @property
     def price(self) -> float:
-        """Evidence that a `given` coefficient costs: its prior at this value, and how finely it was sought."""
-        return 0.0 if self.given is None else (self.given / float(self.sd[0])) ** 2 + LAG_PRICE
+        """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
+        if self.given is not None:
+            return (self.given / float(self.sd[0])) ** 2 + LAG_PRICE
+        return SWING_PRICE if self.effect.name == "elasticity" else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,5 +75,6 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
         value, theta, cov = gain(S, s, 1.0 / c.sd**2)
     beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])
     if len(terms) == 1 or not beyond.any() or beyond.all():
-        return value, theta, cov
-    return gain(S, s, np.where(beyond, HELD, 1.0 / c.sd**2))
+        return value - c.price, theta, cov
+    value, theta, cov = gain(S, s, np.where(beyond, HELD, 1.0 / c.sd**2))
+    return value - c.price, theta, cov
