@@ -417,3 +417,20 @@ def test_a_narrow_decision_is_taken_again_once_the_other_causes_are_known() -> N
     names = ("asymmetric_coulomb", "spring", "torque_gain")
     found = diagnose(scenario.robot, Recordings(meta, tuple(scenario.recordings())), names=names)
     assert {r.label for r in found.ranked} == {"asymmetric_coulomb:b", "torque_gain:a"}
+
+
+@pytest.mark.parametrize(("effect", "shapes"), [("elasticity", {"K": 900.0, "D": 4.0}), ("delay", {"d0": 0.012}), ("spring", {})])
+def test_a_score_is_the_evidence_that_the_model_gains(engine: Engine, effect: str, shapes: dict[str, float]) -> None:
+    """What finely sought shapes cost is the same to a contender and to a claim, else a claim would not be what was scored."""
+    engine.hold((int(engine.stamps[1]),))  # which a delay that is active holds too
+    (c,) = engine.add_all([(get(effect), (1,), shapes)])
+    hyper, _ = engine.fit()
+    p, logdet = engine._project(hyper)
+    before = engine.criterion(p, hyper, logdet)
+    score = scores(engine, [c], hyper, quick=True)[0].score
+    engine.active.append(c)
+    p, logdet = engine._project(hyper)
+    after = engine.criterion(p, hyper, logdet)
+    engine.active.remove(c)
+    engine.hold(())
+    assert after - before == pytest.approx(score, rel=1e-4, abs=0.05)
