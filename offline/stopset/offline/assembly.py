@@ -77,7 +77,8 @@ def packed(
         result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
         by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
-    total = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())} | _sums(errors)
+    widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
+    total = widths | _sums(errors)
     notes = list(result.notes)
     if by_band:
         notes.append(
