@@ -106,7 +106,8 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Made]]:
         model = save_model(known_model(), tmp_path / "arm.model.json")
         config = Config(
             str(tmp_path / "arm.model.json"), Bus("hub:1"), stops=Stops(("0",)),
-            publish=Publish(valid_for_ms=5000, stale_ms=100), sha256="ab" * 32, **more,
+            # json at every cycle: how fast the script runs must not decide what the slow channel shows
+            publish=Publish(valid_for_ms=5000, stale_ms=100, json_hz=1e9), sha256="ab" * 32, **more,
         )  # fmt: skip
         arm, wire = Arm(script), Wire()
         daemon = Daemon(config, model, arm, wire, DT)
