@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +74,7 @@ def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = Fa
     A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small
     bend is solved for, so that a round only mends what is not linear in it.
     """
-    d, chain = source.data, source.robot.chain
+    d = source.data
     filtered = _Filter.of(source, joint, K, D)
     x = ddx = np.zeros(len(d.q))
     bent = source.link.copy()
@@ -85,9 +86,20 @@ def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = Fa
             state = _begun(source, joint, filtered, driving, state)
         x, dx, ddx = filtered(driving, *state)
         lowest = joint if k + 1 < SWING_ROUNDS else 0
-        bent_torques(chain, source.robot.pi, d.q, d.dq, d.ddq, joint, x, dx, ddx, lowest, bent)
+        _bend(source, joint, x, dx, ddx, lowest, bent)
     out: Array = bent - source.link
     return out
+
+
+def _bend(source: Source, joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array) -> None:
+    """`bent_torques` of all rows, two halves side by side: the kernel releases the interpreter."""
+    d = source.data
+
+    def part(r: slice) -> None:
+        bent_torques(source.robot.chain, source.robot.pi, d.q[r], d.dq[r], d.ddq[r], joint, x[r], dx[r], ddx[r], lowest, out[r])
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(part, (slice(len(x) // 2), slice(len(x) // 2, None))))
 
 
 def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
