@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.offline.diagnose.prepare import Array
+from stopset.offline.diagnose.rows.prepare import Array
 from stopset.robot.rigid import Chain, turn
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stopset.offline.diagnose.prepare import Array
+from stopset.offline.diagnose.rows.prepare import Array
 from stopset.robot.rigid import Chain, turn
 
 
