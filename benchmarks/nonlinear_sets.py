@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Abstraction, Model
-from stopset.offline.compare import inputs
-from stopset.offline.conform import cooperative as co
+from stopset.offline.compare.compare import inputs
+from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform.nonlinear import leak
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal
 from stopset.robot import load_robot
 from stopset.sets import Box

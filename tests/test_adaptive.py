@@ -14,13 +14,13 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
-from stopset.offline import drift
-from stopset.offline.adaptive import from_scratch, save_state, update
-from stopset.offline.adaptive_file import ENVELOPE
-from stopset.offline.adaptive_file import load_sums as load_state
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.conform.gather import Kept
+from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.nominal import identify_nominal, solve_nominal
-from stopset.offline.sums import Kept
+from stopset.offline.update import staleness
+from stopset.offline.update.sums_file import ENVELOPE
+from stopset.offline.update.sums_file import load_sums as load_state
+from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.recording import Recording, stream_recordings
 from synthetic import arm, names, recordings, save_trials
 
@@ -231,7 +231,7 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     kept = motor.kept()
     assert kept.nominal.data is not None
     # of what was kept alone it is the model's own nominal model
-    assert np.all(drift.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
+    assert np.all(staleness.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
     added = update(motor.model, kept, [new])
     assert isinstance(added.kept, Kept) and added.kept.nominal.data is not None
     held = added.survey.held_out
@@ -249,7 +249,7 @@ def test_an_update_says_when_the_nominal_model_is_out_of_date(motor: Campaign, f
     new = save_trials(motor.folder / f"drift_{due}.parquet", trials, JOINTS, effort="motor_torque")
     note = update(motor.model, motor.kept(), [new]).model.revisions[-1].note
     assert "a nominal model of all recordings would differ by" in note
-    assert (drift.DUE in note) == due, note
+    assert (staleness.DUE in note) == due, note
 
 
 def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None:
@@ -257,7 +257,7 @@ def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None
         new = nine.write(f"drift_{due}.parquet", recordings(J, friction, 2, seed=84))
         note = update(nine.model, nine.kept(), [new]).model.revisions[-1].note
         assert "times that on the old ones" in note and "a nominal model of all" not in note
-        assert (drift.DUE in note) == due, note
+        assert (staleness.DUE in note) == due, note
 
 
 def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytest.CaptureFixture[str]) -> None:

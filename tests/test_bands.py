@@ -12,11 +12,11 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
-from stopset.offline.compare import compare
+from stopset.offline.campaign.survey import on_grid, survey
+from stopset.offline.compare.compare import compare
 from stopset.offline.conform.bands import Bands, cut, narrower
 from stopset.offline.conform.envelope import Deviations
-from stopset.offline.identify import Identification, Settings, identify
-from stopset.offline.survey import on_grid, survey
+from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Recording, stream_recordings
 from stopset.sets import Box

@@ -13,8 +13,8 @@ import pytest
 from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
-from stopset.offline.compare import answer, compare
-from stopset.offline.explained import Explained, partial_residual
+from stopset.offline.compare.compare import answer, compare
+from stopset.offline.compare.dependence import Explained, partial_residual
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Meta, read_recordings, write_recordings
 from synthetic import names, recordings, save_trials

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from stopset.offline.diagnose.evidence import JointGram
+from stopset.offline.diagnose.columns.ripple import _power, _products
+from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.levers import levers
-from stopset.offline.diagnose.noise import autocovariance, predictor, whiten, whiten_adjoint
-from stopset.offline.diagnose.prepare import Kernel
-from stopset.offline.diagnose.ripple import _power, _products
+from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten, whiten_adjoint
+from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.robot import load_robot, rigid
 
 RNG = np.random.default_rng(3)

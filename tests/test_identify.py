@@ -12,15 +12,15 @@ import pytest
 from nominal_cases import F_C, F_V, JOINTS, Truth, moving
 from nominal_cases import arm as three_joints
 from stopset.errors import EffectError
-from stopset.offline import order
 from stopset.offline.abstraction import build
-from stopset.offline.compare import answer, compare
+from stopset.offline.abstraction import order_selection as order
+from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.campaign.survey import on_grid, survey
+from stopset.offline.compare.compare import answer, compare
+from stopset.offline.compare.metrics import torque_error
 from stopset.offline.conform.guarantee import scenario_bound
-from stopset.offline.errors import torque_error
-from stopset.offline.identify import Identification, Settings, identify
-from stopset.offline.nominal_part import NominalPart, fit_nominal
-from stopset.offline.order import abstracted
-from stopset.offline.survey import on_grid, survey
+from stopset.offline.identify.pipeline import Identification, Settings, identify
+from stopset.offline.nominal.model import NominalPart, fit_nominal
 from stopset.reach.nonlinear import nominal
 from stopset.recording import Meta, Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials

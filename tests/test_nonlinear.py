@@ -15,17 +15,17 @@ import pytest
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
-from stopset.offline import survey
 from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
-from stopset.offline.compare import compare
-from stopset.offline.conform import cooperative as co
+from stopset.offline.campaign import survey
+from stopset.offline.compare.compare import compare
+from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform import nonlinear, nonlinear_sets
 from stopset.offline.conform.envelope import Deviations
-from stopset.offline.conform.linear import fit_sets
+from stopset.offline.conform.linear_program import fit_sets
+from stopset.offline.conform.linear_sets import Options, Pairs
 from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
-from stopset.offline.conform.sets import Options, Pairs
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording, reader

@@ -16,20 +16,20 @@ from scipy.optimize import linprog
 from scipy.stats import binom
 
 import stopset.offline.abstraction.choose as choose
-import stopset.offline.algorithm as algorithm
-import stopset.offline.conform.linear as linear
+import stopset.offline.conform.linear_program as linear
 import stopset.offline.conform.noise as readings
 import stopset.offline.conform.program as program
+import stopset.offline.identify.constants as algorithm
 import stopset.offline.nominal.preprocess as preprocess
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
-from stopset.offline.compare import compare
+from stopset.offline.campaign.independence import independent_motions
+from stopset.offline.campaign.survey import on_grid
+from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
-from stopset.offline.conform.linear import Fit, fit_sets
-from stopset.offline.identify import Settings, identify
-from stopset.offline.motions import independent_motions
-from stopset.offline.survey import on_grid
+from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.sets import Box

@@ -14,14 +14,14 @@ from hypothesis.extra import numpy as arrays
 
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
-from stopset.offline.adaptive import from_scratch, save_state, update
-from stopset.offline.adaptive_file import load_sums as load_state
-from stopset.offline.compare import compare
+from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
-from stopset.offline.conform.linear import Fit, fit_sets
-from stopset.offline.conform.sets import BOX, enclosing, seen_by
+from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.linear_sets import BOX, enclosing, seen_by
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.identify.pipeline import Identification, Settings, identify
+from stopset.offline.update.sums_file import load_sums as load_state
+from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.reach.flowpipe import along_joints, deviation_tube
 from stopset.recording import Recording, read_recordings
 from stopset.robot import load_robot

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Add; exit code 1 when the effect does not help and is not forced."""
     from stopset.artifact import load_model, save_model
-    from stopset.offline.revise import add
+    from stopset.offline.revise.revise import add
 
     check_outputs(args.out, args.json, args.keep, args.report)
     model = load_model(args.model)
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
                        for j in done.judged],
         })  # fmt: skip
     if args.report:
-        from stopset.offline.history_page import tried
+        from stopset.offline.revise.page import tried
 
         tried(done.model or model, done).save(args.report)
         say(f"report {args.report}")
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     saved = save_model(done.model, args.out)
     if args.keep and done.kept is not None:
-        from stopset.offline.adaptive import save_state
+        from stopset.offline.update.update import save_state
 
         save_state(args.keep, done.kept, saved)
         say(f"state {args.keep}: with it, identify --update {args.out} adds recordings without reading these again")

@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
     from stopset.artifact import load_model
-    from stopset.offline.compare import answer, compare
+    from stopset.offline.compare.compare import answer, compare
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, answer(model, found))
     if args.report:
-        from stopset.offline.compare_page import page
+        from stopset.offline.compare.page import page
 
         page(model, found, args.data).save(args.report)
         say(f"report {args.report}")

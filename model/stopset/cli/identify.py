@@ -13,8 +13,8 @@ from stopset.cli.common import add_keep_options, add_output_options, check_outpu
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
-    from stopset.offline.conform.linear import Fit
-    from stopset.offline.identify import Identification
+    from stopset.offline.conform.linear_program import Fit
+    from stopset.offline.identify.pipeline import Identification
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
 
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     found = _updated(args, tell) if args.update else _identified(args, tell)
     model = save_model(found.model, args.out)
     if args.keep:
-        from stopset.offline.adaptive import save_state
+        from stopset.offline.update.update import save_state
 
         assert found.kept is not None
         save_state(args.keep, found.kept, model)
@@ -107,12 +107,12 @@ def run(args: argparse.Namespace) -> int:
     if args.keep:
         say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
     if args.json:
-        from stopset.offline.compare import answer, compare
+        from stopset.offline.compare.compare import answer, compare
 
         write_json(args.json, answer(model, compare(model, args.data)))
     if args.report:
-        from stopset.offline.compare import compare
-        from stopset.offline.compare_page import page
+        from stopset.offline.compare.compare import compare
+        from stopset.offline.compare.page import page
 
         page(model, compare(model, args.data), args.data).save(args.report)
         say(f"report {args.report}")
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.offline.identify import Settings, identify
+    from stopset.offline.identify.pipeline import Settings, identify
     from stopset.robot import load_robot
 
     if args.robot is None:
@@ -138,7 +138,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
     from stopset.artifact import load_model
-    from stopset.offline.adaptive import load_state, update
+    from stopset.offline.update.update import load_state, update
 
     parser = argparse.ArgumentParser()
     add_arguments(parser)
@@ -160,7 +160,7 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
     from stopset.offline.conform.bands import narrower
-    from stopset.offline.conform.sets import BOX
+    from stopset.offline.conform.linear_sets import BOX
 
     m, c = found.model, found.conformance
     s = m.powered

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySets
 from stopset.errors import RecordingError
 from stopset.offline.conform import guarantee as g
-from stopset.offline.conform.linear import fit_sets
+from stopset.offline.conform.linear_program import fit_sets
+from stopset.offline.conform.linear_sets import Gathered, Options, divided, enclosing, seen_by
 from stopset.offline.conform.program import age_weights
-from stopset.offline.conform.sets import Gathered, Options, divided, enclosing, seen_by
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Recording

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
-from stopset.offline.conform.cooperative import fit_cooperative
 from stopset.offline.conform.corners import Trial
-from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.monotone_sets import fit_cooperative
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal

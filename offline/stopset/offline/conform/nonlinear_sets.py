@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
-from stopset.offline.conform.cooperative import fit_cooperative, needed_factor
 from stopset.offline.conform.corners import Trial
-from stopset.offline.conform.linear import Fit
-from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions, influence
+from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_sets import Conformance, Options, Pairs, few_motions, influence
+from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.sets import Box

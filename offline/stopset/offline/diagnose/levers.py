@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.offline.diagnose.prepare import Array
+from stopset.offline.diagnose.rows.prepare import Array
 from stopset.robot import rigid
 from stopset.robot.rigid import Chain
 

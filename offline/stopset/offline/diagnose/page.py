@@ -7,9 +7,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from stopset.artifact import Model
-from stopset.offline.diagnose.diagnosis import QUIET, RESTLESS, Diagnosis
-from stopset.offline.diagnose.prepare import Array
-from stopset.offline.report import COLOURS, Page, number
+from stopset.offline.diagnose.diagnose import QUIET, RESTLESS, Diagnosis
+from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.report.page import COLOURS, Page, number
 
 WORDS = {
     "missing": "These effects are missing from the model, best first.",

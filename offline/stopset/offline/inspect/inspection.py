@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from stopset.errors import RecordingError
+from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Need, needs
 from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
-from stopset.offline.motions import independent_motions
 from stopset.offline.nominal.delay import estimate_delay
-from stopset.offline.nominal.gram import NormalEquations, accumulate
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Tolerance, prior_of
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Recording, read_meta, stream_recordings

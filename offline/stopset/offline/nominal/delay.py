@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.nominal.gram import DELAYS, NormalEquations
+from stopset.offline.nominal.normal_equations import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 

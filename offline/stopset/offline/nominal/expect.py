@@ -6,7 +6,7 @@ import numpy as np
 
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import ASSUMED_INFLATION, assemble, problem_of
-from stopset.offline.nominal.gram import NormalEquations
+from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 

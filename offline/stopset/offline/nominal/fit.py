@@ -10,7 +10,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
-from stopset.offline.nominal.gram import Layout, NormalEquations
+from stopset.offline.nominal.normal_equations import Layout, NormalEquations
 from stopset.offline.nominal.physical import consistent, solve_consistent
 from stopset.offline.nominal.prior import Prior
 from stopset.offline.nominal.qp import solve_qp

@@ -14,10 +14,10 @@ from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
-from stopset.offline.nominal.gram import Column, NormalEquations, accumulate
+from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
-from stopset.offline.nominal.unknown import base_count, undetermined
+from stopset.offline.nominal.unidentifiable import base_count, undetermined
 from stopset.recording.types import Array, Recording, Recordings
 from stopset.robot import Robot
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
-from stopset.offline.nominal.gram import NormalEquations
+from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.recording.types import Array
 from stopset.robot import Robot
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from stopset.errors import StopsetError
 from stopset.offline.nominal.expect import expected_covariance
-from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
-from stopset.offline.nominal.unknown import told
+from stopset.offline.nominal.unidentifiable import told
 from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses

@@ -1,0 +1,185 @@
+"""One pass over the recordings for all that must be known before the sets: grid, domain, noise, motions, a sample of trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.errors import RecordingError
+from stopset.offline.campaign.independence import Suite, independent_motions
+from stopset.offline.conform.guarantee import split
+from stopset.offline.conform.noise import NoiseEstimate
+from stopset.recording import Recording
+from stopset.sets import Box
+
+Array = NDArray[np.float64]
+Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
+
+JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even
+DRIFT = 0.5  # steps: a clock that has run off the grid by more is resampled, however even its stamps are
+KEEP = 256  # trials kept for fits that need them in memory
+REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
+# which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
+POWERED = ("open_loop", "closed_loop")
+STOPS = ("stop0", "stop1")
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What one pass found; ``sample``: at most `KEEP` trials of the phase the sets rest on, evenly over the campaign."""
+
+    phase: str
+    dt: float
+    trials: int
+    samples: int
+    longest: float  # [s]
+    places: int  # trials of the whole campaign, all phases: what `warm` is counted in
+    motion: dict[Suite, int]
+    noise: Box
+    q: Box
+    dq: Box
+    tau: Box
+    temp: Box | None
+    sample: tuple[Recording, ...]
+    irregular: bool
+    repeats: int  # most trials of one suite
+    # of a nominal model that is given, not fitted: suites it was fitted to, and the repeats and places it counts warming in
+    learnt: frozenset[Suite] = frozenset()
+    session: tuple[int, int] | None = None
+    means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
+
+    @property
+    def learnt_motions(self) -> frozenset[int]:
+        """Motions that a given nominal model was fitted to: they can judge nothing."""
+        return frozenset(self.motion[s] for s in self.learnt if s in self.motion)
+
+    @property
+    def held_out(self) -> frozenset[Suite]:
+        """Suites of the motions that nothing is fitted to: on them the sets are judged."""
+        return _held(self.motion, self.learnt)
+
+    def warm(self, r: Recording) -> float:
+        """How long the drives have been running, 0 to 1: the variable of warming where no temperature is recorded.
+
+        The repetition within a suite where suites are repeated (each starts anew), else the place in the session.
+        """
+        repeats, places = self.session or (self.repeats, self.places)
+        if repeats >= REPEATED:
+            return min(r.trial / (repeats - 1), 1.0)
+        return min(r.place / max(places - 1, 1), 1.0)
+
+
+def on_grid(r: Recording, dt: float) -> Recording:
+    """The recording on the grid ``k dt``, linearly interpolated; itself if it is there already."""
+    if np.abs(np.diff(r.t) - dt).max() <= JITTER * dt and np.abs(r.t - r.t[0] - dt * np.arange(len(r.t))).max() <= DRIFT * dt:
+        return r
+    t = np.arange(r.t[0], r.t[-1] + 1e-9, dt)
+
+    def sampled(x: Array | None) -> Array | None:
+        return None if x is None else np.column_stack([np.interp(t, r.t, c) for c in x.T])
+
+    trigger = None if r.stop_trigger is None else np.interp(t, r.t, r.stop_trigger.astype(float)) > 0.5
+    q, dq, tau = sampled(r.q), sampled(r.dq), sampled(r.tau)
+    assert q is not None and dq is not None and tau is not None
+    return replace(r, t=t, q=q, dq=dq, tau=tau, temp=sampled(r.temp), current=sampled(r.current), stop_trigger=trigger)
+
+
+def _held(motion: dict[Suite, int], learnt: frozenset[Suite]) -> frozenset[Suite]:
+    fitted = {motion[s] for s in learnt if s in motion}
+    held = split(sorted(set(motion.values()))).held
+    return frozenset(s for s, m in motion.items() if m in held and m not in fitted)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What a survey counts, fed trial by trial in campaign order; later recordings can be added to it."""
+
+    phase: str
+    torques: dict[Suite, Array] = field(default_factory=dict)  # of one trial of each suite
+    repeats: dict[Suite, int] = field(default_factory=dict)
+    steps: list[float] = field(default_factory=list)  # median step of each trial [s]
+    means: list[Array] = field(default_factory=list)
+    hulls: dict[str, Box] = field(default_factory=dict)
+    noise: NoiseEstimate = field(default_factory=NoiseEstimate)
+    places: int = 0
+    samples: int = 0
+    longest: float = 0.0
+    irregular: bool = False
+    kept: list[Recording] = field(default_factory=list)
+    stride: int = 1
+
+    def add(self, r: Recording) -> None:
+        """Take one trial in."""
+        self.places = max(self.places, r.place + 1)
+        self.noise.add(r)
+        if r.phase != self.phase or len(r.t) < 3:
+            return
+        for name, x in (("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp)):
+            if x is not None:
+                self.hulls[name] = self.hulls[name] | Box.hull(x) if name in self.hulls else Box.hull(x)
+        if r.temp is not None:
+            self.means.append(r.temp.mean(axis=0))
+        self.torques.setdefault(r.motion, r.tau)
+        self.repeats[r.motion] = self.repeats.get(r.motion, 0) + 1
+        if len(self.steps) % self.stride == 0:
+            self.kept.append(r)
+            if len(self.kept) > KEEP:
+                self.kept, self.stride = self.kept[::2], 2 * self.stride
+        self.steps.append(float(np.median(np.diff(r.t))))
+        self.irregular |= on_grid(r, self.steps[-1]) is not r
+        self.samples += len(r.t)
+        self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
+
+    def survey(
+        self, learnt: frozenset[Suite] = frozenset(), session: tuple[int, int] | None = None, dt: float | None = None
+    ) -> Survey:
+        """What was found; the arguments come with a nominal model that is given, see `Survey`.
+
+        Raises `RecordingError` if no trial has powered motion.
+        """
+        if not self.steps:
+            raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
+        motion = independent_motions(self.torques)
+        return Survey(
+            phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
+            samples=self.samples, longest=self.longest, places=self.places, motion=motion,
+            noise=self.noise.box(without=_held(motion, learnt)), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
+            temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular, repeats=max(self.repeats.values()),
+            learnt=learnt, session=session, means=np.array(self.means) if self.means else None,
+        )  # fmt: skip
+
+
+def survey(source: Source) -> Survey:
+    """Read all trials once. Raises `RecordingError` if no trial has powered motion."""
+    return tallied(source)[0].survey()
+
+
+def tallied(source: Source) -> tuple[Tally, list[Recording]]:
+    """The counts of a survey, and the stops, which are short and needed whole.
+
+    Raises `RecordingError` if no phase has powered motion.
+    """
+    tally, stops = Tally(_phase(source)), []
+    for r in source():
+        tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
+    return tally, stops
+
+
+def _phase(source: Source) -> str:
+    """The best phase there is; reading stops as soon as that is known."""
+    found: set[str] = set()
+    for r in source():
+        found.add(r.phase)
+        if r.phase == POWERED[0]:
+            break
+    for phase in POWERED:
+        if phase in found:
+            return phase
+    raise RecordingError(
+        f"only phases {', '.join(sorted(found)) or 'none'} are recorded; the sets need open_loop (best) or closed_loop trials"
+    )

@@ -1,0 +1,344 @@
+"""Which physical effect is missing: the question from outside, and the answer in plain words and in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.effects import Fitted, get
+from stopset.errors import EffectError
+from stopset.offline.diagnose.evidence.baseline import baseline
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.explain import advice
+from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
+from stopset.offline.diagnose.explain.leftover import Pattern, pattern
+from stopset.offline.diagnose.explain.partial import Partial, partial
+from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
+from stopset.offline.diagnose.explain.uncertainty import deviations
+from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.search import SENSORS, THRESHOLD, Claim, Found, search
+from stopset.recording import Recording, Recordings
+from stopset.robot import Robot
+
+QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
+WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
+PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
+PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
+TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
+MOVE = "Move every joint through its range at several speeds."
+STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
+RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value with unit and standard deviation (None where the recordings do not tell it)."""
+
+    value: float
+    unit: str
+    std: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One missing effect: where, how sure, how large, what it changes."""
+
+    effect: str
+    joints: tuple[str, ...]
+    score: float
+    error_before: float  # [N m] held-out torque error of its joint (of the worst joint for the whole arm)
+    error_after: float
+    parameters: dict[str, Parameter]
+    look_at: str
+    says: str
+    unit: str = "N m"  # of the errors: rad where a simulation is judged
+    points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+
+    @property
+    def label(self) -> str:
+        return self.effect if not self.joints else f"{self.effect}:{'+'.join(self.joints)}"
+
+    @property
+    def fitted(self) -> Fitted:
+        """As the model file holds it."""
+        values = {k: p.value for k, p in self.parameters.items()}
+        std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
+        return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json."""
+
+    verdict: str
+    ranked: tuple[Ranked, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    depends_on: tuple[str, ...]
+    not_identifiable: tuple[Blind, ...]
+    next_experiment: str | None
+    excess: dict[str, float] = field(default_factory=dict)  # leftover variance over sensor noise, per joint
+    friction_scatter: dict[str, float] = field(default_factory=dict)  # from trial to trial, relative
+    trials: int = 0
+    rows: int = 0
+    claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data of the answer's fixed shape."""
+        return {
+            "verdict": self.verdict,
+            "ranked_effects": [
+                {
+                    "effect": r.effect,
+                    "joint": None if not r.joints else r.joints[0] if len(r.joints) == 1 else list(r.joints),
+                    "score": round(r.score, 2),
+                    "error_before": r.error_before,
+                    "error_after": r.error_after,
+                    "unit": r.unit,
+                    "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
+                    "look_at": r.look_at,
+                    "says": r.says,
+                }
+                for r in self.ranked
+            ],
+            "rivals": [list(group) for group in self.rivals],
+            "depends_on": list(self.depends_on),
+            "not_identifiable": [
+                {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
+                for b in self.not_identifiable
+            ],
+            "next_experiment": self.next_experiment,
+            "excess": self.excess,
+            "friction_scatter": self.friction_scatter,
+            "threshold": THRESHOLD,
+            "trials": self.trials,
+            "rows": self.rows,
+        }
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Recordings,
+    fitted: Sequence[Fitted] = (),
+    tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None,
+    known: Known | None = None,
+) -> Diagnosis:
+    """Find the effects that the rigid body of ``robot`` and friction (and ``fitted``) do not explain in ``recordings``.
+
+    ``robot``: description and data sheet, the prior of what is known; ``fitted``: effects the model already has (kept as
+    nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
+    Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
+    """
+    if not any(_moves(r) for r in recordings):
+        return standing(robot, recordings, fitted)
+    engine = Engine.build(robot, recordings, tolerance, known)
+    _include(engine, fitted)
+    already = list(engine.active)
+    found = search(engine, names)
+    left = _left(found, engine)
+    verdict = _verdict(found, left)
+    blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
+    ranked = _ranked(engine, found, already, left)
+    rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
+    joints = engine.data.joints
+    worst, shown = left.worst, None
+    if worst is not None and (verdict == "unknown" or left.depends):
+        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], PATTERN)
+    next_experiment = {
+        "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
+        "missing": lambda: advice.to_decide(rivals),
+        "none": lambda: advice.to_see(blind),
+    }[verdict]()
+    return Diagnosis(
+        verdict=verdict,
+        ranked=ranked if verdict == "missing" else (),
+        claims=ranked,
+        rivals=rivals,
+        depends_on=_depends(verdict, worst, shown, joints),
+        not_identifiable=blind,
+        next_experiment=next_experiment,
+        excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
+        friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
+        trials=len(engine.data.trials),
+        rows=sum(r.size for r in engine.rows),
+    )
+
+
+def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
+    """`diagnose` for a model file; also says what the recordings were measured against."""
+    if model.effort == "compensated_torque":
+        from stopset.offline.diagnose.compensated import diagnose_open_loop
+
+        return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
+    robot, known, against = baseline(model, recordings)
+    return diagnose(robot, recordings, model.effects, names=names, known=known), against
+
+
+def _moves(r: Recording) -> bool:
+    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
+
+
+def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
+    """Recordings in which no joint moves: torque that changes there by more than friction can hold comes from outside."""
+    coulomb = {f.joint: f.values.get("F_c", 0.0) for f in fitted if f.effect == "coulomb"}
+    pushed = []
+    for j, name in enumerate(robot.joints):
+        limit = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else 100.0
+        friction = coulomb.get(name, 0.05 * limit)
+        swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
+        if swing > 2 * friction + 0.02 * limit:
+            pushed.append((swing / limit, name))
+    names = tuple(f"time at standstill (torque of {name})" for _, name in sorted(pushed, reverse=True))
+    return Diagnosis(
+        verdict="unknown" if pushed else "none", ranked=(), rivals=(), depends_on=names,
+        not_identifiable=(Blind("every effect of motion", (), "no joint moves in these recordings", MOVE),),
+        next_experiment=(
+            "The torque changes while every joint stands still: something touches the arm. Repeat with nothing in contact."
+            if pushed else MOVE
+        ),
+        trials=len(recordings),
+    )  # fmt: skip
+
+
+def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
+    """The model's own effects become part of the base."""
+    for f in fitted:
+        effect = get(f.effect)
+        if effect.base:
+            continue
+        unknown = set(f.joints) - set(engine.data.joints)
+        if unknown:
+            raise EffectError(f"effect {f.label}: no joint {', '.join(unknown)}; expected {', '.join(engine.data.joints)}")
+        place = tuple(engine.data.joints.index(j) for j in f.joints)
+        shapes: dict[str, float] = {p.symbol: f.values[p.symbol] for p in effect.shapes if p.symbol in f.values}
+        if effect.enters == "input_delay":
+            lag = f.values.get(effect.terms[0].symbol, 0.0)
+            shapes = {"d0": lag} if lag else {}
+        elif effect.name == "elasticity":
+            shapes |= {"exact": 1.0, "begun": 1.0}
+        candidate = engine.add(effect, place, shapes)
+        if candidate is not None:
+            engine.active.append(candidate)
+
+
+def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tuple[Ranked, ...]:
+    out, before = [], found.before
+    active = list(engine.active)
+    joints = engine.data.joints
+    deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    for k, claim in enumerate(found.claims):
+        c = claim.scored.candidate
+        engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
+        after = held_out(engine, found.hyper)
+        where = list(c.joints) or list(range(len(joints)))
+        worst = max(where, key=lambda j: before[j] - after[j])
+        engine.active = active
+        points = partial(engine, left.hyper, left.theta, c, worst)
+        out.append(
+            Ranked(
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
+                parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
+            )
+        )  # fmt: skip
+        before = after
+    return tuple(out)
+
+
+def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:
+    """Terms, then shapes, each with its standard ``deviation``."""
+    c = scored.candidate
+    values = {t.symbol: (float(v), t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
+    values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
+    if c.effect.enters == "input_delay" and "d0" in c.shapes:
+        symbol = c.effect.terms[0].symbol
+        values[symbol] = (float(c.shapes["d0"]), values[symbol][1])
+    return {symbol: Parameter(v, unit, deviation.get(symbol)) for symbol, (v, unit) in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly.
+
+    ``hyper``, ``theta``: the whole model refitted with the claims; ``ranking``: all variables by joint.
+    """
+
+    hyper: Hyper
+    theta: Array
+    ranking: dict[int, list[Dependence]]
+    depends: dict[int, list[Dependence]]
+    loud: tuple[int, ...]
+    contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
+    restless: tuple[int, ...]
+
+    @property
+    def worst(self) -> int | None:
+        if self.depends:
+            return max(self.depends, key=lambda j: self.depends[j][0].gain)
+        return next(iter((*self.loud, *self.restless)), None)
+
+
+def _left(found: Found, engine: Engine) -> _Left:
+    hyper, p = engine.fit(found.hyper)
+    depends, contradicted, wandering = {}, [], []
+    ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
+    for j in range(engine.data.n):
+        if len(engine.rows[j].take) < 100:
+            continue
+        ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
+        if slow_excess(engine, p.theta, hyper, j) > WANDER:
+            wandering.append(j)
+        claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
+        if ranked[0].gain > PATTERN:
+            depends[j] = ranked
+            if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
+                contradicted.append(j)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
+    return _Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
+
+
+def _verdict(found: Found, left: _Left) -> str:
+    """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
+    if left.contradicted:
+        return "unknown"
+    if (left.depends or left.loud) and not _telling(found.claims):
+        return "unknown"
+    if found.claims:
+        return "missing"
+    return "unknown" if left.restless else "none"
+
+
+def _telling(claims: Sequence[Claim]) -> bool:
+    """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
+    for c in claims:
+        for before, after in zip(c.excess_before, c.excess_after, strict=True):
+            if before > SENSORS and before - after > TELLING * (before - 1.0):
+                return True
+    return False
+
+
+def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Sequence[str]) -> tuple[str, ...]:
+    """The variables by name; for an unknown cause that follows none of them, that."""
+    if shown is not None:
+        return shown.variables
+    return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
+
+
+def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:
+    groups = []
+    for claim in claims:
+        if claim.rivals:
+            groups.append(tuple(label(engine, s) for s in (claim.scored, *claim.rivals)))
+    return tuple(groups)
+
+
+def label(engine: Engine, scored: Scored) -> str:
+    """``effect:joint``."""
+    c = scored.candidate
+    where = "+".join(engine.data.joints[j] for j in c.joints)
+    return f"{c.effect.name}:{where}" if where else c.effect.name

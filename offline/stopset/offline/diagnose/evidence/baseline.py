@@ -1,0 +1,47 @@
+"""What is known before the question is asked: the description and data sheet, or a model from other recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.offline.diagnose.evidence.engine import Known
+from stopset.recording import Recordings
+from stopset.robot import Robot
+from stopset.robot.arm import robot_from_text
+from stopset.robot.rigid import gravity_torques
+
+
+def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None, str]:
+    """The robot to measure these recordings against, what else is known of it, and where that comes from.
+
+    Recordings that the model was identified from can't show a shifted mass against it: the fit has absorbed that.  They are
+    measured against the robot description and data sheet.  Other recordings are measured against the model.
+    """
+    described = robot_from_text(model.robot.urdf, model.robot.datasheet)
+    own = set(dict(model.provenance.get("data", {})).values())
+    if own & {digest for _, digest in recordings.meta.sources}:
+        return described, None, "robot description and data sheet"
+    drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
+    friction = np.zeros((model.n, 2))
+    for f in model.effects:
+        for column, (effect, symbol) in enumerate((("coulomb", "F_c"), ("viscous", "F_v"))):
+            if f.effect == effect and f.joint in model.joints:
+                friction[model.joints.index(f.joint), column] = f.values[symbol]
+    robot = replace(model.robot, drives=drives)
+    return robot, Known(friction, drive_gain(described, robot, recordings)), "identified model"
+
+
+def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> float:
+    """Recorded over true torque: the identified gravity torque over the described one, all joints together.
+
+    A torque constant that is off scales every identified mass, and every new load with them.  Taken over all joints, the
+    heavy inner links decide, whose masses a tool or cables hardly change.
+    """
+    q = np.concatenate([r.q[:: max(1, len(r.q) // 200)] for r in recordings])
+    ours, theirs = (gravity_torques(r.chain, r.pi, np.ascontiguousarray(q)) for r in (identified, described))
+    total = float(np.sum(theirs**2))
+    gain = float(np.sum(ours * theirs)) / total if total > 0 else 1.0
+    return gain if 0.5 < gain < 2.0 else 1.0
