@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq",),
     enters="compensation",
+    role="friction",
     source="liu2018",
     looks_like=("stribeck", "viscous", "thermal_viscous"),
     tell_apart=(

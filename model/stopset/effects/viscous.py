@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq",),
     enters="viscous",
+    role="friction",
     source="liu2018",
     looks_like=("cubic_viscous", "thermal_viscous"),
     tell_apart="Move at five constant speeds from slow to full speed: the friction lies on a straight line.",
