@@ -22,7 +22,7 @@ def _interval(x: Any) -> Interval:
     return x if isinstance(x, Interval) else Interval(np.asarray(x, float), np.asarray(x, float))
 
 
-ZERO, ONE = _interval(0.0), _interval(1.0)
+ZERO = _interval(0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +40,10 @@ class Slope:
         return cls(_interval(x), _interval(x), ZERO)
 
     @classmethod
-    def variable(cls, most: float, sign: float = 1.0) -> Slope:
-        """``sign * x`` itself, ``x`` from 0 to ``most``."""
-        ends = sorted((0.0, sign * most))
-        return cls(Interval(np.array(ends[0]), np.array(ends[1])), ZERO, sign * ONE)
+    def variable(cls, most: Any, sign: Any = 1.0) -> Slope:
+        """``sign * x`` itself, ``x`` from 0 to ``most`` (arrays, for several at once)."""
+        end = np.asarray(sign * most, float)
+        return cls(Interval(np.minimum(end, 0.0), np.maximum(end, 0.0)), ZERO, _interval(sign + 0.0 * end))
 
     def __neg__(self) -> Slope:
         return Slope(-self.all, -self.start, None if self.rate is None else -self.rate)

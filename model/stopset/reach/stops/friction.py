@@ -18,7 +18,7 @@ friction is not known and counted as none.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from stopset.effects.registry import get
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.expansion import Curvature, curvature, expand
+from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand
 from stopset.reach.stops.payload import bodies, largest_gravity
 from stopset.ring import Interval
 from stopset.robot.rigid import Chain
@@ -40,6 +40,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
 BEYOND = 0.5  # [rad] how far past the identified angles `Torques.everywhere` holds
+ROUNDING = 1e-12  # of a middle, a radius and an expansion, relative to the largest
 # rows of a sum over effects: friction that never drives, what else opposes the motion, and what may push
 RUBS, RUBS_VISCOUS, DRY, VISCOUS, PUSH = range(5)
 
@@ -55,13 +56,13 @@ class Friction:
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
-    """One effect on one joint; ``partner``: the other joint of a pair."""
+class _Group:
+    """One effect wherever it acts: ``fitted`` at ``joints``, (m,) each; ``partners``: the other joints of pairs, else empty."""
 
-    fitted: Fitted
     effect: Effect
-    joint: int
-    partner: int | None
+    fitted: tuple[Fitted, ...]
+    joints: tuple[int, ...]
+    partners: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +90,8 @@ class Torques:
     ``everywhere``: over all identified angles, and `BEYOND` them, and speeds.
     """
 
-    entries: tuple[_Entry, ...]
-    roaming: tuple[_Entry, ...]
+    groups: tuple[_Group, ...]
+    roaming: tuple[_Group, ...]
     body: _Body
     gear: Array
     temp: Box | None
@@ -109,11 +110,12 @@ class Torques:
         """At angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]."""
         slow = not np.any(speed > self.speed)
         total = self.fixed.copy() if slow else self.base.copy()
-        entries = self.roaming if slow else self.entries
-        if entries:
-            sights = _sights(self, q, speed, {name for e in entries for name in e.effect.needs})
-            for e in entries:
-                _add(total, e, sights, speed)
+        groups = self.roaming if slow else self.groups
+        if groups:
+            sight = _sight(self, q, speed, {name for g in groups for name in g.effect.needs})
+            for g in groups:
+                other = speed[list(g.partners)] if g.partners else None
+                _put(total, g, acting(g.effect, g.fitted, replace(sight.at(g.joints), other=other)))
         return _friction(total, speed)
 
 
@@ -125,34 +127,33 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     n, brakes = model.n, brakes_of(model)
     payload = model.domain.payload if payload is None else payload
     com = model.robot.tip if com is None else com
-    entries = _entries(model)
+    groups = _groups(model)
     pi, half = bodies(model, payload, com)
-    body = _Body.of(model.robot.chain, pi, half, any("tilt" in e.effect.needs for e in entries))
+    body = _Body.of(model.robot.chain, pi, half, any("tilt" in g.effect.needs for g in groups))
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
     fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     base = np.zeros((5, n, 2))
-    damped = {e.joint for e in entries if e.effect.enters == "viscous"}
-    for i in set(range(n)) - damped:  # the abstraction's linear friction, where nothing better is known
-        base[RUBS_VISCOUS, i] += model.abstraction.viscous[i, 0]
+    damped = [i for g in groups if g.effect.enters == "viscous" for i in g.joints]
+    unknown = np.setdiff1d(np.arange(n), damped)  # there the abstraction's linear friction, as nothing better is known
+    base[RUBS_VISCOUS, unknown] = model.abstraction.viscous[unknown, :1]
     fixed, speed, roaming = base.copy(), np.full(n, np.inf), []
-    blind = tuple(
-        Sight(float(v), float(v), float(g), temp=_kelvin(model.domain.temp, i))
-        for i, (v, g) in enumerate(zip(fastest, gear, strict=True))
-    )
-    for e in entries:
+    blind = Sight(fastest, fastest, gear, temp=_kelvin(model.domain.temp))
+    quick = Sight(3.0 * fastest + 1.0, 3.0 * fastest + 1.0, gear, temp=blind.temp)
+    for g in groups:
         try:
-            here = acting(e.effect, e.fitted, blind[e.joint])
+            here = acting(g.effect, g.fitted, blind.at(g.joints))
         except NotCovered:  # it looks at more than the joint's own speed, or cannot be bounded at all
-            roaming.append(e)
+            roaming.append(g)
             continue
-        other = replace(blind[e.joint], speed=3.0 * blind[e.joint].speed + 1.0, past=3.0 * blind[e.joint].past + 1.0)
-        quick = acting(e.effect, e.fitted, other)
-        if not all(np.array_equal(getattr(here, k), getattr(quick, k)) for k in ("dry", "viscous", "push")):
-            speed[e.joint] = fastest[e.joint]
-        _put(fixed, e, here)
-    out = Torques(entries, tuple(roaming), body, gear, model.domain.temp, base, fixed, speed, fastest, _friction(fixed, fastest))
+        fast = acting(g.effect, g.fitted, quick.at(g.joints))
+        for row, i in enumerate(g.joints):
+            if any(np.any(getattr(here, k)[row] != getattr(fast, k)[row]) for k in ("dry", "viscous", "push")):
+                speed[i] = fastest[i]
+        _put(fixed, g, here)
+    first = _friction(fixed, fastest)
+    out = Torques(groups, tuple(roaming), body, gear, model.domain.temp, base, fixed, speed, fastest, first)
     q = Box(model.domain.q.lo - BEYOND, model.domain.q.hi + BEYOND)
-    return replace(out, everywhere=out.over(q, fastest))
+    return out if out.settled else replace(out, everywhere=out.over(q, fastest))
 
 
 def misreadings(model: Model, fastest: Array) -> Box:
@@ -163,11 +164,11 @@ def misreadings(model: Model, fastest: Array) -> Box:
         if effect.role != "reading":
             continue
         for i in _places(effect, f, model):
-            q = Interval(model.domain.q.lo[i] - BEYOND, model.domain.q.hi[i] + BEYOND)
+            q = Interval(model.domain.q.lo[[i]] - BEYOND, model.domain.q.hi[[i]] + BEYOND)
             position, share = misread(effect, f, q)
-            speed = share * Interval(np.array(-fastest[i]), np.array(fastest[i]))
-            lo[[i, n + i]] += float(position.lo), float(speed.lo)
-            hi[[i, n + i]] += float(position.hi), float(speed.hi)
+            speed = share * Interval(-fastest[[i]], fastest[[i]])
+            lo[[i, n + i]] += np.concatenate([position.lo, speed.lo])
+            hi[[i, n + i]] += np.concatenate([position.hi, speed.hi])
     return Box(lo, hi)
 
 
@@ -193,51 +194,46 @@ def _known(f: Fitted) -> Effect:
     try:
         return get(f.effect)
     except EffectError as e:
-        raise NotCovered(uncovered(f, "it is in no catalogue that is installed here")) from e
+        raise NotCovered(uncovered(f.label, "it is in no catalogue that is installed here")) from e
 
 
 def _places(effect: Effect, f: Fitted, model: Model) -> tuple[int, ...]:
     try:
         return effect.acts_on(f.joint, model.joints)
     except EffectError as e:
-        raise NotCovered(uncovered(f, str(e))) from e
+        raise NotCovered(uncovered(f.label, str(e))) from e
 
 
-def _entries(model: Model) -> tuple[_Entry, ...]:
-    out = []
+def _groups(model: Model) -> tuple[_Group, ...]:
+    found: dict[str, tuple[Effect, list[tuple[Fitted, int, int]]]] = {}
     for f in model.effects:
         effect = _known(f)
         if effect.role == "swing":
-            raise NotCovered(uncovered(f, "it swings in a way that a rigid arm does not have"))
-        if effect.role not in ACTING:
-            continue
-        places = _places(effect, f, model)
-        pair = effect.scope == "pair"
-        out += [_Entry(f, effect, i, sum(places) - i if pair else None) for i in places]
-    return tuple(out)
+            raise NotCovered(uncovered(f.label, "it swings in a way that a rigid arm does not have"))
+        if effect.role in ACTING:
+            places = _places(effect, f, model)
+            found.setdefault(effect.name, (effect, []))[1].extend((f, i, sum(places) - i) for i in places)
+    return tuple(
+        _Group(
+            e, tuple(f for f, _, _ in rows), tuple(i for _, i, _ in rows), tuple(k for *_, k in rows) if e.scope == "pair" else ()
+        )
+        for e, rows in found.values()
+    )
 
 
 def _curvature(chain: Chain, pi: Array, half: Array) -> Curvature:
     return Curvature(*(x + y for x, y in zip(curvature(chain, pi), curvature(chain, half), strict=True)))
 
 
-def _kelvin(temp: Box | None, i: int) -> Interval | None:
-    """Above the reference temperature, over the domain [K]."""
-    return None if temp is None else Interval(temp.lo[i] - REFERENCE_TEMPERATURE, temp.hi[i] - REFERENCE_TEMPERATURE)
+def _kelvin(temp: Box | None) -> Interval | None:
+    """(n,) above the reference temperature, over the domain [K]."""
+    return None if temp is None else Interval(temp.lo - REFERENCE_TEMPERATURE, temp.hi - REFERENCE_TEMPERATURE)
 
 
-def _add(total: Array, e: _Entry, sights: Sequence[Sight], speed: Array) -> None:
-    sight = sights[e.joint]
-    if e.partner is not None:
-        sight = replace(sight, other=float(speed[e.partner]))
-    _put(total, e, acting(e.effect, e.fitted, sight))
-
-
-def _put(total: Array, e: _Entry, a: Acting) -> None:
-    rubs = e.effect.role == "friction"
-    total[RUBS if rubs else DRY, e.joint] += a.dry
-    total[RUBS_VISCOUS if rubs else VISCOUS, e.joint] += a.viscous
-    total[PUSH, e.joint] += a.push
+def _put(total: Array, g: _Group, a: Acting) -> None:
+    rubs = g.effect.role == "friction"
+    for row, x in ((RUBS if rubs else DRY, a.dry), (RUBS_VISCOUS if rubs else VISCOUS, a.viscous), (PUSH, a.push)):
+        np.add.at(total[row], list(g.joints), x)  # an effect may act on one joint more than once
 
 
 def _friction(total: Array, speed: Array) -> Friction:
@@ -254,44 +250,32 @@ def _friction(total: Array, speed: Array) -> Friction:
     return Friction(boxes[0], boxes[1], Box.of(-push[:, 1], -push[:, 0]))
 
 
-def _sights(x: Torques, q: Box, speed: Array, needs: Collection[str]) -> list[Sight]:
+def _sight(x: Torques, q: Box, speed: Array, needs: Collection[str]) -> Sight:
     """What the laws see at angles in ``q``, no joint faster than ``speed``: expansions at the middle, and what lies beyond."""
-    body, middle, r = x.body, q.centre, q.radius
-    E = expand(body.chain, body.pi, body.half, np.zeros(len(r)), middle)
-    # rounding of the middle and the radius: a hair more
-    r = r + 1e-12
-
-    def around(value: Array, half: Array, most: Array) -> tuple[Array, Array]:
-        return np.maximum(value - half, -most), np.minimum(value + half, most)
-
-    def gravity(chain: Chain, K: Curvature) -> tuple[Array, Array]:
-        e = E if chain is body.chain else expand(chain, body.pi, body.half, np.zeros(len(r)), middle)
-        bend = 0.5 * np.einsum("ikl,k,l->i", K.g, r, r)
-        return around(e.g, np.abs(e.dg) @ r + np.abs(e.gp) + np.abs(e.dgp) @ r + bend, K.load)
-
-    load, K = gravity(body.chain, body.K), body.K
-    tilts = [gravity(c, k) for c, k in body.tilted]
-    stiff = inertia = coriolis = None
+    body, middle, r = x.body, q.centre, q.radius + ROUNDING
     own = np.arange(len(r))
+    still = np.zeros(len(r))
+    E, K = expand(body.chain, body.pi, body.half, still, middle), body.K
+
+    def around(value: Array, half: Array, most: Array) -> Interval:
+        hair = ROUNDING * (1.0 + np.max(most))
+        return Interval(np.maximum(value - half, -most) - hair, np.minimum(value + half, most) + hair)
+
+    def gravity(e: Expansion, k: Curvature) -> Interval:
+        bend = 0.5 * np.einsum("ikl,k,l->i", k.g, r, r)
+        return around(e.g, np.abs(e.dg) @ r + np.abs(e.gp) + np.abs(e.dgp) @ r + bend, k.load)
+
+    stiff = inertia = coriolis = None
     if "stiff" in needs:
         stiff = around(E.dg[own, own], np.abs(E.dgp[own, own]) + K.g[own, own] @ r, K.load)
     if "inertia" in needs:
         half = np.abs(E.Mp[own, own]) + (np.abs(E.dM[own, own]) + np.abs(E.dMp[own, own])) @ r
-        half = half + 0.5 * np.einsum("ikl,k,l->i", K.M[own, own], r, r)
-        lo, hi = around(E.M[own, own], half, K.size)
-        inertia = np.maximum(lo, 0.0), hi
+        inertia = around(E.M[own, own], half + 0.5 * np.einsum("ikl,k,l->i", K.M[own, own], r, r), K.size)
+        inertia = inertia.maximum(0.0)
     if "coriolis" in needs:
-        size = np.einsum("ikl,k,l->i", np.abs(E.Gamma) + np.abs(E.Gammap) + K.Gamma @ r, speed, speed)
-        coriolis = -size, size
-
-    def at(ends: tuple[Array, Array] | None, i: int) -> Interval | None:
-        return None if ends is None else Interval(ends[0][i], ends[1][i])
-
-    return [
-        Sight(
-            float(speed[i]), float(x.fastest[i]), float(x.gear[i]), Interval(q.lo[i], q.hi[i]), at(load, i), None, _kelvin(x.temp, i),
-            (Interval(tilts[0][0][i], tilts[0][1][i]), Interval(tilts[1][0][i], tilts[1][1][i])) if tilts else None,
-            at(stiff, i), at(inertia, i), at(coriolis, i),
-        )
-        for i in range(len(r))
-    ]  # fmt: skip
+        size = np.einsum("ikl,k,l->i", np.abs(E.Gamma) + np.abs(E.Gammap) + K.Gamma @ r, speed, speed) * (1.0 + ROUNDING)
+        coriolis = Interval(-size, size)
+    tilt = tuple(gravity(expand(c, body.pi, body.half, still, middle), k) for c, k in body.tilted) or None
+    return Sight(
+        speed, x.fastest, x.gear, Interval(q.lo, q.hi), gravity(E, K), None, _kelvin(x.temp), tilt, stiff, inertia, coriolis
+    )

@@ -42,7 +42,8 @@ def march_box(
     fast = np.abs(dq) + dq_radius
     lasts = expected_stop(setting.plant, q, fast)
     steps = knots * (MORE_PATIENCE if energetic else PATIENCE)
-    way, fast = 1.1 * lasts * fast + 0.01, 1.05 * fast + 0.05
+    way, known = 1.1 * lasts * fast + 0.01, setting.torques.speed
+    fast = np.where(fast < known, np.minimum(1.05 * fast + 0.05, known), 1.05 * fast + 0.05)
     for _ in range(REGIONS):
         region = setting.near(plant, Box(q - q_radius - way, q + q_radius + way), fast)
         tube: Tube = march(
