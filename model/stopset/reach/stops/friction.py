@@ -18,7 +18,7 @@ friction is not known and counted as none.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from stopset.effects.registry import get
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand
+from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand, gravity_curvature
 from stopset.reach.stops.payload import bodies, largest_gravity
 from stopset.ring import Interval
 from stopset.robot.rigid import Chain
@@ -67,18 +67,23 @@ class _Group:
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """The rigid body as the laws see it; ``tilted``: with gravity's derivatives by roll and pitch in gravity's place."""
+    """The rigid body as the laws see it; ``tilted``: with gravity's derivatives by roll and pitch in gravity's place, and the
+    bounds of what gravity then is (`gravity_curvature`)."""
 
     chain: Chain
     pi: Array
     half: Array
     K: Curvature
-    tilted: tuple[tuple[Chain, Curvature], ...]
+    tilted: tuple[tuple[Chain, Array, Array], ...]
 
     @classmethod
     def of(cls, chain: Chain, pi: Array, half: Array, tilts: bool) -> _Body:
-        chains = [chain._replace(gravity=d) for d in tilt_directions(chain.gravity)] if tilts else []
-        return cls(chain, pi, half, _curvature(chain, pi, half), tuple((c, _curvature(c, pi, half)) for c in chains))
+        tilted = []
+        for direction in tilt_directions(chain.gravity) if tilts else ():
+            other = chain._replace(gravity=direction)
+            bend, most = _both(gravity_curvature, other, pi, half)
+            tilted.append((other, bend, most))
+        return cls(chain, pi, half, Curvature(*_both(curvature, chain, pi, half)), tuple(tilted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +177,11 @@ def misreadings(model: Model, fastest: Array) -> Box:
     return Box(lo, hi)
 
 
+def misreading(model: Model) -> tuple[str, ...]:
+    """Labels of the effects by which positions are misread."""
+    return tuple(f.label for f in model.effects if _known(f).role == "reading")
+
+
 def described(model: Model) -> tuple[str, ...]:
     """What stop bounds make of the effects, in sentences, where it is not friction."""
     of = {
@@ -221,8 +231,10 @@ def _groups(model: Model) -> tuple[_Group, ...]:
     )
 
 
-def _curvature(chain: Chain, pi: Array, half: Array) -> Curvature:
-    return Curvature(*(x + y for x, y in zip(curvature(chain, pi), curvature(chain, half), strict=True)))
+def _both(bounds: Callable[[Chain, Array], Sequence[Array]], chain: Chain, pi: Array, half: Array) -> Sequence[Array]:
+    """``bounds`` of the middle payload and of half the range together."""
+    out = bounds(chain, pi)
+    return [x + y for x, y in zip(out, bounds(chain, half), strict=True)] if np.any(half) else out
 
 
 def _kelvin(temp: Box | None) -> Interval | None:
@@ -261,9 +273,9 @@ def _sight(x: Torques, q: Box, speed: Array, needs: Collection[str]) -> Sight:
         hair = ROUNDING * (1.0 + np.max(most))
         return Interval(np.maximum(value - half, -most) - hair, np.minimum(value + half, most) + hair)
 
-    def gravity(e: Expansion, k: Curvature) -> Interval:
-        bend = 0.5 * np.einsum("ikl,k,l->i", k.g, r, r)
-        return around(e.g, np.abs(e.dg) @ r + np.abs(e.gp) + np.abs(e.dgp) @ r + bend, k.load)
+    def gravity(e: Expansion, bend: Array, most: Array) -> Interval:
+        near = np.abs(e.dg) @ r + np.abs(e.gp) + np.abs(e.dgp) @ r
+        return around(e.g, near + 0.5 * np.einsum("ikl,k,l->i", bend, r, r), most)
 
     stiff = inertia = coriolis = None
     if "stiff" in needs:
@@ -275,7 +287,17 @@ def _sight(x: Torques, q: Box, speed: Array, needs: Collection[str]) -> Sight:
     if "coriolis" in needs:
         size = np.einsum("ikl,k,l->i", np.abs(E.Gamma) + np.abs(E.Gammap) + K.Gamma @ r, speed, speed) * (1.0 + ROUNDING)
         coriolis = Interval(-size, size)
-    tilt = tuple(gravity(expand(c, body.pi, body.half, still, middle), k) for c, k in body.tilted) or None
+    tilt = tuple(gravity(expand(c, body.pi, body.half, still, middle), *k) for c, *k in body.tilted) or None
     return Sight(
-        speed, x.fastest, x.gear, Interval(q.lo, q.hi), gravity(E, K), None, _kelvin(x.temp), tilt, stiff, inertia, coriolis
+        speed,
+        x.fastest,
+        x.gear,
+        Interval(q.lo, q.hi),
+        gravity(E, K.g, K.load),
+        None,
+        _kelvin(x.temp),
+        tilt,
+        stiff,
+        inertia,
+        coriolis,
     )
