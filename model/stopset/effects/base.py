@@ -110,6 +110,8 @@ class Effect:
     docs/references.bib; ``instead_of``: a signal it does without, so it is looked for only where that is not recorded.
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
 
+    ``power``: of the speed, where the law is that alone: then the abstraction's damping may hold it.
+
     ``role``: how it acts on the arm in a stop, its drives off (`stopset.effects.bound`):
     ``friction``: rubs; all friction of a joint together never drives it, and its law is zero where the joint stands;
     ``torque``: acts whoever moves the joint, in any direction; what of it opposes the motion is found in the law;
@@ -137,6 +139,17 @@ class Effect:
     instead_of: str = ""
     role: Role = "torque"
     reading: Reading | None = None
+    power: int = 0
+
+    def compensated(self, degree: int = 1) -> bool:
+        """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.
+
+        Else it is part of the abstraction (its damping, its inertia) or of the recorded torque's scale; or it stays in the
+        torque set U, as no torque of the measured state can take it off: a link's swing, a torque that is reported late.
+        """
+        if self.enters in ("viscous", "inertia", "input_gain", "input_delay") or self.role == "swing":
+            return False
+        return not 0 < self.power <= degree
 
     def acts_on(self, joint: str | None, joints: Sequence[str]) -> tuple[int, ...]:
         """The places in ``joints`` it acts on when fitted at ``joint`` (`Fitted.joint`); a pair named by one joint alone

@@ -21,6 +21,7 @@ EFFECT = Effect(
     needs=("dq",),
     enters="compensation",
     role="friction",
+    power=3,
     source="liu2018",
     looks_like=("stribeck", "viscous", "thermal_viscous"),
     tell_apart=(

@@ -21,6 +21,7 @@ EFFECT = Effect(
     needs=("dq",),
     enters="viscous",
     role="friction",
+    power=1,
     source="liu2018",
     looks_like=("cubic_viscous", "thermal_viscous"),
     tell_apart="Move at five constant speeds from slow to full speed: the friction lies on a straight line.",
