@@ -20,7 +20,7 @@ from stopset.artifact import Model, Revision
 from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
-from stopset.errors import EffectError, ModelFileError
+from stopset.errors import EffectError, ModelFileError, NotCovered
 from stopset.offline.campaign.survey import survey
 from stopset.offline.effect_names import find, parse_effect
 from stopset.offline.identify.pipeline import Keep, Settings, identify
@@ -191,12 +191,16 @@ def description(model: Model) -> Robot:
 
 def stop_figures(model: Model, seen: Model) -> dict[str, float]:
     """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that ``seen`` saw: ``stop0_angle``
-    the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved."""
+    the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved, as with an effect that no stop
+    is bounded with."""
     angles = {}
     for joint, name in enumerate(model.joints):
         speed = np.zeros(model.n)
         speed[joint] = np.abs([seen.domain.dq.lo[joint], seen.domain.dq.hi[joint]]).max()
-        bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        try:
+            bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        except NotCovered:
+            return {}
         if bound is None:
             return {}
         angles[f"stop0_angle:{name}"] = float(bound[joint])
