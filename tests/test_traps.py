@@ -343,7 +343,7 @@ def test_p8_four_starts_of_two_motions_are_two_motions(shared_data) -> None:
         first: dict[tuple[str, int], np.ndarray] = {}
         for r in stream_recordings(path):
             if r.phase == "open_loop":
-                first.setdefault(r.motion, r.tau)
+                first.setdefault(r.suite_key, r.tau)
         found = independent_motions(first)
         quads = [{found[k] for k in list(found)[i : i + 4]} for i in range(0, len(found), 4)]
         assert not set.intersection(quads[0], quads[1])

@@ -54,8 +54,8 @@ def diagnose_open_loop(model: Model, recordings: Recordings, names: Sequence[str
     """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
     found = survey(lambda: recordings.trials)
     trials = [r for r in recordings if r.phase == found.phase and len(r.t) >= 3]
-    even = [r for r in trials if r.trial % 2 == 0]
-    odd = [r for r in trials if r.trial % 2 == 1]
+    even = [r for r in trials if r.repetition % 2 == 0]
+    odd = [r for r in trials if r.repetition % 2 == 1]
     if len(even) < 3 or len(odd) < 3:
         raise RecordingError(
             f"{len(trials)} trials, {len(odd)} of them odd repetitions; expected suites repeated at least six times: an effect "

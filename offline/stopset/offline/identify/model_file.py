@@ -59,10 +59,9 @@ def concluded(
         return out
     # what may judge the model later must stay what it was when the nominal model was fitted
     fitted = found.learnt or frozenset(found.motion) - found.held_out
-    session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files)
+    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, bands, zonotope, found.motion, files)
     return replace(out, kept=kept)
 
 
