@@ -11,14 +11,13 @@ from stopset.artifact import Guarantee, Model
 from stopset.errors import RecordingError
 from stopset.offline.brakes.controlled import fit_ramp
 from stopset.offline.brakes.judge import Verdict, guarantee_line, judge_stop0, judge_stop1
-from stopset.offline.brakes.power_off import fit_brakes
+from stopset.offline.brakes.power_off import LEAST, fit_brakes
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import KEY, Ramp
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 HELD = 3  # every third stop of a suite is held out
-LEAST = 4  # training stops needed
 FEW = 8  # a suite with fewer stops than this is counted apart in the guarantee: it shows its variation incompletely
 REST = 15  # samples at the end of a stop that tell the noise
 

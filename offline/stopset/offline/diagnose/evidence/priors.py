@@ -9,12 +9,6 @@ import numpy as np
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.robot import Robot
 
-SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # how far the CAD may be off, in units of its tolerance; found by evidence
-ROTOR_SCALES = (0.3, 0.6, 1.0)  # likewise of data-sheet inertias, but not beyond: more than the tolerance is a finding
-
-
-ROTOR_SHIFT = 0.3  # prior deviation of an inertia that is not the data sheet's, as a share of the one stated
-
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
@@ -31,7 +25,7 @@ class Known:
     """What a model from other recordings adds to the description: then only what has *changed* is asked for.
 
     ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
-    ``gain``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES`.
+    ``gain``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES` of the thresholds.
     """
 
     friction: Array
