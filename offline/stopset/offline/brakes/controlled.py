@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from stopset.offline.brakes.bands import farther, hull
+from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp
@@ -18,8 +18,6 @@ from stopset.sets import Box
 
 Array = NDArray[np.float64]
 KINDS = ("time", "deceleration")
-WIDENINGS = 6
-WIDEN = 1.15
 START = 0.005  # [s] delay to start the fit from
 SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less
 CONTROL = 2e-3  # [s] least standard deviation of the ramp's start between stops

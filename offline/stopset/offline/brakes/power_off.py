@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model, UncertaintySets
-from stopset.offline.brakes.bands import TORQUES, band, farther, hull
+from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, Told, tell
@@ -29,8 +29,6 @@ LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
 SIGMAS = 4.0  # of a measured speed's noise within its bound
-WIDENINGS = 6
-WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
 APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
 TYPICAL = 0.1  # relative spread of friction between stops

@@ -13,7 +13,7 @@ from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import baseline
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
@@ -23,6 +23,7 @@ from stopset.offline.diagnose.explain.uncertainty import deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 

@@ -15,13 +15,14 @@ from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, Projection, project
-from stopset.offline.diagnose.evidence.priors import Known, Tolerance, link_tolerance
+from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
 from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
-__all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored", "Tolerance"]
+__all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 
 FOLDS = 6
 GIVEN = 1e-7  # prior deviation of a coefficient that is given

@@ -7,17 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerance:
-    """How well the robot description is known, one standard deviation each."""
-
-    mass: float = 0.036  # of each link's mass: masses 2 to 5 % off are 3.6 % off in the mean square
-    centre: float = 0.0018  # [m] of each link's centre of mass along each axis: 3 mm in all
-    inertia: float = 0.10  # of each link's inertia
-    rotor: float = 0.03  # of each reflected rotor inertia: data sheets 4 % off at most are 2.3 % off in the mean square
 
 
 @dataclass(frozen=True, slots=True)
