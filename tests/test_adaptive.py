@@ -235,7 +235,7 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     added = update(motor.model, kept, [new])
     assert isinstance(added.kept, Kept) and added.kept.nominal.data is not None
     held = added.survey.held_out
-    read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.motion not in held]
+    read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.suite_key not in held]
     whole = identify_nominal(ROBOT, read)
     again = solve_nominal(ROBOT, added.kept.nominal.data)
     spread = np.sqrt(np.diag(whole.covariance))

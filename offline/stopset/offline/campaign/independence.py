@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from stopset.offline.conform.noise import spread
+from stopset.recording import SuiteKey
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Suite = tuple[str, int]
 
 OVERLAP = 0.4  # of the shorter recording must be shared at least
 FEWEST = 50  # samples, at least
@@ -24,7 +24,7 @@ ALIKE = 0.1
 VARIES = 2.0  # in noises: what hardly moves tells nothing
 
 
-def independent_motions(torques: Mapping[Suite, Array]) -> dict[Suite, int]:
+def independent_motions(torques: Mapping[SuiteKey, Array]) -> dict[SuiteKey, int]:
     """Number of the motion each suite belongs to; ``torques``: suite -> (N, n) torque of one of its trials.
 
     Two suites are starts of one motion where the torques of one, from some sample on, are those of the other: so test suites
@@ -34,7 +34,7 @@ def independent_motions(torques: Mapping[Suite, Array]) -> dict[Suite, int]:
     suites = list(torques)
     found = {s: s for s in suites}
 
-    def head(s: Suite) -> Suite:
+    def head(s: SuiteKey) -> SuiteKey:
         while found[s] != s:
             s = found[s]
         return s

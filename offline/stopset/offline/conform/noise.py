@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-Suite = tuple[str, int]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
@@ -70,29 +69,29 @@ class NoiseEstimate:
     """
 
     def __init__(self) -> None:
-        self._spread: dict[Suite, list[Array]] = {}
-        self._quantum: dict[Suite, Array] = {}
+        self._spread: dict[SuiteKey, list[Array]] = {}
+        self._quantum: dict[SuiteKey, Array] = {}
 
     def add(self, r: Recording) -> None:
         """Take one trial in."""
         x = np.hstack([r.q, r.dq])
         quantum = resolution(x)
         if len(x) >= WINDOW:
-            self._spread.setdefault(r.motion, []).append(spread(x))
-            self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
+            self._spread.setdefault(r.suite_key, []).append(spread(x))
+            self._quantum[r.suite_key] = _finest(self._quantum.get(r.suite_key, quantum), quantum)
 
-    def kept(self) -> tuple[dict[Suite, list[Array]], dict[Suite, Array]]:
+    def kept(self) -> tuple[dict[SuiteKey, list[Array]], dict[SuiteKey, Array]]:
         """Spreads (2n,) of all trials and quantum (2n,) by suite."""
         return self._spread, self._quantum
 
     @classmethod
-    def of(cls, spread: dict[Suite, list[Array]], quantum: dict[Suite, Array]) -> NoiseEstimate:
+    def of(cls, spread: dict[SuiteKey, list[Array]], quantum: dict[SuiteKey, Array]) -> NoiseEstimate:
         """The estimate that `kept` was taken from."""
         out = cls()
         out._spread, out._quantum = spread, quantum
         return out
 
-    def box(self, without: Collection[Suite] = ()) -> Box:
+    def box(self, without: Collection[SuiteKey] = ()) -> Box:
         """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations), ``without`` some suites.
 
         Raises `RecordingError` if no trial is long enough.

@@ -11,8 +11,9 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import baseline
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
@@ -21,18 +22,12 @@ from stopset.offline.diagnose.explain.residual import Dependence, dependences, s
 from stopset.offline.diagnose.explain.uncertainty import deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import SENSORS, THRESHOLD, Claim, Found, search
+from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
-QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
-WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
-PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
-PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
-TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
-STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
-RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +109,7 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
-            "threshold": THRESHOLD,
+            "threshold": limit.THRESHOLD,
             "trials": self.trials,
             "rows": self.rows,
         }
@@ -148,7 +143,7 @@ def diagnose(
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
-        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], PATTERN)
+        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
         "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
         "missing": lambda: advice.to_decide(rivals),
@@ -180,7 +175,7 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
 
 
 def _moves(r: Recording) -> bool:
-    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
+    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > limit.STANDING)
 
 
 def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
@@ -290,15 +285,15 @@ def _left(found: Found, engine: Engine) -> _Left:
         if len(engine.rows[j].take) < 100:
             continue
         ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
-        if slow_excess(engine, p.theta, hyper, j) > WANDER:
+        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
-        if ranked[0].gain > PATTERN:
+        if ranked[0].gain > limit.PATTERN:
             depends[j] = ranked
-            if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
+            if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
-    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
     return _Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
 
 
@@ -317,7 +312,7 @@ def _telling(claims: Sequence[Claim]) -> bool:
     """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
     for c in claims:
         for before, after in zip(c.excess_before, c.excess_after, strict=True):
-            if before > SENSORS and before - after > TELLING * (before - 1.0):
+            if before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0):
                 return True
     return False
 

@@ -17,6 +17,7 @@ from stopset.offline.conform.gather import Kept, Sums
 from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
@@ -59,10 +60,9 @@ def concluded(
         return out
     # what may judge the model later must stay what it was when the nominal model was fitted
     fitted = found.learnt or frozenset(found.motion) - found.held_out
-    session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files)
+    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, bands, zonotope, found.motion, files)
     return replace(out, kept=kept)
 
 
@@ -123,7 +123,7 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
-        "settings_sha256": settings.sha256,
+        "settings_sha256": settings_sha256(settings),
         # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
         "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
         "data": _sources(meta),

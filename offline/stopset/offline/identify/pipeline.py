@@ -59,10 +59,10 @@ def identified(
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
-    learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
+    learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
 
     def learning() -> Iterator[Recording]:
-        return (r for r in source() if r.motion not in held)
+        return (r for r in source() if r.suite_key not in held)
 
     numbers = known_effects(robot, meta, learning, chosen, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)

@@ -162,7 +162,7 @@ def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -
                 g = on_grid(r, found.dt)
                 if len(g.t) < 3:  # samples closer than the grid
                     continue
-                yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+                yield found.motion[r.suite_key], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
 
     return pairs
 

@@ -29,8 +29,8 @@ def nominal_figures(
         # poses at rest belong to no motion: both halves may know them
         return lambda: (r for r in stream_recordings(paths, robot) if r.phase == "static" or keep(r))
 
-    found = replace(survey(part(train)), repeats=everything.repeats, places=everything.places)
+    found = replace(survey(part(train)), session=everything.session)
     nominal = fit_nominal(robot, meta, part(train), found, settings, known)
-    judged = replace(survey(part(held)), repeats=everything.repeats, places=everything.places)
+    judged = replace(survey(part(held)), session=everything.session)
     pairs = pairs_of(part(held), judged, nominal, meta.effort)
     return joint_figures(pairs, nominal.abstraction, robot.joints, found.dt, roller(nominal, meta.effort, judged))

@@ -235,8 +235,8 @@ def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Record
     """
     motion = survey(lambda: stream_recordings(paths, robot)).motion
     if len(set(motion.values())) >= 4:
-        return (lambda r: motion.get(r.motion, r.suite) % 2 == 1), "every other motion"
-    return (lambda r: r.trial % 2 == 1), "every other repetition"
+        return (lambda r: motion.get(r.suite_key, r.begun) % 2 == 1), "every other motion"
+    return (lambda r: r.repetition % 2 == 1), "every other repetition"
 
 
 def _flat(figures: dict[str, dict[str, float]]) -> dict[str, float]:
