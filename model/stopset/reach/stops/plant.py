@@ -185,7 +185,9 @@ class Setting:
     plant: Plant
     noise: Box  # (2n,) error of a measured state (q, dq)
     start: Box  # (2n,) what a power-off stop starts from, less the measured state: its error, and what the drive still gives
+    residual: Box  # (n,) [rad/s] what the drives change the speeds by while their power goes, whatever the arm did before
     apart: float | None  # [s] see `Brakes`
+    lag: Array | None  # (n,) [s] see `Brakes`
     payload: tuple[float, float]
     payload_com: Array
     assumptions: tuple[str, ...]
@@ -261,15 +263,23 @@ def setting_of(
     assumptions.append(
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
-    start = sets.X0 if regime == "stop0" else Box(-noise.hi, -noise.lo)
-    if not noise.encloses(Box(-start.hi, -start.lo)):
+    start, residual = Box(-noise.hi, -noise.lo), Box.point(np.zeros(n))
+    if regime == "stop0":
+        start, residual = sets.X0, sets.X0.take(slice(n, 2 * n))
         assumptions.append(
             f"what the drives still give while their power goes changes the speeds by no more than "
-            f"{_range(start.take(slice(n, 2 * n)))} rad/s, measurement error included"
+            f"{_range(residual)} rad/s, measurement error included"
         )
+    else:
+        assumptions.append("the drives give nothing more once power is taken")
     if brakes.apart is not None:
-        assumptions.append(f"within one stop the brakes' delays lie apart by no more than {1e3 * brakes.apart:.3g} ms")
-    return Setting(model, plant, noise, start, brakes.apart, (lo, hi), com, tuple(assumptions))
+        assumptions.append(_apart(brakes.apart, brakes.lag))
+    return Setting(model, plant, noise, start, residual, brakes.apart, brakes.lag, (lo, hi), com, tuple(assumptions))
+
+
+def _apart(apart: float, lag: Array | None) -> str:
+    less = "" if lag is None else f", less the {_list(lag, 1e3)} ms by which each is always later,"
+    return f"within one stop the brakes' delays{less} lie apart by no more than {1e3 * apart:.6g} ms"
 
 
 def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:
@@ -302,6 +312,10 @@ def _noise(model: Model, V: Box, regime: str) -> Box:
         return V
     bound = np.concatenate([np.full(n, np.inf), STANDSTILL * np.abs(still)])
     return Box(np.maximum(V.lo, -bound), np.minimum(V.hi, bound))
+
+
+def _list(x: Array, scale: float = 1.0) -> str:
+    return "[" + ", ".join(f"{scale * a:.6g}" for a in x) + "]"
 
 
 def _range(box: Box, scale: float = 1.0) -> str:
