@@ -21,6 +21,7 @@ SIGMAS = 3.0  # identified parameters enter with this many standard deviations
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
 STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
+HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 BRAKE_TOLERANCE = 0.30  # relative half-width of a data sheet's brake torque where it states none
 
 
@@ -191,6 +192,7 @@ class Setting:
     payload: tuple[float, float]
     payload_com: Array
     assumptions: tuple[str, ...]
+    extrapolated: str = ""  # where the payload is one that no recording carried
 
     @property
     def truth(self) -> Box:
@@ -210,8 +212,10 @@ def setting_of(
     n = model.n
     lo, hi = model.domain.payload if payload is None else payload
     seen = model.domain.payload
-    if not (0.0 <= lo <= hi < np.inf or seen[0] <= lo <= hi <= seen[1]):
-        raise NotCovered(f"a payload of {lo:g} to {hi:g} kg; expected a range of finite masses from 0 kg on")
+    if not (0.0 <= lo <= hi <= HEAVIEST or seen[0] <= lo <= hi <= seen[1]):
+        raise NotCovered(
+            f"a payload of {lo:g} to {hi:g} kg; expected masses of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
+        )
     inside = seen[0] - 1e-9 <= lo and hi <= seen[1] + 1e-9
     if not inside and not extrapolate:
         raise NotCovered(beyond_payload(lo, hi, seen))
@@ -219,6 +223,11 @@ def setting_of(
     if brakes is None:
         return None
     com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
+    if com.shape != (3,) or not float(np.linalg.norm(com)) <= FARTHEST:
+        raise NotCovered(
+            f"a payload's centre at {com.tolist()} m in the last link; expected three numbers, at most {FARTHEST:g} m away: give it in "
+            "metres"
+        )
     friction = friction_of(model, hi, float(np.linalg.norm(com)))
     regime = "stop0" if "stop0" in model.sets else "powered"
     sets = model.sets[regime]
@@ -248,11 +257,9 @@ def setting_of(
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
-    if not inside:
-        assumptions.append(
-            f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg; beyond that the rigid body is computed, and "
-            f"friction and U are taken not to change"
-        )
+    extrapolated = "" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg"
+    if extrapolated:
+        assumptions.append(f"{extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change")
     if np.any(rotor.width > 0):
         assumptions.append(f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2")
     if friction.left_out:
@@ -274,7 +281,9 @@ def setting_of(
         assumptions.append("the drives give nothing more once power is taken")
     if brakes.apart is not None:
         assumptions.append(_apart(brakes.apart, brakes.lag))
-    return Setting(model, plant, noise, start, residual, brakes.apart, brakes.lag, (lo, hi), com, tuple(assumptions))
+    return Setting(
+        model, plant, noise, start, residual, brakes.apart, brakes.lag, (lo, hi), com, tuple(assumptions), extrapolated
+    )
 
 
 def _apart(apart: float, lag: Array | None) -> str:
@@ -291,17 +300,21 @@ def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:
     )
 
 
-def beyond_domain(model: Model, q: Array, dq: Array) -> str | None:
-    """One sentence where a state lies outside the angles or speeds that identification has seen (trap P25), else None."""
+def beyond_domain(model: Model, q: Array, dq: Array, q_radius: Array | None = None, dq_radius: Array | None = None) -> str | None:
+    """One sentence where a state lies outside the angles or speeds that identification has seen (trap P25), else None.
+
+    With radii (n,): where all states of that box do.
+    """
     parts = []
-    for name, x, box in (("rad", q, model.domain.q), ("rad/s", dq, model.domain.dq)):
-        out = (x < box.lo - 1e-9) | (x > box.hi + 1e-9)
+    for name, x, r, box in (("rad", q, q_radius, model.domain.q), ("rad/s", dq, dq_radius, model.domain.dq)):
+        near = 1e-9 + (0.0 if r is None else r)
+        out = (x < box.lo - near) | (x > box.hi + near)
         parts += [
             f"{model.joints[i]} at {x[i]:.3g} {name}, seen [{box.lo[i]:.3g}, {box.hi[i]:.3g}]" for i in np.nonzero(out)[0]
         ]  # fmt: skip
     if not parts:
         return None
-    return f"{OUTSIDE}: {'; '.join(parts)}"
+    return "; ".join(parts)
 
 
 def _noise(model: Model, V: Box, regime: str) -> Box:

@@ -10,6 +10,8 @@ beyond every joint's largest value, a smaller c tells the same.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from stopset.reach.stops.tube import Plant
@@ -34,7 +36,7 @@ def windows(plant: Plant, apart: float | None, lag: Array | None = None, most: i
         return [plant] if end < begin - TINY else [_window(plant, own, begin, end + apart) or plant]
     count = int(np.ceil((end - begin) / max(WIDTH, 0.5 * apart)))
     borders = np.linspace(begin, end, 1 + (count if most is None else min(count, most)))
-    parts = [_window(plant, own, a, b + apart) for a, b in zip(borders[:-1], borders[1:], strict=True)]
+    parts = [_window(plant, own, a, b + apart) for a, b in pairwise(borders)]
     return [p for p in parts if p is not None] or [plant]
 
 
