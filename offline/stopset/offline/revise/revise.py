@@ -196,7 +196,7 @@ def stop_figures(model: Model, seen: Model) -> dict[str, float]:
     angles = {}
     for joint, name in enumerate(model.joints):
         speed = np.zeros(model.n)
-        speed[joint] = np.abs([seen.domain.dq.lo[joint], seen.domain.dq.hi[joint]]).max()
+        speed[joint] = max(seen.domain.dq.lo[joint], seen.domain.dq.hi[joint], key=abs)
         try:
             bound = stop(model, seen.domain.q.centre, speed, "0").angle
         except NotCovered:

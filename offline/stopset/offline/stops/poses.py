@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stopset.robot import Robot
 from stopset.robot.rigid import Chain, gravity_torques, link_frames
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 SAMPLES = 6000
@@ -26,17 +27,20 @@ def _radii(chain: Chain, q: Array, tip: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Poses of an arm by extension: ``q`` (N, n) sorted arbitrarily, ``extension`` (N,) share of the full reach."""
+    """Poses of an arm by extension: ``q`` (N, n) sorted arbitrarily, ``extension`` (N,) share of the full reach; ``seen`` (N,):
+    whether the model's recordings hold them."""
 
     robot: Robot
     tip: Array
     reach: float  # [m] largest distance of the tool centre point from the first axis
     q: Array
     extension: Array
+    seen: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, robot: Robot, tip: Array, seed: int = 1) -> Poses:
-        """Random poses within the limits, and the fully stretched ones found from the best of them."""
+    def of(cls, robot: Robot, tip: Array, domain: Box, seed: int = 1) -> Poses:
+        """Random poses within the limits, as many within the ``domain`` of angles where that is narrower, and the fully stretched
+        ones found from the best of them."""
         rng = np.random.default_rng(seed)
         lo, hi = np.maximum(robot.q_limit[:, 0], -np.pi), np.minimum(robot.q_limit[:, 1], np.pi)
         q = rng.uniform(lo, hi, (SAMPLES, robot.n))
@@ -44,12 +48,24 @@ class Poses:
         radius = _radii(robot.chain, q, tip)
         best = _stretched(robot, q[np.argsort(radius)[-12:]], lo, hi, tip)
         q = np.vstack([q, best])
+        inner_lo, inner_hi = np.maximum(lo, domain.lo), np.minimum(hi, domain.hi)
+        if np.any(inner_lo > lo) or np.any(inner_hi < hi):
+            share = rng.uniform(0.0, 1.0, (SAMPLES, robot.n))
+            inner = inner_lo + share * np.maximum(inner_hi - inner_lo, 0.0)
+            top = inner[np.argsort(_radii(robot.chain, inner, tip))[-12:]]
+            q = np.vstack([q, inner, _stretched(robot, top, inner_lo, np.maximum(inner_hi, inner_lo), tip)])
         radius = _radii(robot.chain, q, tip)
-        return cls(robot, tip, float(radius.max()), q, radius / radius.max())
+        seen = np.all((q >= domain.lo) & (q <= domain.hi), axis=1)
+        return cls(robot, tip, float(radius.max()), q, radius / radius.max(), seen)
 
     def worst_for(self, joint: int, extension: float, pi: Array) -> Array:
-        """The pose near an extension (share of the reach) where gravity loads ``joint`` most; ``pi``: with payload."""
+        """The pose near an extension (share of the reach) where gravity loads ``joint`` most; ``pi``: with payload.
+
+        Of those that recordings hold, where there are any near the extension.
+        """
         near = np.abs(self.extension - extension) <= SLACK
+        if np.any(near & self.seen):
+            near &= self.seen
         if not np.any(near):
             near = np.abs(self.extension - extension) <= np.abs(self.extension - extension).min() + SLACK
         candidates = self.q[near]
