@@ -24,6 +24,7 @@ HELP = "the whole story on a simulated arm: no file, no hardware, no network; a 
 
 HIDDEN = "spring:arm_4_joint"  # a dress pack that nobody told the model about
 ARM = "demo/cell/arm"
+DATA_ID = 4711  # of the demonstration's messages
 SPEED = 4.0  # of the replay, times real time
 TRIALS = 6  # replayed
 SCALED, FACTOR = 2, 1.5  # joint (from 0) whose torque is scaled in the altered replay, and by how much
@@ -143,11 +144,14 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
     config = out / f"{name}.toml"
     site, cell, arm = ARM.split("/")
     config.write_text(
-        f'model = "{Path(model).name}"\nsite = "{site}"\ncell = "{cell}"\narm = "{arm}"\n\n'
+        f'model = "{Path(model).name}"\ndata_id = {DATA_ID}\nsite = "{site}"\ncell = "{cell}"\narm = "{arm}"\n\n'
         f'[bus]\nlink = "hub:{hub}"\ntime_scale = {SPEED}\n\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n\n'
         # a demonstration shares its machine with everything else; a daemon's own machine is held to 30 ms
-        "[publish]\nvalid_for_ms = 2000\nstale_ms = 2000\n"
+        "[publish]\nvalid_for_ms = 1000\nstale_ms = 2000\n\n"
+        # what a cell's safety controller is set to; without a ramp there is no bound of STOP 1, and the state is DEGRADED
+        "[stops]\nramp_time_s = 0.25\nramp_off_after_s = 0.5\n"
     )
+    (out / f"{name}.latch").unlink(missing_ok=True)  # of an earlier demonstration in this folder
     seconds = 60
     twin: dict[str, Any] = {}
     with contextlib.ExitStack() as stack:
