@@ -156,9 +156,10 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
         f'model = "{Path(model).name}"\nsite = "{site}"\ncell = "{cell}"\narm = "{arm}"\ndata_id = {DATA_ID}\n\n'
         f'[bus]\nlink = "hub:{hub}"\ntime_scale = {SPEED}\n\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n\n'
         # a demonstration shares its machine with everything else; a daemon's own machine is held to 30 ms
-        "[publish]\nvalid_for_ms = 2000\nstale_ms = 2000\n\n"
+        "[publish]\nvalid_for_ms = 1000\nstale_ms = 2000\n\n"
         f"[stops]\nramp_time_s = {RAMP_S}\nramp_off_after_s = {OFF_AFTER_S}\n"
     )
+    (out / f"{name}.latch").unlink(missing_ok=True)  # of an earlier demonstration in this folder
     seconds = 60
     twin: dict[str, Any] = {}
     with contextlib.ExitStack() as stack:
