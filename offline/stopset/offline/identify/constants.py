@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stopset.effects import base, get, signals
+from stopset.effects import base, bound, get, signals
 from stopset.effects.registry import catalogue
 from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
@@ -59,7 +59,8 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
 from stopset.robot import arm, generic
@@ -111,18 +112,21 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("ramps", controlled, "KINDS START SOFT CONTROL"),
     ("impulses", impulse, "SLIDING SHORTEST"),
     ("judge of stops", judge, "BEFORE SLOW PIECES"),
-    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS APART STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
+    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS APART ROUNDS STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("stop energy", energy, "CLAIMS ROUNDING"),
     ("failed stops", failed, "SLICES NARROW CELLS FAST_CELLS ANGLE_WEIGHT"),
     ("stop accelerations", moving, "ROUNDING"),
-    ("stop plant", plant, "SIGMAS FRICTION_TOLERANCE STANDSTILL BRAKE_TOLERANCE"),
-    ("stop ramp", ramp, "KNOTS POINTS"),
+    ("effects in a stop", bound, "SIGMAS"),
+    ("stop brakes", brakes, "BRAKE_TOLERANCE"),
+    ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
+    ("stop plant", plant, "STANDSTILL"),
+    ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE"),
-    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS PATIENCE MORE_PATIENCE"),
-    ("stop windows", windows, "WIDTH"),
+    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
+    ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
     ("diagnosis poses", rows, "FEW_POSES"),
