@@ -98,9 +98,9 @@ def test_a_linear_program_without_answer_is_told_in_our_words(status: int, monke
         status=status, message="(HiGHS Status 15: model_status is Unknown; primal_status is Infeasible)", x=None
     )
     monkeypatch.setattr(program, "linprog", lambda *a, **k: answer)
-    G, h = np.ones((3, 12)), np.zeros(3)
+    G, h = np.ones((3, 10)), np.zeros(3)
     with pytest.raises(NotConformant, match="joint a") as e:
-        program.cheapest(G, h, np.ones(12), program.Bounds(Box.symmetric(np.ones(2)), 1), "joint a")
+        program.cheapest(G, h, np.ones(10), program.Bounds(Box.symmetric(np.ones(2)), 1), "joint a")
     assert not SOLVERS.search(str(e.value))
     with pytest.raises(NotConformant, match="joint a") as e:
         program.solved(
@@ -183,5 +183,5 @@ def test_a_scale_of_torque_beyond_reason_is_said() -> None:
         gain, notes = drive_gain(described, described.with_parameters(factor * described.pi), recorded)
         assert gain == 1.0 and len(notes) == 1
         assert f"{factor:.2g} times" in notes[0] and "expected 0.5 to 2" in notes[0] and "URDF" in notes[0]
-    flat = replace(described, chain=replace(described.chain, gravity=np.zeros(3)))
+    flat = replace(described, chain=described.chain._replace(gravity=np.zeros(3)))
     assert drive_gain(flat, flat, recorded) == (1.0, ())
