@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,7 @@ class Diagnosis:
     trials: int = 0
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    notes: tuple[str, ...] = ()  # on what the recordings were measured against
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""
@@ -107,6 +108,7 @@ class Diagnosis:
                 for b in self.not_identifiable
             ],
             "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
             "threshold": limit.THRESHOLD,
@@ -170,8 +172,9 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
-    robot, known, against = baseline(model, recordings)
-    return diagnose(robot, recordings, model.effects, names=names, known=known), against
+    base = baseline(model, recordings)
+    found = diagnose(base.robot, recordings, model.effects, names=names, known=base.known)
+    return replace(found, notes=base.notes), base.against
 
 
 def _moves(r: Recording) -> bool:

@@ -32,6 +32,8 @@ TOGETHER = 1.5  # times the best variable alone
 RESTLESS = 0.06  # relative
 STANDING = 0.02  # [rad]
 
+GAIN = (0.5, 2.0)  # recorded over described torque
+
 TAKEN_UP = 0.9  # of an effect's torque
 FLAT = 0.05  # of a joint's friction
 WARMER = 3.0  # [K]
@@ -109,6 +111,8 @@ TABLE = (
     Threshold("RESTLESS", "friction scatter", "", "healthy: 0.02 to 0.03"),
     Threshold("STANDING", "a trial in which no joint leaves this range stands still", "rad",
               "chosen"),
+    Threshold("GAIN", "identified over described gravity torque that passes for a scale of the drives' torque", "",
+              "chosen: a torque constant is not off by more; beyond, the description is taken to be wrong, and that is said"),
     Threshold("TAKEN_UP", "share of an effect's torque that the base model can imitate, from which on it hides it", "%",
               "chosen"),
     Threshold("FLAT", "change of gravity over a joint's friction below which the joint counts as not loaded", "%",
