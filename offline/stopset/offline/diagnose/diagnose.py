@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
-from stopset.offline.diagnose.evidence.baseline import baseline
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored, Tolerance
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
@@ -58,6 +58,7 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
     def label(self) -> str:
@@ -102,6 +103,7 @@ class Diagnosis:
                     "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
                     "look_at": r.look_at,
                     "says": r.says,
+                    "in_model": r.in_model,
                 }
                 for r in self.ranked
             ],
@@ -120,6 +122,39 @@ class Diagnosis:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """The search over recordings that move, and what it left: all that answers, judgements and estimates are taken from."""
+
+    engine: Engine
+    found: Found
+    already: tuple[Candidate, ...]  # effects that the model has
+    left: _Left
+    ranked: tuple[Ranked, ...]
+
+    def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
+        """Which claims are of an effect, at these joints (None: wherever it acts)."""
+        wanted = None if joints is None else set(joints)
+        return tuple(k for k, r in enumerate(self.ranked) if r.effect == effect and (wanted is None or set(r.joints) == wanted))
+
+    def errors(self, claims: Sequence[int]) -> list[Array]:
+        """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
+        return _errors(self.engine, self.found, self.already, [self.found.claims[k] for k in claims])
+
+
+def examine(
+    robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None, known: Known | None = None,
+) -> Examination:  # fmt: skip
+    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its."""
+    engine = Engine.build(robot, recordings, tolerance, known)
+    _include(engine, fitted)
+    already = tuple(engine.active)
+    found = search(engine, names)
+    left = _left(found, engine)
+    return Examination(engine, found, already, left, _ranked(engine, found, already, left))
+
+
 def diagnose(
     robot: Robot,
     recordings: Recordings,
@@ -134,17 +169,21 @@ def diagnose(
     nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
     Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
     """
-    if not any(_moves(r) for r in recordings):
+    if not any(moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
-    engine = Engine.build(robot, recordings, tolerance, known)
-    _include(engine, fitted)
-    already = list(engine.active)
-    found = search(engine, names)
-    left = _left(found, engine)
+    return answered(examine(robot, recordings, fitted, tolerance, names, known), names)
+
+
+def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
+    """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
+    engine, found, left = x.engine, x.found, x.left
+    ranked = tuple(r for r in x.ranked if names is None or r.effect in names)
+    claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = _verdict(found, left)
+    if verdict == "missing" and not ranked:
+        verdict = "none"
     blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
-    ranked = _ranked(engine, found, already, left)
-    rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
+    rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
@@ -170,16 +209,29 @@ def diagnose(
 
 
 def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
-    """`diagnose` for a model file; also says what the recordings were measured against."""
+    """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
+
+    The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
+    """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
     robot, known, against = baseline(model, recordings)
-    return diagnose(robot, recordings, model.effects, names=names, known=known), against
+    fitted = settled(model)
+    if not any(moves(r) for r in recordings):
+        return standing(robot, recordings, fitted), against
+    found = answered(examine(robot, recordings, fitted, known=known), names)
+    chosen = {f.label for f in model.effects} - {f.label for f in fitted}
+
+    def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
+        return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
+
+    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims)), against
 
 
-def _moves(r: Recording) -> bool:
+def moves(r: Recording) -> bool:
+    """Whether a trial is one in which some joint moves."""
     return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
 
 
@@ -226,18 +278,27 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             engine.active.append(candidate)
 
 
-def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tuple[Ranked, ...]:
-    out, before = [], found.before
-    active = list(engine.active)
+def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: Sequence[Claim]) -> list[Array]:
+    """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
+    if not claims:
+        return [found.before]
+    active, out = list(engine.active), [found.before]
+    for k in range(len(claims)):
+        engine.active = [*already, *(c.scored.candidate for c in claims[: k + 1])]
+        out.append(held_out(engine, found.hyper))
+    engine.active = active
+    return out
+
+
+def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _Left) -> tuple[Ranked, ...]:
+    out = []
     joints = engine.data.joints
+    errors = _errors(engine, found, already, found.claims)
     deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
     for k, claim in enumerate(found.claims):
-        c = claim.scored.candidate
-        engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
-        after = held_out(engine, found.hyper)
+        c, before, after = claim.scored.candidate, errors[k], errors[k + 1]
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
-        engine.active = active
         points = partial(engine, left.hyper, left.theta, c, worst)
         out.append(
             Ranked(
@@ -245,7 +306,6 @@ def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tupl
                 parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
             )
         )  # fmt: skip
-        before = after
     return tuple(out)
 
 

@@ -14,7 +14,7 @@ from stopset.effects.base import Effect, Fitted
 from stopset.errors import EffectError
 from stopset.offline.campaign.survey import Source, Survey, on_grid
 from stopset.offline.conform.linear_sets import Pairs
-from stopset.offline.effect_names import find, matches, parse_effect
+from stopset.offline.effect_names import matches, parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
 from stopset.offline.nominal.known_effects import described, plain
@@ -66,17 +66,20 @@ def known_effects(
     """
     if meta.effort == "compensated_torque":
         return ()  # fitted with everything else, by output error
-    out = list(known)
-    for name in settings.effects:
-        effect, _ = parse_effect(name, robot)
-        if regressed(effect) or any(matches(f, name) for f in out):
-            continue
-        trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
-        found = find(robot, trials, tuple(out), effect.name, name.partition(":")[2] or None)
-        if found is None:
+    wanted = [
+        name for name in settings.effects
+        if not regressed(parse_effect(name, robot)[0]) and not any(matches(f, name) for f in known)
+    ]  # fmt: skip
+    if not wanted:
+        return tuple(known)
+    from stopset.offline.diagnose.estimate import estimates
+
+    trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
+    found = estimates(robot, trials, wanted, known)
+    for name in wanted:
+        if not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
-        out.append(found)
-    return tuple(out)
+    return (*known, *(e.fitted for e in found))
 
 
 def regressed(effect: Effect) -> bool:

@@ -22,8 +22,8 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.map_reduce import Progress
-from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
 from stopset.offline.campaign.session import POWERED
+from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
 from stopset.offline.conform.gather import Kept, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped

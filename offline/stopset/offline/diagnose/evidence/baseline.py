@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects import Fitted
 from stopset.offline.diagnose.evidence.engine import Known
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -32,6 +33,12 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
     return robot, Known(friction, drive_gain(described, robot, recordings)), "identified model"
+
+
+def settled(model: Model) -> tuple[Fitted, ...]:
+    """The effects that are no longer in question: those that were asked for or added, not those that `identify` chose itself."""
+    chosen = set(model.provenance.get("chosen", ()))
+    return tuple(f for f in model.effects if f.label not in chosen)
 
 
 def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> float:
