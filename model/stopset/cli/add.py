@@ -92,9 +92,10 @@ def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> list[st
 
 
 def _there(joint: str, before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
-    """The position error at the effect's own joint: over the arm, worse joints may hide what it does there."""
-    key = f"held_out_position_rmse:{joint}"
-    return [_line(f"  of it at {joint} [rad]", before[key], after[key])] if key in before and key in after else []
+    """Errors at the effect's own joint: over the arm, worse joints may hide what it does there."""
+    kinds = (("torque", "N m"), ("position", "rad"))
+    keys = [(f"held_out_{kind}_rmse:{joint}", f"  {kind} error at {joint} [{unit}]") for kind, unit in kinds]
+    return [_line(what, before[key], after[key]) for key, what in keys if key in before and key in after]
 
 
 def _widths(before: Model, after: Model) -> list[str]:

@@ -85,6 +85,15 @@ def _pieces(ends: Mapping[SuiteKey, Ends]) -> list[tuple[SuiteKey, SuiteKey]]:
     return [(suites[i], suites[k]) for i, k in near if goes_on(ends[suites[i]], ends[suites[k]])]
 
 
+def uncut(ends: Sequence[Ends]) -> list[int]:
+    """Number of the recording that each trial is a piece of; pieces are those that go on where another one ended."""
+    number = list(range(len(ends)))
+    for i, k in _near(ends):
+        if goes_on(ends[i], ends[k]) and number[i] != number[k]:
+            number = [number[i] if x == number[k] else x for x in number]
+    return number
+
+
 def _near(ends: Sequence[Ends]) -> list[tuple[int, int]]:
     """Pairs worth a look: the second begins within what an arm can move in `SEAM` of where the first ended."""
     if len(ends) < 2:

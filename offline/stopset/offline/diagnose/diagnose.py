@@ -14,6 +14,7 @@ from stopset.errors import EffectError
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored, Tolerance
 from stopset.offline.diagnose.explain import advice
+from stopset.offline.diagnose.explain.doubt import doubt, within
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
@@ -32,6 +33,7 @@ PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an
 TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
+HANDFUL = 5  # claims at most; the next ones are what imperfect laws of the first ones leave, one after another
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
 
@@ -58,6 +60,7 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    doubt: str = ""  # why it is no finding after all
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
@@ -70,6 +73,17 @@ class Ranked:
         values = {k: p.value for k, p in self.parameters.items()}
         std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
         return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are in
+    doubt, with the reason of each."""
+
+    joint: str
+    size: float
+    depends_on: tuple[str, ...]
+    resembles: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +101,7 @@ class Diagnosis:
     trials: int = 0
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""
@@ -113,6 +128,16 @@ class Diagnosis:
                 {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
                 for b in self.not_identifiable
             ],
+            "unexplained": [
+                {
+                    "joint": u.joint,
+                    "size": u.size,
+                    "unit": "N m",
+                    "depends_on": list(u.depends_on),
+                    "resembles": list(u.resembles),
+                }
+                for u in self.unexplained
+            ],
             "next_experiment": self.next_experiment,
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
@@ -135,7 +160,11 @@ class Examination:
     def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
         """Which claims are of an effect, at these joints (None: wherever it acts)."""
         wanted = None if joints is None else set(joints)
-        return tuple(k for k, r in enumerate(self.ranked) if r.effect == effect and (wanted is None or set(r.joints) == wanted))
+        return tuple(
+            k
+            for k, r in enumerate(self.ranked)
+            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+        )
 
     def errors(self, claims: Sequence[int]) -> list[Array]:
         """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
@@ -177,11 +206,11 @@ def diagnose(
 def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
     engine, found, left = x.engine, x.found, x.left
-    ranked = tuple(r for r in x.ranked if names is None or r.effect in names)
+    ranked = tuple(r for r in x.ranked if not r.doubt and (names is None or r.effect in names))
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = _verdict(found, left)
     if verdict == "missing" and not ranked:
-        verdict = "none"
+        verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
     blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
@@ -201,6 +230,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         depends_on=_depends(verdict, worst, shown, joints),
         not_identifiable=blind,
         next_experiment=next_experiment,
+        unexplained=_unexplained(x),
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -291,21 +321,30 @@ def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: 
 
 
 def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _Left) -> tuple[Ranked, ...]:
-    out = []
-    joints = engine.data.joints
-    errors = _errors(engine, found, already, found.claims)
+    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+    joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    doubts = []
+    for claim, mine in zip(found.claims, numbers, strict=True):
+        values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
+        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(doubts) if not why][:HANDFUL]
+    errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
+    out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
-        c, before, after = claim.scored.candidate, errors[k], errors[k + 1]
+        c, after = claim.scored.candidate, errors.get(k, before)
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
-        points = partial(engine, left.hyper, left.theta, c, worst)
+        given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        why = doubts[k] or ("" if k in errors else f"{HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
+                given, c.effect.look_at, c.effect.says, points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
+        before = after
     return tuple(out)
 
 
@@ -387,6 +426,19 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
     if shown is not None:
         return shown.variables
     return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
+
+
+def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
+    """What is left at each joint that holds more than its sensors' noise, or a claim in doubt."""
+    sound = [k for k, r in enumerate(x.ranked) if not r.doubt]
+    error = x.errors(sound)[-1]
+    out = []
+    for j, joint in enumerate(x.engine.data.joints):
+        doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
+        if x.found.excess[j] > QUIET or j in x.left.depends or doubted:
+            names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
+            out.append(Unexplained(joint, float(error[j]), names, doubted))
+    return tuple(out)
 
 
 def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.diagnose import Examination, Ranked, examine, moves
 from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.recording import Recordings
 from stopset.recording.types import Array
 from stopset.robot import Robot
@@ -33,15 +34,24 @@ class Estimate:
         return self.found.fitted
 
 
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """What was found of what was asked for, ``before`` (n,) [N m] the error without any of it, and what it was judged on."""
+
+    found: tuple[Estimate, ...]
+    before: Array | None
+    words: str
+
+
 def estimates(
     robot: Robot, recordings: Recordings, names: Sequence[str], fitted: Sequence[Fitted] = (), known: Known | None = None
-) -> list[Estimate]:
+) -> Estimates:
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
 
     ``fitted``: effects the model has already; ``known``: a model from other recordings, as for `examine`.
     """
     if not any(map(moves, recordings)):
-        return []
+        return Estimates((), None, "nothing: no joint moves in these recordings")
     x = examine(robot, recordings, fitted, known=known)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     named = {e.name for e in out}
@@ -51,7 +61,7 @@ def estimates(
         beside = (*fitted, *(e.fitted for e in out))
         alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known)
         out += _of(alone, [(name, _claims(alone, name))])
-    return sorted(out, key=lambda e: list(names).index(e.name))
+    return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
 
 
 def _claims(x: Examination, name: str) -> tuple[int, ...]:

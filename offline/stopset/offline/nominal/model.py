@@ -75,7 +75,7 @@ def known_effects(
     from stopset.offline.diagnose.estimate import estimates
 
     trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
-    found = estimates(robot, trials, wanted, known)
+    found = estimates(robot, trials, wanted, known).found
     for name in wanted:
         if not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")

@@ -18,7 +18,7 @@ from stopset.effects.base import Fitted
 from stopset.offline.campaign.hold_out import HoldOut
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
-from stopset.offline.diagnose.estimate import Estimate, estimates
+from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.effect_names import parse_effect
 from stopset.offline.identify.settings import Settings
@@ -103,7 +103,8 @@ def by_evidence(
     robot, known, _ = baseline(judge.model, recordings)
     had = settled(judge.model)
     kept = tuple(f for f in had if not get(f.effect).base)
-    found = estimates(robot, recordings, names, had, known)
+    answer = estimates(robot, recordings, names, had, known)
+    found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")
     wanted = [n for n in names if any(e.name == n for e in found)]
@@ -111,7 +112,7 @@ def by_evidence(
     taken = (*kept, *(e.fitted for e in found))
     simulated = [dict(first)] if first else [judge.simulated(settings, kept)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
-    rows = [found[0].before if found else None, *(e.after for e in found)]
+    rows = [found[0].before if found else answer.before, *(e.after for e in found)]
     errors = [_with_torque(simulated[min(k, 1)], joints, row) for k, row in enumerate(rows)]
     judged = []
     for name in names:
@@ -121,11 +122,7 @@ def by_evidence(
             continue
         enters = entry(get(name.partition(":")[0]))
         judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], True, enters))
-    return Verdict(tuple(judged), errors[0], more, taken, _words(found))
-
-
-def _words(found: Sequence[Estimate]) -> str:
-    return "rows of motions left out in turn, as the diagnosis does" if found else "nothing: no trace of it was found"
+    return Verdict(tuple(judged), errors[0], more, taken, answer.words)
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:
