@@ -57,6 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
     parser.add_argument(
+        "--friction", choices=("evidence", "plain"), default="evidence",
+        help="laws beside Coulomb and viscous friction: those that lower the held-out error (default), or only what --effects names",
+    )  # fmt: skip
+    parser.add_argument(
         "--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)"
     )
     parser.add_argument(
@@ -131,7 +135,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
     settings = Settings(
         model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
-        shape=args.shape,
+        shape=args.shape, friction=args.friction,
     )  # fmt: skip
     return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
@@ -144,7 +148,19 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
     add_arguments(parser)
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape", "keep_as")
+        for name in (
+            "robot",
+            "model",
+            "order",
+            "effects",
+            "friction",
+            "conform",
+            "windows",
+            "margin",
+            "bands",
+            "shape",
+            "keep_as",
+        )
         if getattr(args, name) != parser.get_default(name)
     ]
     if given:

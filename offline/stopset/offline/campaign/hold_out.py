@@ -60,20 +60,22 @@ def _whole(words: str, judges: Callable[[Recording], bool]) -> HoldOut:
     return HoldOut(words, lambda r: iter(() if judges(r) else (r,)), lambda r: iter((r,) if judges(r) else ()))
 
 
-def _blocks(r: Recording, which: int, guard: float) -> Iterator[Recording]:
-    """Blocks 0, 2, ... (``which`` 0) or 1, 3, ... of a trial, ``guard`` [s] shorter at both ends; short trials go alternately."""
+def blocks(r: Recording, guard: float = GUARD) -> list[Recording]:
+    """A trial in blocks of about `BLOCK`, each ``guard`` [s] shorter at both ends; one that is too short stays whole."""
     seconds = float(r.t[-1] - r.t[0])
-    step = seconds / max(len(r.t) - 1, 1)
     if seconds < 2 * SHORTEST:
-        if r.place % 2 == which:
-            yield r
-        return
+        return [r]
     count = max(2, round(seconds / BLOCK))
     edges = [round(k * len(r.t) / count) for k in range(count + 1)]
-    off = round(guard / step)
-    for k in range(which, count, 2):
-        # another trial's clock and state begin anew: no guard is needed at a trial's own ends, but cut trials have no own ends
-        yield r.cut(edges[k] + off, edges[k + 1] - off)
+    # another trial's clock and state begin anew: no guard is needed at a trial's own ends, but cut trials have no own ends
+    off = round(guard * (len(r.t) - 1) / seconds)
+    return [r.cut(lo + off, hi - off) for lo, hi in pairwise(edges)]
+
+
+def _blocks(r: Recording, which: int, guard: float) -> Iterator[Recording]:
+    """Blocks 0, 2, ... (``which`` 0) or 1, 3, ... of a trial; short trials go alternately."""
+    parts = blocks(r, guard)
+    yield from parts[which::2] if len(parts) > 1 else parts * (r.place % 2 == which)
 
 
 def _cut(trials: Sequence[Recording]) -> bool:

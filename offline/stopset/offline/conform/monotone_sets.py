@@ -23,7 +23,7 @@ from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
 from stopset.offline.conform.linear_program import Fit
-from stopset.offline.conform.program import STOP_TIME, age_weights
+from stopset.offline.conform.program import STOP_TIME, UNSOLVED, WHY, age_weights
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
 from stopset.sets import Box
@@ -60,7 +60,7 @@ def _program(problem: JointProblem, rows: list[Array], rhs: list[float]) -> Arra
     result = linprog(cost, A_ub=A, b_ub=np.concatenate([-h / scale, np.zeros(len(limits))]), bounds=bounds, method="highs-ds")
     if result.status != 0:
         raise NotConformant(
-            f"no sets make joint {problem.name} conformant ({result.message.splitlines()[0].strip()}); expected a friction "
+            f"no sets make joint {problem.name} conformant: {WHY.get(result.status, UNSOLVED)}; expected a friction "
             "curve that holds at the recorded speeds: identify it again or take the linear model (--order 1)"
         )
     return np.asarray(result.x)

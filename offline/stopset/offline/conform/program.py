@@ -150,8 +150,8 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
         result = linprog(c, A_ub=A, b_ub=b, bounds=bounds.limits(), method="highs-ds")
         if result.status != 0:
             raise NotConformant(
-                f"no sets make {who} conformant ({result.message.splitlines()[0].strip()}); the data jump within one sample by "
-                "more than the noise allows: check the velocity signal"
+                f"no sets make {who} conformant: {WHY.get(result.status, UNSOLVED)}; expected a model whose error torques explain: "
+                "check the velocity signal with `stopset inspect`, and what was held at a limit"
             )
         z = np.asarray(result.x)
         short = need - unit @ z
@@ -160,6 +160,11 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
             break
         chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
     return z
+
+
+# a solver's status in words that are the user's
+UNSOLVED = "the numbers of this model lie too far apart to be computed with"
+WHY = {2: "the data jump within one sample by more than the noise allows", 3: "nothing bounds them"}
 
 
 def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:

@@ -24,10 +24,13 @@ class Settings:
     horizon: float = HORIZON
     bands: int = 0  # temperature bands beside the whole; 0: none
     shape: str = "box"  # or "zonotope": of the torque set
+    friction: str = (
+        "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; or "plain": none but those asked for
+    )
 
     @property
     def sha256(self) -> str:
         # what was not asked for leaves the hash of earlier models as it was
-        later = {"bands": 0, "shape": "box"}
+        later = {"bands": 0, "shape": "box", "friction": "plain"}
         kept = {k: v for k, v in asdict(self).items() if k not in later or v != later[k]} | constants()
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()

@@ -76,7 +76,7 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
         problem.solve(solver=cp.CLARABEL)
     if x.value is None or problem.status not in ("optimal", "optimal_inaccurate"):
         raise NotConformant(
-            f"no physically possible link parameters were found (solver: {problem.status}); expected the CAD to be near: "
+            "no physically possible link parameters were found near the recordings; expected the CAD to be near: "
             "check the URDF's inertias"
         )
     theta = np.asarray(d * x.value)

@@ -161,6 +161,7 @@ def settings_of(model: Model) -> Settings:
     """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
     kept = dict(model.provenance.get("settings", {}))
     kept["effects"] = tuple(kept.get("effects", ()))
+    kept.setdefault("friction", "plain")  # models older than the choice had none
     try:
         return Settings(**kept)
     except TypeError as e:

@@ -197,7 +197,8 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
     noisy = [_key(*s) for *s, _ in head["noise"]]
     spread = _pieces(arrays["noise_spread"], [count for *_, count in head["noise"]])
     return Tally(
-        phase=head["phase"], torques=dict(zip(suites, torques, strict=True)), ends={s: Ends(*map(np.array, e)) for s, e in zip(suites, head["ends"], strict=True)},
+        phase=head["phase"], torques=dict(zip(suites, torques, strict=True)),
+        ends={s: Ends(*map(np.array, e)) for s, e in zip(suites, head["ends"], strict=True)},
         repeats={_key(*s): count for *s, _, count in head["suites"]}, steps=arrays["steps"].tolist(),
         means=list(arrays["means"]) if "means" in arrays else [],
         hulls={name: _box(arrays[f"hull_{name}"]) for name in head["hulls"]},
