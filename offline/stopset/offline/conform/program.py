@@ -173,19 +173,19 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
         A = np.vstack([-unit[chosen], limits])
         b = np.concatenate([-need[chosen], np.zeros(len(limits))])
         z = solved(
-            c,
-            A,
-            b,
-            bounds.limits(),
-            who,
-            "the data jump within one sample by more than the noise allows: check the velocity signal",
-        )
+            c, A, b, bounds.limits(), who,
+            "the data jump within one sample by more than the noise allows; expected a model whose error torques explain: "
+            "check the velocity signal with `stopset inspect`, and what was held at a limit",
+        )  # fmt: skip
         short = need - unit @ z
         new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
         if not len(new):
             break
         chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
     return z
+
+
+# a solver's status in words that are the user's
 
 
 def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:
