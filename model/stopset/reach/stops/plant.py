@@ -19,7 +19,6 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 SIGMAS = 3.0  # identified parameters enter with this many standard deviations
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
-STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
 BRAKE_TOLERANCE = 0.30  # relative half-width of a data sheet's brake torque where it states none
 
@@ -257,7 +256,7 @@ def setting_of(
         assumptions.append(f"effects not in the stop bound except through U: {', '.join(friction.left_out)}")
     if np.all(friction.dry.hi == 0):
         assumptions.append("Coulomb friction unknown, taken as none")
-    noise = _noise(model, sets.V, regime)
+    noise = sets.V
     assumptions.append(
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
@@ -292,16 +291,6 @@ def beyond_domain(model: Model, q: Array, dq: Array) -> str | None:
     if not parts:
         return None
     return f"{OUTSIDE}: {'; '.join(parts)}"
-
-
-def _noise(model: Model, V: Box, regime: str) -> Box:
-    """Error of a measured state. ``V`` of the powered regime also holds what its model cannot explain; where the speed at
-    standstill was measured, `STANDSTILL` times that is the error of a measured speed."""
-    n, still = model.n, model.abstraction.standstill
-    if regime == "stop0" or still.shape != (n,):
-        return V
-    bound = np.concatenate([np.full(n, np.inf), STANDSTILL * np.abs(still)])
-    return Box(np.maximum(V.lo, -bound), np.minimum(V.hi, bound))
 
 
 def _range(box: Box, scale: float = 1.0) -> str:
