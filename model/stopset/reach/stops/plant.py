@@ -166,14 +166,18 @@ def _largest_load(model: Model, payload: float, lever: float) -> Array:
     return out if brakes is None else out + brakes.torque.hi
 
 
-def _carried(model: Model) -> Array:
-    """(n, 10) standard parameters with an identified payload effect added."""
-    pi = model.robot.pi.copy()
-    symbols = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+def _weighed(model: Model, given: Array | None) -> tuple[float, Array]:
+    """How far an identified payload's mass may be off [kg], and where a payload's mass sits (3,) [m] in the last link's frame.
+
+    The robot holds the identified payload already.  Its place is ``given``, or the identified payload's centre, or the flange.
+    """
+    mass, doubt, moment = 0.0, 0.0, np.zeros(3)
     for f in model.effects:
         if f.effect == "payload":
-            pi[-1] += [f.values.get(s, 0.0) for s in symbols]
-    return pi
+            mass, doubt = mass + f.values.get("m", 0.0), doubt + SIGMAS * f.std.get("m", 0.0)
+            moment += [f.values.get(s, 0.0) for s in ("mx", "my", "mz")]
+    com = moment / mass if mass > doubt else model.robot.tip
+    return doubt, np.asarray(com if given is None else given, float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,14 +219,14 @@ def setting_of(
     brakes = brakes_of(model)
     if brakes is None:
         return None
-    com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
+    doubt, com = _weighed(model, payload_com)
     friction = friction_of(model, hi, float(np.linalg.norm(com)))
     regime = "stop0" if "stop0" in model.sets else "powered"
     sets = model.sets[regime]
-    pi = _carried(model)
+    pi = model.robot.pi
     per_kg = np.zeros_like(pi)
     per_kg[-1] = standard_parameters(1.0, com, np.zeros((3, 3)))
-    middle, half = pi + 0.5 * (lo + hi) * per_kg, 0.5 * (hi - lo) * per_kg
+    middle, half = pi + 0.5 * (lo + hi) * per_kg, (0.5 * (hi - lo) + doubt) * per_kg
     a, b = curvature(model.robot.chain, middle), curvature(model.robot.chain, half)
     # a constant torque seen in the powered data may belong to the drive or to the arm: with and without it
     offset = model.abstraction.offset if model.abstraction.offset.shape == (n,) else np.zeros(n)
@@ -245,6 +249,8 @@ def setting_of(
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
+    if doubt > 0.0:
+        assumptions.append(f"payload weighed by its torque to +- {doubt:.3g} kg, its centre as identified")
     if not inside:
         assumptions.append(
             f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg; beyond that the rigid body is computed, and "

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.effects import Fitted, get
+from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose.evidence.baseline import baseline
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
@@ -31,6 +31,7 @@ PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable o
 PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
 TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
+TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
 RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
@@ -238,15 +239,29 @@ def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tupl
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
         engine.active = active
+        told = parameters(claim.scored, deviation[k])
         points = partial(engine, left.hyper, left.theta, c, worst)
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
+                told, c.effect.look_at, _says(c.effect, told), points=points,
             )
         )  # fmt: skip
         before = after
     return tuple(out)
+
+
+def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
+    """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
+    m = told["m"] if effect.name == "payload" else None
+    if m is None or m.std is None:
+        return effect.says
+    half = TWO_SIDES * m.std
+    text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
+    if abs(m.value) < half:
+        return f"{text}."
+    centre = ", ".join(f"{told[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
+    return f"{text}, centre at ({centre}) m in the last link's frame."
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:

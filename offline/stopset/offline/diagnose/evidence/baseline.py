@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.evidence.priors import DRIVES, Known, Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques
+from stopset.sets import Box
+
+POSES = 500  # at which gravity torques are compared
+LOADED = 1e-3  # of the most loaded joint: joints that gravity loads less say nothing
 
 
 def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None, str]:
@@ -31,17 +35,25 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
             if f.effect == effect and f.joint in model.joints:
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
-    return robot, Known(friction, drive_gain(described, robot, recordings)), "identified model"
+    return robot, Known(friction, *drive_gain(described, robot, model.domain.q)), "identified model"
 
 
-def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> float:
-    """Recorded over true torque: the identified gravity torque over the described one, all joints together.
+def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, float]:
+    """Recorded over true torque and its standard deviation, from identified over described gravity torques at angles in ``reach``.
 
-    A torque constant that is off scales every identified mass, and every new load with them.  Taken over all joints, the
-    heavy inner links decide, whose masses a tool or cables hardly change.
+    A torque constant that is off scales every identified mass, and every new load with them; but so does a description whose
+    masses are off, and recordings of one arm cannot tell the two apart.  How far the ratio differs from joint to joint says how
+    far the description is to be trusted: a wrong gain is the same for all.  What is left is shared by how well each is known.
     """
-    q = np.concatenate([r.q[:: max(1, len(r.q) // 200)] for r in recordings])
-    ours, theirs = (gravity_torques(r.chain, r.pi, np.ascontiguousarray(q)) for r in (identified, described))
-    total = float(np.sum(theirs**2))
-    gain = float(np.sum(ours * theirs)) / total if total > 0 else 1.0
-    return gain if 0.5 < gain < 2.0 else 1.0
+    q = np.random.default_rng(0).uniform(reach.lo, reach.hi, (POSES, reach.dim))
+    ours, theirs = (gravity_torques(r.chain, r.pi, q) for r in (identified, described))
+    weight, product = (theirs**2).sum(axis=0), (ours * theirs).sum(axis=0)
+    total = float(weight.sum())
+    loaded = weight > LOADED * weight.max()
+    if total <= 0.0 or not 0.5 < product.sum() / total < 2.0:
+        return 1.0, DRIVES
+    ratio = float(product.sum()) / total
+    spread = float(weight[loaded] @ (product[loaded] / weight[loaded] - ratio) ** 2) / total
+    masses = Tolerance().mass ** 2 + spread * float(weight @ weight) / total**2
+    share = DRIVES**2 / (DRIVES**2 + masses)
+    return 1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses))

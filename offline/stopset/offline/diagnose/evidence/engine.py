@@ -74,7 +74,8 @@ class Engine:
         source, n = Source(robot, data, compensated), robot.n
         units = list(dict.fromkeys(t.unit for t in data.trials))
         folds = np.array([units.index(t.unit) % FOLDS for t in data.trials], dtype=np.intp)
-        source.gain = known.gain if known else 1.0
+        if known:
+            source.gain, source.gain_std = known.gain, known.gain_std
         scales = known.scales if known else SCALES
         rows = all_rows(source)
         base = 1 + np.arange(10 * n)

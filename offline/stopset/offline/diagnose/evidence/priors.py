@@ -13,6 +13,9 @@ SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # how far the CAD may be off, in unit
 ROTOR_SCALES = (0.3, 0.6, 1.0)  # likewise of data-sheet inertias, but not beyond: more than the tolerance is a finding
 
 
+DRIVES = (
+    0.058  # of recorded over true torque, all drives alike: data sheets state torque constants to 10 %, 5.8 % in the mean square
+)
 ROTOR_SHIFT = 0.3  # prior deviation of an inertia that is not the data sheet's, as a share of the one stated
 
 
@@ -31,11 +34,12 @@ class Known:
     """What a model from other recordings adds to the description: then only what has *changed* is asked for.
 
     ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
-    ``gain``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES`.
+    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES`.
     """
 
     friction: Array
     gain: float = 1.0
+    gain_std: float = DRIVES
     spread: float = 0.15
     scales: tuple[float, ...] = (0.1, 0.3)
 
