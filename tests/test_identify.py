@@ -237,7 +237,8 @@ def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path
     b = found(tmp_path, spoiled)
     np.testing.assert_array_equal(a.model.abstraction.Minv, b.model.abstraction.Minv)
     np.testing.assert_array_equal(a.model.abstraction.viscous, b.model.abstraction.viscous)
-    np.testing.assert_array_equal(a.survey.noise.hi, b.survey.noise.hi)
+    np.testing.assert_array_equal(a.survey.readings.least.hi, b.survey.readings.least.hi)
+    np.testing.assert_array_equal(a.survey.readings.most.hi, b.survey.readings.most.hi)
     assert b.model.guarantee.violated == 2
     assert b.model.guarantee.upper_bound == 1.0
     assert enclosed(b, tmp_path)  # and yet everything recorded is inside

@@ -20,6 +20,7 @@ def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
     from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
+    from stopset.offline.compare.tightness import table
     from stopset.offline.compare.verdict import verdict
 
     check_outputs(args.json, args.report)
@@ -30,6 +31,8 @@ def run(args: argparse.Namespace) -> int:
     for j, row in found.figures.items():
         cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
+    for line in table(found.tightness, tuple(found.figures)):
+        say(line)
     for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
         say(
             f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} {v.unit} "

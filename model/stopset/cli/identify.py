@@ -76,6 +76,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bands", type=bands, default=0, metavar="N", help="also sets for N temperature bands, where temperature is recorded"
     )
+    parser.add_argument(
+        "--accept-wide", action="store_true",
+        help="exit 0 even if the sets are too wide to say anything (more than 10 times the largest deviation after 0.1 s)",
+    )  # fmt: skip
     add_keep_options(parser)
     parser.add_argument(
         "--update",
@@ -121,7 +125,24 @@ def run(args: argparse.Namespace) -> int:
 
         page(model, compare(model, args.data), args.data).save(args.report)
         say(f"report {args.report}")
-    return 0
+    return verdict(found, args.accept_wide)
+
+
+def verdict(found: Identification, accepted: bool) -> int:
+    """Exit code: 1 for sets that enclose everything and say nothing, unless they are accepted."""
+    from stopset.offline.compare.tightness import LIMIT
+
+    if not (found.tightness.too_wide() or found.absurd):
+        return 0
+    why = "absurd (see the notes)" if found.absurd else f"too wide: more than {LIMIT:g} times what deviated after 0.1 s"
+    if accepted:
+        say(f"accepted as asked although the sets are {why}")
+        return 0
+    say(
+        f"not accepted: the sets are {why}. The model file is written, to find out what is missing (`stopset diagnose`); take it "
+        "as it is with --accept-wide"
+    )
+    return 1
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
@@ -176,6 +197,7 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
 
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    from stopset.offline.compare.tightness import table
     from stopset.offline.conform.bands import narrower
     from stopset.offline.conform.linear_sets import BOX
 
@@ -202,6 +224,7 @@ def summary(found: Identification) -> str:
     for b in narrower(m):
         tube = "" if b.tube_share is None else f"position tube {b.tube:.4f} rad, {b.tube_share:.0%} of the whole's; "
         lines.append(f"  {b.band:<17} {b.at:<20} {tube}U {b.torque:.2f} N m, {b.torque_share:.0%}")
+    lines += ["", *table(found.tightness, m.joints)]
     lines += ["", "what fixes the bounds of U:"]
     lines += [
         f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"

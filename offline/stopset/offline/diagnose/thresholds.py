@@ -46,6 +46,7 @@ OPEN_LOOP_CLAIMS = 3  # per joint
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of `Tolerance`
 ROTOR_SCALES = (0.3, 0.6, 1.0)  # of `Tolerance`
+DRIVES = 0.058  # of recorded over true torque
 ROTOR_SHIFT = 0.3  # of the inertia stated
 PRIOR_SHARE = 0.3  # of a joint's friction
 
@@ -128,6 +129,8 @@ TABLE = (
     Threshold("OPEN_LOOP_RIVAL", "an effect this near to the best one's error is named as its rival (compensated torque)", "%",
               "chosen: within the scatter between repetitions"),
     Threshold("OPEN_LOOP_CLAIMS", "most claims of a joint (compensated torque)", "", "chosen: a bound on the search"),
+    Threshold("DRIVES", "scale of the recorded torque, all drives alike, one standard deviation", "%",
+              "data sheets state torque constants to 10 %, 5.8 % in the mean square"),
     Threshold("SCALES", "how far a description may be off, in its tolerance; found by evidence", "",
               "chosen: the grid that evidence chooses from"),
     Threshold("ROTOR_SCALES", "the same of data-sheet inertias", "",

@@ -32,11 +32,12 @@ from stopset.offline.conform import (
     nonlinear,
     nonlinear_sets,
     program,
+    reading_error,
     zonotopes,
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
-from stopset.offline.diagnose.evidence import candidate, engine, evidence, priors
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
@@ -61,7 +62,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -80,12 +81,12 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("survey", survey, "JITTER DRIFT KEEP STOPS"),
     ("session", session, "REPEATED POWERED"),
     ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES SEAM SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY"),
-    ("hold-out", hold_out, "FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
+    ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY FOLDS NEVER"),
+    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
@@ -102,6 +103,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
+    ("error of readings", reading_error, "SMOOTH FEWEST"),
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
@@ -127,7 +129,6 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
-    ("stop plant", plant, "STANDSTILL"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
@@ -138,8 +139,9 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
+    ("diagnosis baseline", baseline, "POSES LOADED"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "FOLDS GIVEN"),
+    ("diagnosis engine", engine, "GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
     ("diagnosis doubt", doubt, "SURE EDGE"),

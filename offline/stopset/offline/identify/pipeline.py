@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
@@ -14,10 +17,12 @@ from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Source, Survey, Tally, tallied
 from stopset.offline.compare.metrics import Figures
+from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import sums_of, template_of
 from stopset.offline.conform.linear_sets import Conformance, Options, Pairs
+from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
@@ -110,7 +115,7 @@ def _with_sets(
     def sets_of(some: Pairs, margin: float | None) -> Conformance:
         options = Options(settings.conform, settings.windows, margin)
         return conform_nonlinear(
-            some, nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options, found.trials
+            some, nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options, found.trials
         )  # fmt: skip
 
     result = sets_of(pairs, settings.margin)
@@ -119,7 +124,14 @@ def _with_sets(
         for k in range(bands.number):
             sets = sets_of(_in_band(pairs, bands, k), float(result.margins.max())).sets
             by_band[band_name(k)] = replace(sets, temp=bands.band(k, found.temp))
-    return packed(robot, meta, found, nominal, settings, figures, result, by_band)
+
+    def tight(sets: UncertaintySets) -> Tightness:
+        judge, every = Along(nominal.abstraction, sets), round(sets.dt / found.dt)
+        for _, r, u in pairs():
+            judge.add(coarser([(np.hstack([r.q, r.dq]), u)], every)[0])
+        return judge.result()
+
+    return packed(robot, meta, found, nominal, settings, figures, result, by_band, tight)
 
 
 def _in_band(pairs: Pairs, bands: Bands, k: int) -> Pairs:

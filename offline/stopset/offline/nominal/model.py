@@ -140,8 +140,9 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
     inertia = _mean_inertia(arm, nominal.rotor, found)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
+    still = found.readings.least.hi[robot.n :]
     abstraction = Abstraction(
-        1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
+        1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
     notes = (*(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     doubt = of_regression(cad, nominal, found.sample)
