@@ -3,7 +3,8 @@
     python benchmarks/diagnosis.py --seed 100 --healthy 10 --out results.json
     python benchmarks/diagnosis.py --effects stribeck,delay --size hard
 
-Per case: what was hidden, the verdict, the ranked effects, the largest leftover variance, the seconds of processor time.  The summary counts effect and
+Per case: what was hidden, the verdict, the ranked effects, the largest leftover variance, the seconds
+of processor time.  The summary counts effect and
 joint right together, false claims on healthy campaigns and abstentions on causes outside the catalogue.
 """
 

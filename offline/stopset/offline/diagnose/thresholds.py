@@ -105,7 +105,8 @@ TABLE = (
     Threshold("WANDER", "leftover variance of half-second sums", "",
               "33 healthy joints of 6 unseen sets (below): 0.62 to 1.04, mean 0.77; our own healthy arms to 1.6; a wander as large as "
               "the noise 3, one that raises its joint's residual threefold 91; a test holds one that single rows do not show"),
-    Threshold("PATTERN", "pattern left", "", "gain of a step function of one variable on held-out motions; healthy, the same campaigns: LWA-4P to 7.5, labelled sets to 19.3, "
+    Threshold("PATTERN", "pattern left", "",
+              "gain of a step function of one variable on held-out motions; healthy, the same campaigns: LWA-4P to 7.5, labelled sets to 19.3, "
               "UR10e to 44.7"),
     Threshold("PATTERN_SHARE", "share of its joint's claims' score from which on a pattern left contradicts them", "%",
               "a true law leaves below 1 %, an impostor a quarter and more"),
