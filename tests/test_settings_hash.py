@@ -47,7 +47,7 @@ LEFT_OUT = (
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
-    ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
+    ("stopset.offline.conform.program", "JUMPS BEYOND UNSOLVED", WORDS),
     ("stopset.offline.conform.windows", "_BELOW_SIGN", "a bit pattern"),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "LEFT_OUT CARRIED", ROLES),
