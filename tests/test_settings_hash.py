@@ -32,22 +32,26 @@ BUDGET = "how work is divided or memory bounded; results are the same to the las
 CODES = "places in a table, return codes"
 ROLES = "names of effects: what an effect is belongs to its own file and law"
 SHOWN = "what pages show of it"
+REFUSED = "bounds what is taken from a user, not what is made of it"
 # constants that no number of a model rests on: module (or its last name and a star), names, why
 LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
-    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA", FORMAT),
+    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA ZONOTOPES LAGS", FORMAT),
+    ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
+    ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
     ("stopset.offline.abstraction.identified", "POWERS", ROLES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
+    ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
     ("stopset.offline.conform.corners", "Q_LO V_LO Q_HI V_HI NOISE_LO NOISE_HI U_LO U_HI", CODES),
     ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS NO_REPETITION", WORDS),
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
-    ("stopset.offline.conform.program", "JUMPS BEYOND UNSOLVED", WORDS),
+    ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.conform.windows", "_BELOW_SIGN", "a bit pattern"),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "LEFT_OUT CARRIED", ROLES),
@@ -57,6 +61,7 @@ LEFT_OUT = (
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),
     ("stopset.offline.diagnose.explain.residual", "BINS BLOCK", SHOWN),
+    ("stopset.offline.diagnose.search.held_out", "WHOLE BLOCKS", WORDS),
     ("stopset.offline.diagnose.search.search", "SHIFTS", ROLES),
     ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
@@ -67,10 +72,14 @@ LEFT_OUT = (
     ("stopset.offline.nominal.unidentifiable", "PARAMETERS", WORDS),
     ("stopset.offline.stops.*", "*", "shows recorded stops"),
     ("stopset.offline.update.*", "*", FORMAT),
+    ("stopset.reach.stops.bounds", "FASTEST", REFUSED),
     ("stopset.reach.stops.cartesian", "SLICES", "in the workspace only, which no model file holds"),
+    ("stopset.reach.stops.friction", "RUBS RUBS_VISCOUS DRY VISCOUS PUSH", CODES),
     ("stopset.reach.stops.local", "ALL_PARTS", CODES),
     ("stopset.reach.stops.plant", "OUTSIDE", WORDS),
+    ("stopset.reach.stops.plant", "HEAVIEST FARTHEST", REFUSED),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),
+    ("stopset.reach.stops.ramp", "LONGEST STEEPEST QUICKEST", REFUSED),
     ("stopset.reach.stops.split", "FIELDS", CODES),
     ("stopset.reach.stops.tube", "OK ENDLESS UNBOUNDED", CODES),
     ("stopset.reach.stops.types", "LAYERS CATEGORIES", WORDS),
@@ -79,7 +88,10 @@ LEFT_OUT = (
     ("stopset.recording.types", "PHASES UNCOUNTED EFFORTS", FORMAT),
     ("stopset.recording.writer", "GROUP_ROWS", FORMAT),
     ("stopset.ring.ctext", "PRELUDE", "C text of the FMU"),
+    ("stopset.ring.slope", "ZERO", "zero"),
+    ("stopset.ring.tape", "*", CODES),
     ("stopset.ring.taylor", "MEMORY_LIMIT _KEY_BITS _TERM_BYTES _WORK_BYTES", BUDGET),
+    ("stopset.robot.rigid", "_ARM", CODES),
     ("stopset.robot.arm", "_KNOWN", "names of a data sheet's fields"),
 )  # fmt: skip
 

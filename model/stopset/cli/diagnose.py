@@ -44,6 +44,10 @@ def run(args: argparse.Namespace) -> int:
         say(f"these data hardly separate {' from '.join(group)}")
     if found.depends_on:
         say(f"what is left depends on: {', '.join(found.depends_on)}")
+    for u in found.unexplained:
+        of = f", depends on {', '.join(u.depends_on)}" if u.depends_on else ""
+        like = f"; it resembles {'; '.join(u.resembles)}" if u.resembles else ""
+        say(f"unexplained at {u.joint}: {u.size:.3g} N m{of}{like}")
     for line in found.not_identifiable:
         say(f"not identifiable: {line}")
     if found.next_experiment:

@@ -27,7 +27,6 @@ FIRST, MORE = 600, 300  # rows to begin with, and added in one round
 STOP_TIME = 0.2  # [s]
 # a vanishing charge on every width keeps directions that cost nothing from wandering off
 CHARGE = 1e-9
-JUMPS = "expected readings that change within one sample by no more than the noise allows: check the velocity signal"
 # what a solver's status means to whoever reads it; 2, that no sets exist, is said by who asked
 BEYOND = (
     "expected deviations, inertias and dampings of one order of magnitude: look for a joint that the data hardly move or whose inertia "
@@ -173,7 +172,11 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
     for _ in range(ROUNDS):
         A = np.vstack([-unit[chosen], limits])
         b = np.concatenate([-need[chosen], np.zeros(len(limits))])
-        z = solved(c, A, b, bounds.limits(), who, JUMPS)
+        z = solved(
+            c, A, b, bounds.limits(), who,
+            "the data jump within one sample by more than the noise allows; expected a model whose error torques explain: "
+            "check the velocity signal with `stopset inspect`, and what was held at a limit",
+        )  # fmt: skip
         short = need - unit @ z
         new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
         if not len(new):

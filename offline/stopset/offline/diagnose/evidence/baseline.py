@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects import Fitted
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Known
 from stopset.recording import Recordings
@@ -44,6 +45,12 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     robot = replace(model.robot, drives=drives)
     gain, notes = drive_gain(described, robot, recordings)
     return Baseline(robot, Known(friction, gain), "identified model", notes)
+
+
+def settled(model: Model) -> tuple[Fitted, ...]:
+    """The effects that are no longer in question: those that were asked for or added, not those that `identify` chose itself."""
+    chosen = set(model.provenance.get("chosen", ()))
+    return tuple(f for f in model.effects if f.label not in chosen)
 
 
 def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> tuple[float, tuple[str, ...]]:
