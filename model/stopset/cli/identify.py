@@ -13,6 +13,7 @@ from stopset.cli.common import add_keep_options, add_output_options, add_robot_o
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
+    from stopset.artifact import Model
     from stopset.offline.conform.linear_program import Fit
     from stopset.offline.identify.pipeline import Identification
 
@@ -115,17 +116,23 @@ def run(args: argparse.Namespace) -> int:
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
     if args.keep:
         say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
-    if args.json:
-        from stopset.offline.compare.compare import answer, compare
+    if args.json or args.report:
+        _compared(args, model)
+    return verdict(found, args.accept_wide)
 
-        write_json(args.json, answer(model, compare(model, args.data)))
+
+def _compared(args: argparse.Namespace, model: Model) -> None:
+    """The model against its own recordings, once for answer and page."""
+    from stopset.offline.compare.compare import answer, compare
+
+    comparison = compare(model, args.data)
+    if args.json:
+        write_json(args.json, answer(model, comparison))
     if args.report:
-        from stopset.offline.compare.compare import compare
         from stopset.offline.compare.page import page
 
-        page(model, compare(model, args.data), args.data).save(args.report)
+        page(model, comparison, args.data).save(args.report)
         say(f"report {args.report}")
-    return verdict(found, args.accept_wide)
 
 
 def verdict(found: Identification, accepted: bool) -> int:

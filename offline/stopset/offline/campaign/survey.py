@@ -59,6 +59,10 @@ class Survey:
         """Suites of the motions that nothing is fitted to: on them the sets are judged."""
         return _held(self.motion, self.learnt)
 
+    def within(self, horizon: float) -> float:
+        """How far ahead [s] is predicted at most: as asked, but not beyond the longest trial."""
+        return min(horizon, self.longest)
+
     def warm(self, r: Recording) -> float:
         """How long the drives have been running, 0 to 1 (see `Session`)."""
         return self.session.warm(r)

@@ -96,7 +96,7 @@ def _with_sets(
     scheduler: str | None, tally: Tally | None,
 ) -> Identification:  # fmt: skip
     motions = len(set(found.motion.values()))
-    horizon = min(settings.horizon, found.longest)
+    horizon = found.within(settings.horizon)
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     if nominal.abstraction.linear:
