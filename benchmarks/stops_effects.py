@@ -206,7 +206,9 @@ class Laws:
         return np.asarray(effect.torque(replace(s, way=way, dq=np.abs(s.dq) * way), values))
 
 
-def escapes(model: Model, tubes: Sequence[Tube], q: Array, dq: Array, batch: Batch, owner: Array, rng: np.random.Generator) -> tuple[int, float]:
+def escapes(
+    model: Model, tubes: Sequence[Tube], q: Array, dq: Array, batch: Batch, owner: Array, rng: np.random.Generator
+) -> tuple[int, float]:
     """How many arms of ``batch`` leave the tube of their state (``owner``: its number) at any sample; and the worst by how much."""
     laws, chain, n = Laws(model, batch, rng), model.robot.chain, q.shape[1]
     here, v, a = batch.q.copy(), batch.dq.copy(), np.zeros_like(batch.q)
@@ -233,11 +235,11 @@ def escapes(model: Model, tubes: Sequence[Tube], q: Array, dq: Array, batch: Bat
     return int(out.sum()), worst
 
 
-def run(effects: Sequence[Fitted], states: int, stops: int, seed: int) -> dict[str, Any]:
-    """Stops of an arm that has ``effects``, against the bounds of a model that knows them."""
+def run(effects: Sequence[Fitted], states: int, stops: int, seed: int, blind: bool = False) -> dict[str, Any]:
+    """Stops of an arm that has ``effects``, against the bounds of a model that knows them, or is ``blind`` to them."""
     model, rng = hiding(effects), np.random.default_rng(seed)
     n = model.n
-    bounds = StopBounds.of(model, (0.0, model.domain.payload[1]))
+    bounds = StopBounds.of(hiding(()) if blind else model, (0.0, model.domain.payload[1]))
     s = bounds.setting
     assert s is not None
     tubes, qs, vs = [], [], []
@@ -252,7 +254,8 @@ def run(effects: Sequence[Fitted], states: int, stops: int, seed: int) -> dict[s
     owner = np.repeat(np.arange(len(tubes)), stops)
     q, dq = np.repeat(qs, stops, axis=0), np.repeat(vs, stops, axis=0)
     batch = drawn(model, q, dq, s.payload_com, rng)
-    batch = replace(batch, q=batch.q + _misread(model, batch.q, rng)[0], dq=batch.dq + _misread(model, batch.q, rng)[1] * batch.dq)
+    wrong, share = _misread(model, batch.q, rng)
+    batch = replace(batch, q=batch.q + wrong, dq=batch.dq * (1.0 + share))
     left, worst = escapes(model, tubes, q, dq, batch, owner, rng)
     return {"states": states, "certified": len(tubes), "stops": len(owner), "escapes": left, "excess": worst}
 
@@ -277,6 +280,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=50, help="of each state")
     parser.add_argument("--effect", help="only this case")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--blind", action="store_true", help="the bound does not know the effect: stops must leave it")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     results: dict[str, Any] = {}
@@ -284,12 +288,14 @@ def main() -> None:
         if given.effect in (None, name):
             begun = time.process_time()
             try:
-                results[name] = run(effects, given.states, given.stops, given.seed)
+                results[name] = run(effects, given.states, given.stops, given.seed, given.blind)
             except NotCovered as e:
                 results[name] = {"refused": str(e)}
             print(f"{name}: {results[name]} {time.process_time() - begun:.1f} s", flush=True)
     bound = [r for r in results.values() if "stops" in r]
-    print(f"{sum(r['stops'] for r in bound)} stops, {sum(r['escapes'] for r in bound)} escapes, {len(results) - len(bound)} refused")
+    print(
+        f"{sum(r['stops'] for r in bound)} stops, {sum(r['escapes'] for r in bound)} escapes, {len(results) - len(bound)} refused"
+    )
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n")
 
