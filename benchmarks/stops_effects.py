@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,17 +23,25 @@ from numba import njit
 from numpy.typing import NDArray
 from stop_arms import prbt_like
 
-from stopset.artifact import Brakes, Model
+from stopset.artifact import Brakes, Model, load_model
+from stopset.cli.main import main as cli
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals
 from stopset.errors import NotCovered
+from stopset.files import write_text
 from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
+from stopset.recording import write_recordings
+from stopset.robot import load_robot
 from stopset.robot.rigid import Chain, torques
 from stopset.sets import Box
+from stopset.simulation import prepare
+from stopset.simulation.arm import Script, start
+from stopset.simulation.arm import run as simulate
+from stopset.simulation.scenario import Scenario
 from stopset.simulation.stop import simulate_stop
 
 Array = NDArray[np.float64]
@@ -274,6 +283,61 @@ def _misread(model: Model, q: Array, rng: np.random.Generator) -> tuple[Array, A
     return out
 
 
+# what is really identified from simulated recordings, by the simulator's own laws, and then stopped
+HIDDEN: tuple[tuple[str, ...], ...] = (
+    ("base_tilt",), ("payload",), ("spring:turn",), ("load_coulomb",), ("asymmetric_coulomb",), ("torque_ripple",), ("coupling",),
+    ("base_tilt", "load_coulomb"),
+)  # fmt: skip
+
+
+def identified(hide: Sequence[str], urdf: Path, folder: Path, seed: int = 1) -> tuple[Model, Scenario]:
+    """A model from recordings of the simulated arm in which ``hide`` was hidden, told which effects to look for; its brakes are
+    those of the truth within 3 %."""
+    scenario = prepare(load_robot(urdf), list(hide), seed, "short", "easy", "exact")
+    data, out = folder / "recording.parquet", folder / "m.model.json"
+    write_recordings(data, scenario.meta, scenario.recordings())
+    write_text(folder / "robot.urdf", scenario.robot.urdf)
+    write_text(folder / "robot.json", scenario.datasheet)
+    found = ["--effects", ",".join(e["effect"] + (f":{e['joint']}" if e["joint"] else "") for e in scenario.truth["effects"])]
+    assert cli(["identify", "--robot", str(folder / "robot.urdf"), "--data", str(data), "--out", str(out), *found]) == 0
+    model, p = load_model(out), scenario.cell.truth.plant
+
+    def near(x: Array) -> Box:
+        return Box.of(0.97 * x, 1.03 * x)
+
+    return replace(model, brakes=Brakes(near(p.brake_torque), near(p.brake_delay), near(p.brake_rise))), scenario
+
+
+def stopped(model: Model, scenario: Scenario, states: int, seed: int) -> dict[str, Any]:
+    """Stops of the simulated arm, whatever is hidden in it, against the bounds of ``model``."""
+    s, rng, n = StopBounds.of(model).setting, np.random.default_rng(seed), model.n
+    assert s is not None
+    truth, d, start_box = scenario.cell.truth.plant, model.domain, s.start
+    none, escaped, certified, worst = np.zeros(n), 0, 0, 0.0
+    for _ in range(states):
+        q, dq = rng.uniform(d.q.lo, d.q.hi), rng.uniform(d.dq.lo, d.dq.hi)
+        tube = tubes_of(s, q + start_box.centre[:n], dq + start_box.centre[n:], start_box.radius[:n], start_box.radius[n:], 4)[-1]
+        if tube.end != OK:
+            continue
+        certified += 1
+        plant = truth._replace(
+            brake_torque=truth.brake_torque * rng.choice([0.97, 1.03], n), brake_delay=truth.brake_delay * rng.choice([0.97, 1.03], n),
+            brake_rise=truth.brake_rise * rng.choice([0.97, 1.03], n),
+        )  # fmt: skip
+        K = int(np.ceil(tube.t[-1] / PIECE)) + 1
+        zero = np.zeros((K, n))
+        script = Script(PIECE, zero, zero, zero, none, none, 0, 0, zero, zero, 0.0, zero)
+        temp = np.full(n, REFERENCE_TEMPERATURE) if d.temp is None else rng.choice([0.0, 1.0], n) * d.temp.width + d.temp.lo
+        *_, link, speed = simulate(plant, script, start(plant, q, dq, temp), none, REFERENCE_TEMPERATURE, 0.0, 4)
+        low, high, slow, fast = tube_at(tube, np.minimum(PIECE * np.arange(K), tube.t[-1]))
+        moved = link - link[0]
+        beyond = np.max([moved - high, low - moved], axis=0) - HELD * ANGLE_ERROR
+        quick = np.max([speed - fast, slow - speed], axis=0) - HELD * SPEED_ERROR
+        worst = max(worst, float(beyond.max()), float(quick.max()))
+        escaped += bool(np.any(beyond > 0.0) or np.any(quick > 0.0))
+    return {"states": states, "certified": certified, "escapes": escaped, "excess": worst}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--states", type=int, default=40)
@@ -281,10 +345,15 @@ def main() -> None:
     parser.add_argument("--effect", help="only this case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--blind", action="store_true", help="the bound does not know the effect: stops must leave it")
+    parser.add_argument("--identify", type=Path, metavar="URDF", help="hide, identify and stop this arm instead")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     results: dict[str, Any] = {}
-    for name, effects in cases(prbt_like().joints).items():
+    for hide in HIDDEN if given.identify else ():
+        with tempfile.TemporaryDirectory() as folder:
+            results[" + ".join(hide)] = found = stopped(*identified(hide, given.identify, Path(folder)), given.states, given.seed)
+        print(f"{hide}: {found}", flush=True)
+    for name, effects in () if given.identify else cases(prbt_like().joints).items():
         if given.effect in (None, name):
             begun = time.process_time()
             try:

@@ -32,10 +32,11 @@ from stopset.reach.stops.friction import torques_of
 from stopset.reach.stops.tubes import fastest, tube_of
 from stopset.ring import Interval, sin
 from stopset.sets import Box
+from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
-from stops_effects import cases, hiding, run
+from stops_effects import cases, hiding, identified, run, stopped
 
 JOINTS = prbt_like().joints
 CASES = cases(JOINTS)
@@ -251,3 +252,17 @@ def test_what_the_abstraction_damps_by_is_friction_where_no_effect_says_better()
     model: Model = hiding(())
     bare = replace(model, effects=tuple(f for f in model.effects if f.effect != "viscous"))
     assert np.allclose(torques_of(bare).everywhere.viscous.centre, model.abstraction.viscous[:, 0])
+
+
+@pytest.mark.parametrize("hide", ["base_tilt", "payload"])
+def test_an_effect_hidden_in_the_simulated_arm_is_identified_and_its_stops_stay_inside(hide: str, tmp_path: Path) -> None:
+    """The simulator's laws are not the catalogue's, and its stops share no code with the bounds."""
+    (tmp_path / "three.urdf").write_text(ARM)
+    model, scenario = identified((hide,), tmp_path / "three.urdf", tmp_path)
+    assert any(f.effect == hide for f in model.effects)
+    found = stopped(model, scenario, states=60, seed=2)
+    assert found["certified"] >= 55 and found["escapes"] == 0, found
+    if hide == "payload":  # in the model's body once: as heavy as the arm that was recorded, not heavier
+        added = next(f.values["m"] for f in model.effects if f.effect == hide)
+        truth = scenario.cell.truth.plant.pi
+        assert added > 0.1 and np.allclose(model.robot.pi[:, 0], truth[:, 0], atol=0.3 * added)
