@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +31,7 @@ from stopset.offline.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import torques_of
 from stopset.reach.stops.tubes import fastest, tube_of
-from stopset.ring import Interval, sin
+from stopset.ring import Interval, Slope, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
 from test_hidden_effects import ARM
 
@@ -77,6 +78,43 @@ def others(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     monkeypatch.undo()
     registry.catalogue.cache_clear()
+
+
+def test_a_slope_holds_every_value_and_how_fast_it_grows() -> None:
+    """``f(x)`` in ``all``, ``f(0)`` in ``start``, and ``f(x) - f(0)`` in ``rate x``, for every number in the intervals."""
+
+    def f(x: Number, y: Number, z: Number) -> list[Number]:
+        wave, bell = sin(x * 2.0 + y), exp(-square(x * (1.0 / z)))
+        return [
+            x**3 - y * x, wave * bell, absolute(x - 0.3) + maximum(x * y, z), minimum(x, 0.5) / (z + x), tanh(x * 3.0) - cos(x * y),
+            sqrt(z + x) * y, sign(y) * x, (1.0 - x) / (2.0 - y), absolute(-x) * z, -(2.0 - x) * square(x - 1.0),
+        ]  # fmt: skip
+
+    rng = np.random.default_rng(0)
+    y, z = Interval(np.array(-0.8), np.array(0.4)), Interval(np.array(0.5), np.array(1.5))
+    for way in (1.0, -1.0):
+        bounds = f(Slope.variable(0.45, way), Slope.constant(y), Slope.constant(z))
+        for _ in range(300):
+            x, fixed = rng.uniform(0.0, 0.45), (rng.uniform(-0.8, 0.4), rng.uniform(0.5, 1.5))
+            for b, value, start in zip(bounds, f(way * x, *fixed), f(0.0, *fixed), strict=True):
+                assert value in b.all and start in b.start
+                assert b.rate is None or b.rate.lo * x - 1e-12 <= value - start <= b.rate.hi * x + 1e-12
+
+
+def test_no_module_beyond_the_effects_asks_an_effect_for_its_name() -> None:
+    """What an effect does in a stop is in the effect: nobody compares its name."""
+    root = Path(__file__).resolve().parents[1]
+    names = "|".join(catalogue())
+    asks = re.compile(rf"""\.(?:effect|name)\s*(?:==|!=|in|not in)\s*\(?\s*["'](?:{names})["']""")
+    for folder in (
+        "model/stopset/reach",
+        "model/stopset/artifact",
+        "fmu/stopset",
+        "monitor/stopset",
+        "offline/stopset/offline/stops",
+    ):
+        for path in (root / folder).rglob("*.py"):
+            assert not asks.search(path.read_text()), path
 
 
 def test_every_effect_of_the_catalogue_is_hidden_in_a_stop() -> None:
