@@ -78,7 +78,7 @@ def setting_of(
 ) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
-    ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the
+    ``payload``: [kg] range on top of what the robot's ``pi`` holds, default the model's domain; ``payload_com``: (3,) [m] in the
     last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain, unless it is to be
     ``extrapolate``-d: then the rigid body carries it, and an assumption says that no recording did; and for an effect of the
     model that no stop can be bounded with.
