@@ -21,6 +21,7 @@ from stopset.sets import Box
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from independent_stops import DT, rested, shipped_arm, stopped
 from stop_arms import prbt_like
+
 from test_brakes import PERIOD, _recording, arm, recorded_stop0
 
 MODEL = prbt_like((0.0, 0.0))
