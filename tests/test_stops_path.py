@@ -119,7 +119,7 @@ def weak_brakes(share: float) -> Model:
     """Brakes that give this share of what gravity asks where the path ends, as an arm tells it that shares no code with bounds."""
     end = Path.through(POINTS).p(np.array([0.5 + path_stop(BOUNDS, Path.through(POINTS), 0.5, 1.5).length]), 0)[0]
     load = np.abs(gravity_load(carrying(shipped_arm(MODEL.rotor), 0.5, MODEL.robot.tip), end))
-    torque = share * load + 0.0 * load
+    torque = share * load
     strong = MODEL.brakes.torque.centre
     dry = np.array([15.0, 15.0, 10.0, 8.0, 3.0, 2.0])
     torque = np.where(load > dry, np.maximum(torque - dry, 0.5), strong)
@@ -129,7 +129,6 @@ def weak_brakes(share: float) -> Model:
 def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
     path = Path.through(POINTS)
     model = weak_brakes(0.8)  # friction included they hold a fifth less than gravity asks
-    assert np.any(gravity_load(carrying(shipped_arm(MODEL.rotor), 0.5, MODEL.robot.tip), POINTS[1]) > 10.0)
     bounds = StopBounds.of(model, ramp=RAMP)
     told = path_stop(bounds, path, 0.5, 1.5).bound
     assert not told.certified and told.time is None and told.tcp is None and told.angle is None
@@ -152,9 +151,13 @@ def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> 
     v = 1.5 * np.abs(path.p(np.array([0.5]), 1)[0])
     slow = replace(MODEL, domain=replace(MODEL.domain, dq=Box.symmetric(v / 1.58)))  # 158 % of what was seen
     narrow = replace(
-        MODEL, domain=replace(MODEL.domain, q=Box(POINTS.min(axis=0) - 0.01, np.r_[0.6, POINTS.max(axis=0)[1:] + 0.1]))
+        MODEL,
+        domain=replace(
+            MODEL.domain,
+            q=Box(POINTS.min(axis=0) - 0.01, np.r_[path.p(np.array([0.5]), 0)[0, 0] + 0.005, POINTS.max(axis=0)[1:] + 0.1]),
+        ),
     )
-    for model, word in ((slow, "rad/s, seen"), (narrow, "arm_1_joint at 0.6")):
+    for model, word in ((slow, "rad/s, seen"), (narrow, "arm_1_joint at")):
         told = path_stop(StopBounds.of(model, ramp=RAMP), path, 0.5, 1.5).bound
         assert not told.certified and told.time is None and word in told.why and "not covered" in told.why
         marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate_state=True), path, 0.5, 1.5).bound
