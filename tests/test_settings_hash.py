@@ -38,6 +38,7 @@ LEFT_OUT = (
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA", FORMAT),
+    ("stopset.artifact.taped", "*", CODES),
     ("stopset.effects.registry", "GROUP", FORMAT),
     ("stopset.offline.abstraction.identified", "POWERS", ROLES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
@@ -47,7 +48,6 @@ LEFT_OUT = (
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
-    ("stopset.offline.conform.windows", "_BELOW_SIGN", "a bit pattern"),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "LEFT_OUT CARRIED", ROLES),
     ("stopset.offline.diagnose.diagnose", "MOVE", WORDS),
@@ -79,6 +79,8 @@ LEFT_OUT = (
     ("stopset.recording.writer", "GROUP_ROWS", FORMAT),
     ("stopset.ring.ctext", "PRELUDE", "C text of the FMU"),
     ("stopset.ring.taylor", "MEMORY_LIMIT _KEY_BITS _TERM_BYTES _WORK_BYTES", BUDGET),
+    ("stopset.ring.tape", "*", CODES),
+    ("stopset.robot.rigid", "_ARM", CODES),
     ("stopset.robot.arm", "_KNOWN", "names of a data sheet's fields"),
 )  # fmt: skip
 
