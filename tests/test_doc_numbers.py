@@ -16,7 +16,7 @@ from stopset.offline.diagnose.explain.uncertainty import PART
 from stopset.offline.diagnose.rows import prepare
 from stopset.offline.identify import constants
 from stopset.offline.nominal import parameter_uncertainty, prior
-from stopset.offline.revise import revise
+from stopset.offline.revise import judge
 from stopset.offline.update import staleness
 from stopset.reach.stops import failed, ramp, tubes
 
@@ -32,7 +32,7 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
         (100 * limit.OPEN_LOOP_CLAIM, 100 * limit.OPEN_LOOP_HALVES),
     ),
     ("diagnosis", "explains {:g} times as much as the best one alone", (limit.TOGETHER,)),
-    ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * revise.HELPS, 100 * revise.HELPS_THERE)),
+    ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * judge.HELPS, 100 * judge.HELPS_THERE)),
     ("diagnosis", "A lag of less than {:g} ms is none", (1e3 * limit.SHORTEST_LAG,)),
     ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS,)),
     ("stops", "checked at {:g} points", (ramp.POINTS,)),

@@ -62,7 +62,8 @@ class Story:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(told):
             code = main(list(words))
         if code not in good:
-            raise StopsetError(f"`stopset {words[0]}` ended with {code}: {told.getvalue().strip().splitlines()[-1:]}")
+            kind = StopsetError if code in (1, 2) else RuntimeError  # a defect of a step is one of the whole
+            raise kind(f"`stopset {words[0]}` ended with {code}: {told.getvalue().strip().splitlines()[-1:]}")
         for line in printed.getvalue().splitlines():
             if keep(line):
                 say("      " + line)

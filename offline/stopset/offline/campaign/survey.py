@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
-from stopset.offline.campaign.independence import independent_motions
+from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.campaign.session import POWERED, Session
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
@@ -89,6 +89,7 @@ class Tally:
 
     phase: str
     torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each suite
+    ends: dict[SuiteKey, Ends] = field(default_factory=dict)
     repeats: dict[SuiteKey, int] = field(default_factory=dict)
     steps: list[float] = field(default_factory=list)  # median step of each trial [s]
     means: list[Array] = field(default_factory=list)
@@ -113,6 +114,8 @@ class Tally:
         if r.temp is not None:
             self.means.append(r.temp.mean(axis=0))
         self.torques.setdefault(r.suite_key, r.tau)
+        ends = Ends.of(r)
+        self.ends[r.suite_key] = self.ends[r.suite_key].until(ends) if r.suite_key in self.ends else ends
         self.repeats[r.suite_key] = self.repeats.get(r.suite_key, 0) + 1
         if len(self.steps) % self.stride == 0:
             self.kept.append(r)
@@ -132,7 +135,7 @@ class Tally:
         """
         if not self.steps:
             raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
-        motion = independent_motions(self.torques)
+        motion = independent_motions(self.torques, self.ends)
         return Survey(
             phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
             samples=self.samples, longest=self.longest, places=self.places, motion=motion,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.baseline import baseline
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored
+from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
+from stopset.offline.diagnose.explain.doubt import doubt, within
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
@@ -53,6 +54,8 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    doubt: str = ""  # why it is no finding after all
+    in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
     def label(self) -> str:
@@ -64,6 +67,17 @@ class Ranked:
         values = {k: p.value for k, p in self.parameters.items()}
         std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
         return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are in
+    doubt, with the reason of each."""
+
+    joint: str
+    size: float
+    depends_on: tuple[str, ...]
+    resembles: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +95,8 @@ class Diagnosis:
     trials: int = 0
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    notes: tuple[str, ...] = ()  # on what the recordings were measured against
+    unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""
@@ -97,6 +113,7 @@ class Diagnosis:
                     "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
                     "look_at": r.look_at,
                     "says": r.says,
+                    "in_model": r.in_model,
                 }
                 for r in self.ranked
             ],
@@ -106,13 +123,61 @@ class Diagnosis:
                 {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
                 for b in self.not_identifiable
             ],
+            "unexplained": [
+                {
+                    "joint": u.joint,
+                    "size": u.size,
+                    "unit": "N m",
+                    "depends_on": list(u.depends_on),
+                    "resembles": list(u.resembles),
+                }
+                for u in self.unexplained
+            ],
             "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
             "threshold": limit.THRESHOLD,
             "trials": self.trials,
             "rows": self.rows,
         }
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """The search over recordings that move, and what it left: all that answers, judgements and estimates are taken from."""
+
+    engine: Engine
+    found: Found
+    already: tuple[Candidate, ...]  # effects that the model has
+    left: _Left
+    ranked: tuple[Ranked, ...]
+
+    def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
+        """Which claims are of an effect, at these joints (None: wherever it acts)."""
+        wanted = None if joints is None else set(joints)
+        return tuple(
+            k
+            for k, r in enumerate(self.ranked)
+            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+        )
+
+    def errors(self, claims: Sequence[int]) -> list[Array]:
+        """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
+        return _errors(self.engine, self.found, self.already, [self.found.claims[k] for k in claims])
+
+
+def examine(
+    robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None, known: Known | None = None,
+) -> Examination:  # fmt: skip
+    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its."""
+    engine = Engine.build(robot, recordings, tolerance, known)
+    _include(engine, fitted)
+    already = tuple(engine.active)
+    found = search(engine, names)
+    left = _left(found, engine)
+    return Examination(engine, found, already, left, _ranked(engine, found, already, left))
 
 
 def diagnose(
@@ -129,17 +194,21 @@ def diagnose(
     nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
     Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
     """
-    if not any(_moves(r) for r in recordings):
+    if not any(moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
-    engine = Engine.build(robot, recordings, tolerance, known)
-    _include(engine, fitted)
-    already = list(engine.active)
-    found = search(engine, names)
-    left = _left(found, engine)
+    return answered(examine(robot, recordings, fitted, tolerance, names, known), names)
+
+
+def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
+    """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
+    engine, found, left = x.engine, x.found, x.left
+    ranked = tuple(r for r in x.ranked if not r.doubt and (names is None or r.effect in names))
+    claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = _verdict(found, left)
+    if verdict == "missing" and not ranked:
+        verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
     blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
-    ranked = _ranked(engine, found, already, left)
-    rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
+    rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
@@ -157,6 +226,7 @@ def diagnose(
         depends_on=_depends(verdict, worst, shown, joints),
         not_identifiable=blind,
         next_experiment=next_experiment,
+        unexplained=_unexplained(x),
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -165,16 +235,29 @@ def diagnose(
 
 
 def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
-    """`diagnose` for a model file; also says what the recordings were measured against."""
+    """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
+
+    The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
+    """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
-    robot, known, against = baseline(model, recordings)
-    return diagnose(robot, recordings, model.effects, names=names, known=known), against
+    base = baseline(model, recordings)
+    fitted = settled(model)
+    if not any(moves(r) for r in recordings):
+        return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
+    found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
+    chosen = {f.label for f in model.effects} - {f.label for f in fitted}
+
+    def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
+        return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
+
+    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes), base.against
 
 
-def _moves(r: Recording) -> bool:
+def moves(r: Recording) -> bool:
+    """Whether a trial is one in which some joint moves."""
     return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > limit.STANDING)
 
 
@@ -221,23 +304,40 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             engine.active.append(candidate)
 
 
-def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tuple[Ranked, ...]:
-    out, before = [], found.before
-    active = list(engine.active)
-    joints = engine.data.joints
+def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: Sequence[Claim]) -> list[Array]:
+    """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
+    if not claims:
+        return [found.before]
+    active, out = list(engine.active), [found.before]
+    for k in range(len(claims)):
+        engine.active = [*already, *(c.scored.candidate for c in claims[: k + 1])]
+        out.append(held_out(engine, found.hyper))
+    engine.active = active
+    return out
+
+
+def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _Left) -> tuple[Ranked, ...]:
+    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+    joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    doubts = []
+    for claim, mine in zip(found.claims, numbers, strict=True):
+        values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
+        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
+    errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
+    out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
-        c = claim.scored.candidate
-        engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
-        after = held_out(engine, found.hyper)
+        c, after = claim.scored.candidate, errors.get(k, before)
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
-        engine.active = active
-        points = partial(engine, left.hyper, left.theta, c, worst)
+        given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                parameters(claim.scored, deviation[k]), c.effect.look_at, c.effect.says, points=points,
+                given, c.effect.look_at, c.effect.says, points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
         before = after
@@ -322,6 +422,19 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
     if shown is not None:
         return shown.variables
     return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
+
+
+def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
+    """What is left at each joint that holds more than its sensors' noise, or a claim in doubt."""
+    sound = [k for k, r in enumerate(x.ranked) if not r.doubt]
+    error = x.errors(sound)[-1]
+    out = []
+    for j, joint in enumerate(x.engine.data.joints):
+        doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or doubted:
+            names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
+            out.append(Unexplained(joint, float(error[j]), names, doubted))
+    return tuple(out)
 
 
 def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:

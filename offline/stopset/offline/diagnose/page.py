@@ -24,6 +24,8 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
     out = Page(f"Diagnosis of {model.robot.name}")
     out.verdict(f"{found.verdict}: {WORDS[found.verdict]}", "good" if found.verdict == "none" else "bad")
     out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
+    for note in found.notes:
+        out.text(f"{note[0].upper()}{note[1:]}.")
     if found.ranked:
         out.heading("Missing effects")
         out.table(

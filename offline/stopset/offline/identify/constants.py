@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from stopset.effects import base, get, signals
+from stopset.effects import base, bound, get, signals
 from stopset.effects.registry import catalogue
 from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
-from stopset.offline.campaign import independence, session, survey
+from stopset.offline.campaign import hold_out, independence, session, survey
 from stopset.offline.compare import metrics
 from stopset.offline.conform import (
     bands,
@@ -37,7 +37,7 @@ from stopset.offline.conform import (
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
 from stopset.offline.diagnose.evidence import candidate, engine, evidence, priors
-from stopset.offline.diagnose.explain import uncertainty
+from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
 from stopset.offline.diagnose.search import held_out, refine, search, wanted
@@ -45,7 +45,9 @@ from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
     fit,
+    floor,
     friction,
+    friction_choice,
     nominal,
     normal_equations,
     open_loop,
@@ -59,7 +61,8 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
 from stopset.robot import arm, generic
@@ -76,11 +79,14 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effect signals", signals, "_STEP"),
     ("survey", survey, "JITTER DRIFT KEEP STOPS"),
     ("session", session, "REPEATED POWERED"),
-    ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES"),
+    ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES SEAM SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY"),
+    ("hold-out", hold_out, "FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
-    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD COVERED RIDGE WIDEST_PRIOR"),
+    ("inertia floor", floor, "FASTEST WEAK POSES"),
+    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY FOLDS NEVER"),
+    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
@@ -111,18 +117,21 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("ramps", controlled, "KINDS START SOFT CONTROL"),
     ("impulses", impulse, "SLIDING SHORTEST"),
     ("judge of stops", judge, "BEFORE SLOW PIECES"),
-    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS APART STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
+    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS APART ROUNDS STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("stop energy", energy, "CLAIMS ROUNDING"),
     ("failed stops", failed, "SLICES NARROW CELLS FAST_CELLS ANGLE_WEIGHT"),
     ("stop accelerations", moving, "ROUNDING"),
-    ("stop plant", plant, "SIGMAS FRICTION_TOLERANCE STANDSTILL BRAKE_TOLERANCE"),
-    ("stop ramp", ramp, "KNOTS POINTS"),
+    ("effects in a stop", bound, "SIGMAS"),
+    ("stop brakes", brakes, "BRAKE_TOLERANCE"),
+    ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
+    ("stop plant", plant, "STANDSTILL"),
+    ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE"),
-    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS PATIENCE MORE_PATIENCE"),
-    ("stop windows", windows, "WIDTH"),
+    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
+    ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
     ("diagnosis poses", rows, "FEW_POSES"),
@@ -133,6 +142,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis engine", engine, "FOLDS GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
+    ("diagnosis doubt", doubt, "SURE EDGE"),
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),

@@ -90,7 +90,7 @@ def packed(
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
-        provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
+        provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes),
     )  # fmt: skip
     return Identification(model, result, found, settings)
@@ -119,7 +119,7 @@ def _sources(meta: Meta) -> dict[str, str]:
     return out
 
 
-def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]:
+def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
@@ -133,5 +133,6 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
         "motions": len(set(found.motion.values())),
         "session_trials": found.places,
         "velocity": meta.velocity,
+        "chosen": [g.name for g in nominal.chosen],
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from stopset.effects.base import Fitted
-from stopset.errors import NotCovered
+from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
@@ -77,7 +77,11 @@ def identified(
             f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; keep "
             "signals, or take the linear model (--model 1 --order 1)"
         )
-    out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+    try:
+        out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+    except NotConformant as e:
+        limited = [note for note in nominal.notes if note.startswith("held at")]
+        raise NotConformant("; ".join([str(e), *limited])) from e
     out = stopped(out, stops, tell)
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 

@@ -20,3 +20,4 @@ class Settings:
     horizon: float = HORIZON
     bands: int = 0  # temperature bands beside the whole; 0: none
     shape: str = "box"  # or "zonotope": of the torque set
+    friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import ModelFileError
 from stopset.files import write_bytes
+from stopset.offline.campaign.independence import Ends
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
 from stopset.offline.compare.metrics import Figures
@@ -40,7 +41,7 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
-SCHEMA = 4
+SCHEMA = 5
 SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
@@ -181,6 +182,7 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
     return {
         "phase": tally.phase,
         "suites": [[*s, len(x), tally.repeats[s]] for s, x in tally.torques.items()],
+        "ends": [[e.t.tolist(), e.q.tolist(), e.dq.tolist()] for e in tally.ends.values()],
         "noise": [[*s, len(rows)] for s, rows in spread.items()],
         "hulls": list(tally.hulls),
         "places": tally.places,
@@ -197,6 +199,7 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
     spread = _pieces(arrays["noise_spread"], [count for *_, count in head["noise"]])
     return Tally(
         phase=head["phase"], torques=dict(zip(suites, torques, strict=True)),
+        ends={s: Ends(*map(np.array, e)) for s, e in zip(suites, head["ends"], strict=True)},
         repeats={_key(*s): count for *s, _, count in head["suites"]}, steps=arrays["steps"].tolist(),
         means=list(arrays["means"]) if "means" in arrays else [],
         hulls={name: _box(arrays[f"hull_{name}"]) for name in head["hulls"]},

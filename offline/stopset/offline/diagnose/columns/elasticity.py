@@ -27,6 +27,8 @@ def swing(source: Source, joint: int, shapes: Mapping[str, float]) -> dict[int, 
     the link torque is calmed unless ``exact``, see `calm`; ``begun``: a trial may begin in the middle of a swing, see `_begun`.
     """
     d, g, K, D = source.data, source.stiff(joint, False), shapes["K"], shapes["D"]
+    if not np.all(source.mass[:, joint, joint] > 0):  # described without inertia: a link that cannot swing leaves no trace
+        return {i: (np.zeros((len(d.q), 1)), np.zeros((len(d.q_still), 1))) for i in range(d.n)}
     if "exact" in shapes:
         moving = _true_swing(source, joint, K, D, "begun" in shapes)
     else:

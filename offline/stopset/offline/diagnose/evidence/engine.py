@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.campaign.independence import Ends, uncut
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
@@ -73,8 +74,8 @@ class Engine:
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
         source, n = Source(robot, data, compensated), robot.n
-        units = list(dict.fromkeys(t.unit for t in data.trials))
-        folds = np.array([units.index(t.unit) % FOLDS for t in data.trials], dtype=np.intp)
+        motion = _motions(data)
+        folds = np.array([motion[t.unit] % FOLDS for t in data.trials], dtype=np.intp)
         source.gain = known.gain if known else 1.0
         scales = known.scales if known else limit.SCALES
         rows = all_rows(source)
@@ -313,6 +314,17 @@ class Engine:
         G, _ = gram.at(sigma, kappa)
         v = full[gram.index]
         return float(v @ G @ v * kappa) / max(1, self.rows[joint].size)
+
+
+def _motions(data: Prepared) -> dict[Any, int]:
+    """Number of the motion of each unit that is held out together: into how many pieces a recording was cut says nothing."""
+    ends: dict[Any, Ends] = {}
+    for trial in data.trials:
+        at = [trial.fine.start, trial.fine.stop - 1]
+        own = Ends(data.t_fine[at], data.q_fine[at], data.dq_fine[at])
+        ends[trial.unit] = ends[trial.unit].until(own) if trial.unit in ends else own
+    recordings = uncut(list(ends.values()))
+    return {unit: list(dict.fromkeys(recordings)).index(r) for unit, r in zip(ends, recordings, strict=True)}
 
 
 def _put(values: tuple[float, ...], j: int, value: float) -> tuple[float, ...]:
