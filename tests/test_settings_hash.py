@@ -39,7 +39,6 @@ LEFT_OUT = (
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA", FORMAT),
-    ("stopset.artifact.taped", "*", CODES),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA ZONOTOPES LAGS", FORMAT),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),

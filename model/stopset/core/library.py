@@ -23,6 +23,7 @@ ffi: Any = _binding.ffi
 lib: Any = ffi.dlopen(str(HERE / library_name()))
 _DOUBLES, _INTEGERS, _FLAGS = (ffi.typeof(f"{kind}[]") for kind in ("double", "int64_t", "uint8_t"))
 REASONS = {
+    lib.STOPSET_OUT_OF_RANGE: "a place outside its array; expected one within: please report this",
     lib.STOPSET_TOO_MANY_JOINTS: f"the arm has too many joints; expected 1 to {lib.STOPSET_JOINTS}: "
     "describe the chain that is monitored alone",
 }

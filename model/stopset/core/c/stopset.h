@@ -20,7 +20,8 @@
 /* cffi begin */
 enum {
     STOPSET_OK = 0,
-    STOPSET_TOO_MANY_JOINTS = 1 /* n is not within 1..STOPSET_JOINTS */
+    STOPSET_TOO_MANY_JOINTS = 1, /* n is not within 1..STOPSET_JOINTS */
+    STOPSET_OUT_OF_RANGE = 2     /* a place outside the array it counts in */
 };
 #define STOPSET_JOINTS 32
 
@@ -252,6 +253,47 @@ STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const 
 /* Sorted terms of a + factor b, into key and value (A + B,); returns how many. */
 STOPSET_API int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
                                        double factor, int64_t *key, double *value);
+
+/* ---- rows.c: the diagnosis' rows; `first`, `start` (N,): a new trial, a new run of rows begins */
+
+/* Smoothed over about +-3 rows within each trial. */
+STOPSET_API void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out);
+/* x late by whole + part rows, part in [0, 1): cubic interpolation, held at the ends. */
+STOPSET_API void stopset_shifted(int64_t N, const double *x, int64_t whole, double part, double *out);
+/* out (rows, columns): rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
+STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width,
+                                 const double *h, double *out);
+
+typedef struct {
+    int64_t order;
+    const double *a, *sd; /* (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, and its deviation */
+} StopsetPredictor;
+
+/* Rows (N, columns) less their prediction, over its deviation; back again; and the adjoint. */
+STOPSET_API void stopset_whiten(const StopsetPredictor *predictor, int64_t N, int64_t columns, const double *X, const uint8_t *start,
+                                double *out);
+STOPSET_API void stopset_coloured(const StopsetPredictor *predictor, int64_t N, const double *e, const uint8_t *start, double *out);
+STOPSET_API void stopset_whiten_adjoint(const StopsetPredictor *predictor, int64_t N, const double *r, const uint8_t *start, double *out);
+/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2): sums of r times sine and cosine; work (2, R). */
+STOPSET_API void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
+                                         double *work, double *a, double *b);
+/* Sums of squares and products of the whitened sines and cosines; work (2 order + 4, R). */
+STOPSET_API void stopset_ripple_power(const StopsetPredictor *predictor, int64_t N, const double *q, const double *fade,
+                                      const uint8_t *start, int64_t R, double n, double step, double *work, double *ss, double *cc,
+                                      double *sc);
+
+typedef struct {
+    const double *M, *g;  /* (N,) inertia [kg m^2], gravity's stiffness [N m/rad] */
+    const uint8_t *first;
+    double K, D;          /* [N m/rad], [N m s/rad] */
+} StopsetSwing;
+
+/* Position, speed, acceleration (N,) of a link against its motor under `link` (N,) [N m], from x0, dx0 at each first row. */
+STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const double *link, const double *x0, const double *dx0, double dt,
+                               int parts, double *out, double *rate, double *acc);
+/* State at the first rows: from rest under `rest` (N,) [N m], `steps` steps of h [s] under the row's torque; not a number: bent. */
+STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double h,
+                             double *x0, double *dx0);
 /* cffi end */
 
 #endif
