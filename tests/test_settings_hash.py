@@ -38,6 +38,7 @@ LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
+    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA", FORMAT),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA ZONOTOPES LAGS", FORMAT),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
@@ -53,7 +54,6 @@ LEFT_OUT = (
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
-    ("stopset.offline.conform.windows", "_BELOW_SIGN", "a bit pattern"),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "LEFT_OUT CARRIED", ROLES),
     ("stopset.offline.diagnose.diagnose", "MOVE TWO_SIDES", WORDS),
@@ -93,6 +93,7 @@ LEFT_OUT = (
     ("stopset.ring.slope", "ZERO", "zero"),
     ("stopset.ring.tape", "*", CODES),
     ("stopset.ring.taylor", "MEMORY_LIMIT _KEY_BITS _TERM_BYTES _WORK_BYTES", BUDGET),
+    ("stopset.ring.tape", "*", CODES),
     ("stopset.robot.rigid", "_ARM", CODES),
     ("stopset.robot.arm", "_KNOWN", "names of a data sheet's fields"),
 )  # fmt: skip
