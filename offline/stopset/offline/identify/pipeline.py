@@ -55,7 +55,10 @@ def identified(
     tell("reading the recordings")
     tally, stops = tallied(source)
     found = tally.survey()
-    check_signals(robot, meta, found.sample)
+    told = check_signals(robot, meta, found.sample)
+    for text in told:
+        tell(text)
+    meta = replace(meta, warnings=(*meta.warnings, *told))
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out

@@ -131,7 +131,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
         chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
     nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*BASE, *asked, *(g.name for g in chosen)))))
-    check_torque(cad, meta, nominal.data)
+    strange = check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")
@@ -143,7 +143,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
     )
-    notes = (*(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     doubt = of_regression(cad, nominal, found.sample)
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen)
 
