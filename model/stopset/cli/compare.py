@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     found = compare(model, args.data)
     say(_over(model, found))
-    say(f"{'joint':<22}{'torque':>9}{"in full":>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
+    say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in found.figures.items():
         keys = ("torque_rmse", "torque_rmse_known", "torque_rmse_floor", "velocity_rmse", "position_rmse")
         cells = zip((row[k] for k in keys), (9, 9, 9, 10, 10), strict=True)

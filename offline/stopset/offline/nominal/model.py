@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -138,7 +138,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     arm = nominal.robot(cad)
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
-    inertia = _mean_inertia(arm, nominal.rotor, found)
+    inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=found.noise.hi[robot.n :]
@@ -153,6 +153,16 @@ def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     mean: Array = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
     return mean
+
+
+def shared_inertia(robot: Robot, effects: Sequence[Fitted]) -> Array:
+    """(n, n) [kg m^2]: inertia of motors that turn with two joints, beside the diagonal."""
+    out = np.zeros((robot.n, robot.n))
+    for f in effects:
+        if f.effect == "coupled_wrist" and len(f.joints) == 2:
+            i, j = map(robot.joints.index, f.joints)
+            out[i, j] = out[j, i] = f.values["J"]
+    return out
 
 
 def _shows(fitted: Fitted) -> bool:
