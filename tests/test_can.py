@@ -192,7 +192,7 @@ def test_other_nodes_and_emergencies_are_told_apart() -> None:
     _, frames = one_cycle()
     noise = [(0x703, b"\x05"), (0x203, bytes(8)), (0x085, b"\x50\x23\x01\xdf\0\0\0\0"), (0x000, b"\1\0")]
     out = [d.frame(cob, data, 0.0) for cob, data in [frames[0], *noise, *frames[1:]]]
-    assert out[-1] is not None and d.unknown == 4 and d.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
+    assert out[-1] is not None and d.unknown == 4 and d.nodes.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
 
 
 def test_numbers_that_do_not_fit_are_refused_not_clipped() -> None:

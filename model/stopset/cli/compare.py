@@ -44,10 +44,12 @@ def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
     from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
+    from stopset.offline.compare.verdict import verdict
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
     found = compare(model, args.data)
+    say(verdict(found).text)
     say(_over(model, found))
     say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in found.figures.items():

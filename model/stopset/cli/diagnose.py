@@ -30,6 +30,8 @@ def run(args: argparse.Namespace) -> int:
     recordings = read_recordings(args.data, model.robot)
     found, against = diagnose_model(model, recordings, names)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
+    for note in found.notes:
+        say(f"note: {note}")
     for rank, r in enumerate(found.ranked, start=1):
         say(
             f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"

@@ -17,7 +17,9 @@ from stopset.sets import Box
 Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
-AVERAGING = 0.2  # [s] torque errors are averages over such windows, a stop's length: momentum balance, no differentiation
+AVERAGING = (
+    0.2  # [s] torque errors and deviations are averages over such windows, a stop's length: momentum balance, no differentiation
+)
 KINDS = ("torque", "velocity", "position")
 TOGETHER = 128  # trials simulated side by side
 LONGEST = 5.0  # [s] open-loop predictions are compared up to here

@@ -14,6 +14,7 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import explained, partial_residual
+from stopset.offline.compare.verdict import verdict
 from stopset.offline.conform.bands import narrower
 from stopset.offline.report.page import COLOURS, Page
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
@@ -31,13 +32,8 @@ SCALE = "RdYlBu_r"  # blue: first or cold, red: last or hot
 def page(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Page:
     """The report of ``stopset compare``."""
     out = Page(f"{model.robot.name}: model and measurements")
-    count = len(found.violations)
-    if count:
-        out.verdict(f"Not conformant: {count} of {len(found.rows)} recordings leave the predicted sets.", "bad")
-    else:
-        out.verdict(f"Conformant: all {len(found.rows)} recordings stay inside the predicted sets.", "good")
-    if found.outside_domain:
-        out.verdict(f"{found.outside_domain} recordings leave the model's domain; there the model promises nothing.", "bad")
+    said = verdict(found)
+    out.verdict(said.text, said.kind)
     out.text(model.guarantee.text)
     _errors(out, found)
     _tubes(out, model, found, paths)

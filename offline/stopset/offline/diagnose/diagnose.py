@@ -11,8 +11,9 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.doubt import doubt, within
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
@@ -22,19 +23,12 @@ from stopset.offline.diagnose.explain.residual import Dependence, dependences, s
 from stopset.offline.diagnose.explain.uncertainty import deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import SENSORS, THRESHOLD, Claim, Found, search
+from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
-QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
-WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
-PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
-PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
-TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
-STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
-HANDFUL = 5  # claims at most; the next ones are what imperfect laws of the first ones leave, one after another
-RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +95,7 @@ class Diagnosis:
     trials: int = 0
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    notes: tuple[str, ...] = ()  # on what the recordings were measured against
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
@@ -139,9 +134,10 @@ class Diagnosis:
                 for u in self.unexplained
             ],
             "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
-            "threshold": THRESHOLD,
+            "threshold": limit.THRESHOLD,
             "trials": self.trials,
             "rows": self.rows,
         }
@@ -216,7 +212,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
-        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], PATTERN)
+        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
         "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
         "missing": lambda: advice.to_decide(rivals),
@@ -247,22 +243,22 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
-    robot, known, against = baseline(model, recordings)
+    base = baseline(model, recordings)
     fitted = settled(model)
     if not any(moves(r) for r in recordings):
-        return standing(robot, recordings, fitted), against
-    found = answered(examine(robot, recordings, fitted, known=known), names)
+        return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
+    found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims)), against
+    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes), base.against
 
 
 def moves(r: Recording) -> bool:
     """Whether a trial is one in which some joint moves."""
-    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
+    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > limit.STANDING)
 
 
 def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
@@ -329,7 +325,7 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(doubts) if not why][:HANDFUL]
+    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
     errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
     out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
@@ -337,7 +333,7 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
-        why = doubts[k] or ("" if k in errors else f"{HANDFUL} effects are named already: the rest is told in sum")
+        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
@@ -389,15 +385,15 @@ def _left(found: Found, engine: Engine) -> _Left:
         if len(engine.rows[j].take) < 100:
             continue
         ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
-        if slow_excess(engine, p.theta, hyper, j) > WANDER:
+        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
-        if ranked[0].gain > PATTERN:
+        if ranked[0].gain > limit.PATTERN:
             depends[j] = ranked
-            if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
+            if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
-    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
     return _Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
 
 
@@ -416,7 +412,7 @@ def _telling(claims: Sequence[Claim]) -> bool:
     """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
     for c in claims:
         for before, after in zip(c.excess_before, c.excess_after, strict=True):
-            if before > SENSORS and before - after > TELLING * (before - 1.0):
+            if before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0):
                 return True
     return False
 
@@ -435,7 +431,7 @@ def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
     out = []
     for j, joint in enumerate(x.engine.data.joints):
         doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
-        if x.found.excess[j] > QUIET or j in x.left.depends or doubted:
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or doubted:
             names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
             out.append(Unexplained(joint, float(error[j]), names, doubted))
     return tuple(out)

@@ -17,6 +17,7 @@ from stopset.offline.conform.gather import Kept, Sums
 from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
@@ -122,7 +123,7 @@ def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalP
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
-        "settings_sha256": settings.sha256,
+        "settings_sha256": settings_sha256(settings),
         # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
         "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
         "data": _sources(meta),

@@ -19,7 +19,7 @@ from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
-from stopset.offline.nominal.prior import Tolerance, prior_of
+from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
 from stopset.recording.types import Array, Meta
@@ -176,7 +176,7 @@ def _torque(
     out = [*against, *(f for f in sign if f.joint not in told)]
     if out or torn:
         return out
-    delay = estimate_delay(data, prior_of(robot, Tolerance()))
+    delay = estimate_delay(data, prior_of(robot))
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
     return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
 

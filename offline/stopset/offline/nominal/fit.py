@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from stopset.offline.nominal.floor import Floor
 from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
-from stopset.offline.nominal.normal_equations import Layout, NormalEquations
+from stopset.offline.nominal.normal_equations import TOGETHER, Layout, NormalEquations
 from stopset.offline.nominal.physical import consistent, solve_consistent
 from stopset.offline.nominal.prior import Prior
 from stopset.offline.nominal.qp import solve_qp
@@ -19,7 +19,6 @@ from stopset.recording.types import Array
 
 ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
-ASSUMED_INFLATION = 10.0  # then errors are taken to hang together over half a second, at 20 rows per second
 MOST_INFLATION = 1000.0
 ASSUMED_SPREAD = 0.02  # of friction from motion to motion, where one motion cannot tell
 ASSUMED_FREEDOM = 4.0  # motions that the assumed spread counts for beside those seen
@@ -128,7 +127,7 @@ def _inflation(data: NormalEquations, moving: Array, j: int, index: NDArray[np.i
     """How much wider errors are than for independent rows, from the scores of whole groups of motions."""
     groups = np.flatnonzero(data.rows_moving[:, j] > 0)
     if len(groups) < FEW_GROUPS:
-        return ASSUMED_INFLATION
+        return TOGETHER
     cut = np.r_[0 : len(index), moving.shape[-1] - 1]
     G = moving[groups, j][:, cut][:, :, cut]
     scores = G[:, :-1, -1] - G[:, :-1, :-1] @ theta
@@ -154,7 +153,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     p = problem_of(layout, moving.sum(axis=0), still, rows, rows_still)
     variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
     variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
-    inflation, scale = np.full(n, ASSUMED_INFLATION), 1.0
+    inflation, scale = np.full(n, TOGETHER), 1.0
     m = len(prior.mean)
     for _ in range(ROUNDS):
         w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)

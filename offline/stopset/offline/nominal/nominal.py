@@ -145,7 +145,7 @@ def solve_nominal(
             f"no usable sample: {data.recordings} moving trials, {data.poses} poses, left out {data.skipped or 'none'}; "
             "expected motor torque over at least one motion of a second, or poses approached from both sides"
         )
-    prior = prior_of(robot, tolerance or Tolerance())
+    prior = prior_of(robot, tolerance)
     lag, applied, notes = _delay(data, prior, delay)
     moving, still = _at_lag(data, applied)
     result = fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)

@@ -29,6 +29,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
 GROUPS = 32
+TOGETHER = 10.0  # rows whose errors count as one where nothing tells it: half a second, at 20 rows per second
 DELAYS: Array = 0.006 * np.arange(-10, 11, dtype=np.float64)  # [s] torque is kept at these lags; 6 ms resolves 15 Hz to 0.3 %
 STILL_PHASES = ("static",)
 BRAKED_PHASES = ("stop0", "stop1")  # the brake's torque is not in tau

@@ -100,10 +100,10 @@ def by_evidence(
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.tell("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
-    robot, known, _ = baseline(judge.model, recordings)
+    base = baseline(judge.model, recordings)
     had = settled(judge.model)
     kept = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(robot, recordings, names, had, known)
+    answer = estimates(base.robot, recordings, names, had, base.known)
     found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")

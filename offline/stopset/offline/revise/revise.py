@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stopset.artifact import Model, Revision
-from stopset.errors import EffectError, ModelFileError
+from stopset.errors import EffectError, ModelFileError, NotCovered
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
@@ -144,17 +144,21 @@ def description(model: Model) -> Robot:
 
 
 def stop_figures(model: Model, seen: Model) -> dict[str, float]:
-    """``stop0_angle``: mean STOP 0 angle bound [rad] over single-axis stops from the largest speed and mid pose that ``seen``
-    saw; empty where not every one of them can be proved."""
-    angles = []
-    for joint in range(model.n):
+    """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that ``seen`` saw: ``stop0_angle``
+    the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved, as with an effect that no stop
+    is bounded with."""
+    angles = {}
+    for joint, name in enumerate(model.joints):
         speed = np.zeros(model.n)
-        speed[joint] = np.abs([seen.domain.dq.lo[joint], seen.domain.dq.hi[joint]]).max()
-        bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        speed[joint] = max(seen.domain.dq.lo[joint], seen.domain.dq.hi[joint], key=abs)
+        try:
+            bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        except NotCovered:
+            return {}
         if bound is None:
             return {}
-        angles.append(float(bound[joint]))
-    return {"stop0_angle": float(np.mean(angles))}
+        angles[f"stop0_angle:{name}"] = float(bound[joint])
+    return {"stop0_angle": float(np.mean(list(angles.values())))} | angles
 
 
 def settings_of(model: Model) -> Settings:

@@ -29,6 +29,7 @@ from stopset.offline.conform.gather import Kept, Sums
 from stopset.offline.conform.linear_sets import Gathered
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
@@ -52,7 +53,7 @@ def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
         "format": FORMAT,
         "schema": SCHEMA,
         "model_sha256": model.sha256,
-        "settings_sha256": settings_of(model).sha256,
+        "settings_sha256": settings_sha256(settings_of(model)),
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
         "doubt": kept.nominal.doubt.tolist(),
@@ -104,7 +105,7 @@ def load_sums(path: str | Path, model: Model) -> Kept:
             f"{path} belongs to the model {str(head.get('model_sha256'))[:16]}..., not to {model.sha256[:16]}...; give the model it was "
             "kept with"
         )
-    if head.get("settings_sha256") != settings_of(model).sha256:
+    if head.get("settings_sha256") != settings_sha256(settings_of(model)):
         raise ModelFileError(
             f"{path} was kept under other settings than the model's, or by a stopset whose algorithm has other constants; identify "
             "again with --keep"

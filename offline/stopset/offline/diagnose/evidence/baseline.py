@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Known
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -15,8 +16,18 @@ from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques
 
 
-def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None, str]:
-    """The robot to measure these recordings against, what else is known of it, and where that comes from.
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """The robot to measure recordings against, what else is known of it, where that comes from, and what is to be told of it."""
+
+    robot: Robot
+    known: Known | None
+    against: str
+    notes: tuple[str, ...] = ()
+
+
+def baseline(model: Model, recordings: Recordings) -> Baseline:
+    """What these recordings are measured against.
 
     Recordings that the model was identified from can't show a shifted mass against it: the fit has absorbed that.  They are
     measured against the robot description and data sheet.  Other recordings are measured against the model.
@@ -24,7 +35,7 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
     described = robot_from_text(model.robot.urdf, model.robot.datasheet)
     own = set(dict(model.provenance.get("data", {})).values())
     if own & {digest for _, digest in recordings.meta.sources}:
-        return described, None, "robot description and data sheet"
+        return Baseline(described, None, "robot description and data sheet")
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction = np.zeros((model.n, 2))
     for f in model.effects:
@@ -32,7 +43,8 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
             if f.effect == effect and f.joint in model.joints:
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
-    return robot, Known(friction, drive_gain(described, robot, recordings)), "identified model"
+    gain, notes = drive_gain(described, robot, recordings)
+    return Baseline(robot, Known(friction, gain), "identified model", notes)
 
 
 def settled(model: Model) -> tuple[Fitted, ...]:
@@ -41,8 +53,8 @@ def settled(model: Model) -> tuple[Fitted, ...]:
     return tuple(f for f in model.effects if f.label not in chosen)
 
 
-def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> float:
-    """Recorded over true torque: the identified gravity torque over the described one, all joints together.
+def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> tuple[float, tuple[str, ...]]:
+    """Recorded over true torque: the identified gravity torque over the described one, all joints together; and notes.
 
     A torque constant that is off scales every identified mass, and every new load with them.  Taken over all joints, the
     heavy inner links decide, whose masses a tool or cables hardly change.
@@ -50,5 +62,13 @@ def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> f
     q = np.concatenate([r.q[:: max(1, len(r.q) // 200)] for r in recordings])
     ours, theirs = (gravity_torques(r.chain, r.pi, np.ascontiguousarray(q)) for r in (identified, described))
     total = float(np.sum(theirs**2))
-    gain = float(np.sum(ours * theirs)) / total if total > 0 else 1.0
-    return gain if 0.5 < gain < 2.0 else 1.0
+    if total == 0:
+        return 1.0, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
+    gain, (least, most) = float(np.sum(ours * theirs)) / total, limit.GAIN
+    if least < gain < most:
+        return gain, ()
+    return 1.0, (
+        f"the identified gravity torque is {gain:.2g} times what the robot description says; expected {least:g} to {most:g}, which a "
+        "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded torque "
+        "as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)",
+    )
