@@ -10,6 +10,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.offline.compare.metrics import AVERAGING
+from stopset.offline.nominal.model import shared_inertia
 from stopset.recording import Recording
 from stopset.recording.types import Array
 from stopset.robot.rigid import gravity_torques, torques
@@ -23,6 +24,7 @@ def left_over(model: Model, r: Recording, u: Array, dt: float) -> Array:
     ddq = np.gradient(r.dq, dt, axis=0)
     chain, pi, q = model.robot.chain, model.robot.pi, np.ascontiguousarray(r.q)
     needed = torques(chain, pi, q, np.ascontiguousarray(r.dq), ddq) - gravity_torques(chain, pi, q) + model.rotor * ddq
+    needed = needed + ddq @ shared_inertia(model.robot, model.effects)
     for power, v in enumerate(model.abstraction.viscous.T, start=1):
         needed = needed + v * r.dq**power
     left = u - needed
