@@ -53,6 +53,7 @@ from stopset.offline.nominal import (
     normal_equations,
     open_loop,
     output_error,
+    pair_choice,
     parameter_uncertainty,
     physical,
     preprocess,
@@ -72,7 +73,7 @@ SCHEMA = 1  # of the hash: counted up when a name changes or the way values are 
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
-    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED"),
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
     ("robot", arm, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),
@@ -86,6 +87,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
+    ("coupled pairs", pair_choice, "EFFECT TELLS LOOKED_AT"),
     ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
@@ -124,7 +126,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("stop energy", energy, "CLAIMS ROUNDING"),
-    ("failed stops", failed, "SLICES NARROW CELLS FAST_CELLS ANGLE_WEIGHT"),
+    ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
     ("stop accelerations", moving, "ROUNDING"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
