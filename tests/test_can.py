@@ -20,6 +20,7 @@ from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
 from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
@@ -86,6 +87,18 @@ def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
     finally:
         hears.close()
         sender.close()
+
+
+def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
+    ours = Stamps()
+    assert ours(1e9, 1e9 + 0.01) == 1e9
+    assert ours(1e9, 1e9 + 70.0) == 1e9, "after standing still for long, what waited is old"
+    assert ours(float("nan"), 1e9) == 0.0 and ours(float("inf"), 1e9) == 0.0
+    theirs = Stamps()
+    assert theirs(5.0, 1e9) == 1e9
+    assert theirs(6.0, 1e9 + 1.3) == pytest.approx(1e9 + 1.0, abs=2e-3), "0.3 s late"
+    assert theirs(7.0, 1e9 + 70.0) == pytest.approx(1e9 + 2.0, abs=0.1)
+    assert theirs(70.0, 1e9 + 65.0 + 0.01) == pytest.approx(1e9 + 65.0, abs=0.02)
 
 
 def test_a_listener_has_nothing_to_send_with() -> None:
