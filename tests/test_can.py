@@ -200,6 +200,19 @@ def test_a_lost_frame_costs_its_cycle_and_the_next() -> None:
     assert [x.counter for x in cycles(a[3:] + b + c)] == [3], "a cycle joined in the middle is not believed"
 
 
+def test_a_lost_sync_does_not_mix_two_cycles() -> None:
+    """The first PDO of a cycle is lost, and the SYNC after it: the next cycle's first PDO would complete this one."""
+    three = [one_cycle(k)[1] for k in range(4)]
+    stream = [(DT * k + 1e-5 * i, cob, data) for k, frames in enumerate(three) for i, (cob, data) in enumerate(frames)]
+    mixed = [f for f in stream if f not in (stream[1], stream[13])]
+    d = Decoder(PROFILE)
+    assert [c.counter for t, cob, data in mixed if (c := d.frame(cob, data, t)) is not None] == [4]
+    # a cycle that merely comes late is given out when the next SYNC shows that none was lost
+    d = Decoder(PROFILE)
+    late = [(t + (0.9999 * DT - 1e-5 if 0 < i < 13 else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:26])]
+    assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1, 2]
+
+
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
     d = Decoder(PROFILE)
     _, frames = one_cycle()

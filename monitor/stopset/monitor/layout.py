@@ -183,7 +183,8 @@ def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.flo
 class Signer(Protocol):
     """A key's number, and the authentication code it makes of some bytes; see `stopset.monitor.authentication`."""
 
-    key_id: int
+    @property
+    def key_id(self) -> int: ...
 
     def code(self, data: bytes | bytearray) -> bytes: ...
 

@@ -99,7 +99,7 @@ class CanSource:
     _stamps: Stamps = field(default_factory=Stamps)
 
     def __post_init__(self) -> None:
-        self.decoder = Decoder(self.profile)
+        self.decoder = Decoder(self.profile, self.cycle_s)
         self._count = CycleCount(self.cycle_s, self.profile.sync_overflow)
         p = self.profile
         self.quantum = Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau"))
