@@ -118,9 +118,10 @@ class Decoder:
     """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
 
     A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
-    serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given out
-    if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period after their SYNC, perhaps by the next one's
-    frames, and for `HOLD` after a loss all, because what was lost may still come.  What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's.
+    serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given
+    out if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period
+    after their SYNC, perhaps by the next one's frames, and for `HOLD` after a loss all, because what was lost may still come.
+    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's.
     """
 
     profile: Profile
