@@ -65,7 +65,17 @@ def outside(name: str, law: object, count: int = 1) -> Effect:
     return Effect(name, "Somebody else's.", "q", terms, law, "compensation", "khalil2007", ("q", "dq", "load"))  # type: ignore[arg-type]
 
 
-OTHERS = (outside("wrapped", wrapped, 2), outside("of_acceleration", of_acceleration), outside("jumping", jumping))
+def driving(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """Damping of the wrong sign, if its size is below zero."""
+    return (s.dq,)
+
+
+OTHERS = (
+    outside("wrapped", wrapped, 2),
+    outside("driving", driving),
+    outside("of_acceleration", of_acceleration),
+    outside("jumping", jumping),
+)
 WRAPPED = (Fitted("wrapped", JOINTS[4], {"k0": 4.0, "k1": 0.5}, {"k0": 0.1, "k1": 0.01}),)
 
 
@@ -284,6 +294,15 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     assert pi[0] == pi[1]
     for name in (f.name for f in fields(StopData) if f.name != "refusal"):
         assert np.array_equal(getattr(stop_data(told), name), getattr(stop_data(same), name)), name
+
+
+def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was_asked_for(others: None) -> None:
+    model = hiding((Fitted("driving", JOINTS[0], {"k0": -9.0}),))
+    torques = torques_of(model)
+    assert not torques.settled and torques.speed[0] == pytest.approx(1.26)
+    q = Box.point(np.zeros(6))
+    push = [torques.over(q, np.full(6, v)).push.hi[0] for v in (1.0, 2.0)]
+    assert push[1] == pytest.approx(2.0 * push[0]) and push[0] >= 4.0
 
 
 def test_what_the_abstraction_damps_by_is_friction_where_no_effect_says_better() -> None:

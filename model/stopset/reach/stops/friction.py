@@ -155,6 +155,9 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
             if any(np.any(getattr(here, k)[row] != getattr(fast, k)[row]) for k in ("dry", "viscous", "push")):
                 speed[i] = fastest[i]
         _put(fixed, g, here)
+    # damping below zero pushes the more the faster the joint goes
+    drives = np.maximum(fixed[RUBS_VISCOUS, :, 0], 0.0) + fixed[VISCOUS, :, 0] < 0.0
+    speed = np.where(drives, np.minimum(speed, fastest), speed)
     first = _friction(fixed, fastest)
     out = Torques(groups, tuple(roaming), body, gear, model.domain.temp, base, fixed, speed, fastest, first)
     q = Box(model.domain.q.lo - BEYOND, model.domain.q.hi + BEYOND)
