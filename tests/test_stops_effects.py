@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stopset.offline.known import described
 
 import stopset.effects.registry as registry
 from stopset.artifact import Model, save_model
@@ -26,7 +27,6 @@ from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.watch import Quantum
-from stopset.offline.known import described
 from stopset.offline.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import torques_of

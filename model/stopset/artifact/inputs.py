@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
+from stopset.artifact.taped import taped
 from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.memory import along, coefficients, stepped
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
 from stopset.errors import EffectError
 from stopset.robot import Robot
-from stopset.robot.rigid import gravity_torques
 
 Array = NDArray[np.float64]
 Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
@@ -71,24 +70,9 @@ class InputMap:
 
         Effects with memory need the times ``t`` (N,) [s], or their states ``memories`` where the caller carries these.
         """
-        u = tau / self.gain - self.offset
-        if self.effort != "compensated_torque":
-            u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
-        active = self.effects
-        if not active:
-            return np.asarray(u)
         if memories is None:
-            memories = memories_along(self.robot, active, q, dq, temp=temp, warm=warm, t=t)
-        more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t, "memories": memories}
-        still = np.abs(dq) <= self.standstill
-        moving = u - effect_torques(self.robot, active, q, dq, **more)
-        if self.effort == "compensated_torque" or not still.any():
-            return np.asarray(moving)
-        rest = np.zeros_like(dq)
-        ahead = effect_torques(self.robot, active, q, rest, way=1.0, **more)
-        back = effect_torques(self.robot, active, q, rest, way=-1.0, **more)
-        held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
-        return np.where(still, u - held, moving)
+            memories = memories_along(self.robot, self.effects, q, dq, temp=temp, warm=warm, t=t)
+        return taped(self)(self, q, dq, tau, temp, warm, t, memories)
 
 
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:

@@ -19,15 +19,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
     from stopset.artifact import load_model
-    from stopset.offline.compare import answer, compare
+    from stopset.offline.compare.compare import answer, compare
+    from stopset.offline.compare.tightness import table
+    from stopset.offline.compare.verdict import verdict
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
     found = compare(model, args.data)
+    say(verdict(found).text)
     say(f"{'joint':<22}{'torque':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in found.figures.items():
         cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
+    for line in table(found.tightness, tuple(found.figures)):
+        say(line)
     for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
         say(
             f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} {v.unit} "
@@ -40,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, answer(model, found))
     if args.report:
-        from stopset.offline.compare_page import page
+        from stopset.offline.compare.page import page
 
         page(model, found, args.data).save(args.report)
         say(f"report {args.report}")

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.report:
         from stopset.fmu.variables import variables
-        from stopset.offline.report import Page
+        from stopset.offline.report.page import Page
 
         page = Page(f"{model.robot.name} as FMU")
         page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, for {', '.join(platforms)}.")

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.robot.rigid import Array, Chain, link_frames
+from stopset.robot.jit import link_frames
+from stopset.robot.rigid import Array, Chain
 
 
 class Curvature(NamedTuple):

@@ -18,8 +18,8 @@ from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
+HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 
 
 def rotor_of(model: Model) -> Box:
@@ -49,10 +49,13 @@ class Setting:
     free: Box  # (n,) [N m] U and what may be the drives' offset: torque that belongs to no effect
     noise: Box  # (2n,) error of a measured state (q, dq)
     start: Box  # (2n,) what a power-off stop starts from, less the measured state: its error, and what the drive still gives
+    residual: Box  # (n,) [rad/s] what the drives change the speeds by while their power goes, whatever the arm did before
     apart: float | None  # [s] see `Brakes`
+    lag: Array | None  # (n,) [s] see `Brakes`
     payload: tuple[float, float]
     payload_com: Array
     assumptions: tuple[str, ...]
+    extrapolated: str = ""  # where the payload is one that no recording carried
 
     @property
     def truth(self) -> Box:
@@ -83,8 +86,10 @@ def setting_of(
     n = model.n
     lo, hi = model.domain.payload if payload is None else payload
     seen = model.domain.payload
-    if not (0.0 <= lo <= hi < np.inf or seen[0] <= lo <= hi <= seen[1]):
-        raise NotCovered(f"a payload of {lo:g} to {hi:g} kg; expected a range of finite masses from 0 kg on")
+    if not (0.0 <= lo <= hi <= HEAVIEST or seen[0] <= lo <= hi <= seen[1]):
+        raise NotCovered(
+            f"a payload of {lo:g} to {hi:g} kg; expected masses of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
+        )
     inside = seen[0] - 1e-9 <= lo and hi <= seen[1] + 1e-9
     if not inside and not extrapolate:
         raise NotCovered(beyond_payload(lo, hi, seen))
@@ -92,6 +97,11 @@ def setting_of(
     if brakes is None:
         return None
     com = np.asarray(model.robot.tip if payload_com is None else payload_com, float)
+    if com.shape != (3,) or not float(np.linalg.norm(com)) <= FARTHEST:
+        raise NotCovered(
+            f"a payload's centre at {com.tolist()} m in the last link; expected three numbers, at most {FARTHEST:g} m away: give it in "
+            "metres"
+        )
     torques = torques_of(model, (lo, hi), com)
     friction = torques.everywhere
     regime = "stop0" if "stop0" in model.sets else "powered"
@@ -118,31 +128,50 @@ def setting_of(
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
-    if not inside:
-        assumptions.append(
-            f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg; beyond that the rigid body is computed, and "
-            f"friction and U are taken not to change"
-        )
+    extrapolated = "" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg"
+    if extrapolated:
+        assumptions.append(f"{extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change")
     if np.any(rotor.width > 0):
         assumptions.append(f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2")
     assumptions += described(model)
     if np.all(friction.dry.hi == 0):
         assumptions.append("Coulomb friction unknown, taken as none")
     misread = misreadings(model, torques.fastest)
-    measured = _noise(model, sets.V, regime)
-    noise = Box(measured.lo - misread.hi, measured.hi - misread.lo)
+    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
     assumptions.append(
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
-    start = sets.X0 + misread if regime == "stop0" else Box(-noise.hi, -noise.lo)
-    if not noise.encloses(Box(-start.hi, -start.lo)):
+    start, residual = Box(-noise.hi, -noise.lo), Box.point(np.zeros(n))
+    if regime == "stop0":
+        start, residual = sets.X0 + misread, sets.X0.take(slice(n, 2 * n))
         assumptions.append(
             f"what the drives still give while their power goes changes the speeds by no more than "
-            f"{_range(start.take(slice(n, 2 * n)))} rad/s, measurement error included"
+            f"{_range(residual)} rad/s, measurement error included"
         )
+    else:
+        assumptions.append("the drives give nothing more once power is taken")
     if brakes.apart is not None:
-        assumptions.append(f"within one stop the brakes' delays lie apart by no more than {1e3 * brakes.apart:.3g} ms")
-    return Setting(model, plant, torques, free, noise, start, brakes.apart, (lo, hi), com, tuple(assumptions))
+        assumptions.append(_apart(brakes.apart, brakes.lag))
+    return Setting(
+        model,
+        plant,
+        torques,
+        free,
+        noise,
+        start,
+        residual,
+        brakes.apart,
+        brakes.lag,
+        (lo, hi),
+        com,
+        tuple(assumptions),
+        extrapolated,
+    )
+
+
+def _apart(apart: float, lag: Array | None) -> str:
+    less = "" if lag is None else f", less the {_list(lag, 1e3)} ms by which each is always later,"
+    return f"within one stop the brakes' delays{less} lie apart by no more than {1e3 * apart:.6g} ms"
 
 
 def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:
@@ -154,27 +183,25 @@ def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:
     )
 
 
-def beyond_domain(model: Model, q: Array, dq: Array) -> str | None:
-    """One sentence where a state lies outside the angles or speeds that identification has seen (trap P25), else None."""
+def beyond_domain(model: Model, q: Array, dq: Array, q_radius: Array | None = None, dq_radius: Array | None = None) -> str | None:
+    """One sentence where a state lies outside the angles or speeds that identification has seen (trap P25), else None.
+
+    With radii (n,): where all states of that box do.
+    """
     parts = []
-    for name, x, box in (("rad", q, model.domain.q), ("rad/s", dq, model.domain.dq)):
-        out = (x < box.lo - 1e-9) | (x > box.hi + 1e-9)
+    for name, x, r, box in (("rad", q, q_radius, model.domain.q), ("rad/s", dq, dq_radius, model.domain.dq)):
+        near = 1e-9 + (0.0 if r is None else r)
+        out = (x < box.lo - near) | (x > box.hi + near)
         parts += [
             f"{model.joints[i]} at {x[i]:.3g} {name}, seen [{box.lo[i]:.3g}, {box.hi[i]:.3g}]" for i in np.nonzero(out)[0]
         ]  # fmt: skip
     if not parts:
         return None
-    return f"{OUTSIDE}: {'; '.join(parts)}"
+    return "; ".join(parts)
 
 
-def _noise(model: Model, V: Box, regime: str) -> Box:
-    """Error of a measured state. ``V`` of the powered regime also holds what its model cannot explain; where the speed at
-    standstill was measured, `STANDSTILL` times that is the error of a measured speed."""
-    n, still = model.n, model.abstraction.standstill
-    if regime == "stop0" or still.shape != (n,):
-        return V
-    bound = np.concatenate([np.full(n, np.inf), STANDSTILL * np.abs(still)])
-    return Box(np.maximum(V.lo, -bound), np.minimum(V.hi, bound))
+def _list(x: Array, scale: float = 1.0) -> str:
+    return "[" + ", ".join(f"{scale * a:.6g}" for a in x) + "]"
 
 
 def _range(box: Box, scale: float = 1.0) -> str:

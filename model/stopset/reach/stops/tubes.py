@@ -91,7 +91,7 @@ def tubes_of(
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once
     apart = setting.apart if pieces > 1 or fast else None
-    for plant in reversed(windows(setting.plant, apart, FAST_WINDOWS if fast else None)):
+    for plant in reversed(windows(setting.plant, apart, setting.lag, FAST_WINDOWS if fast else None)):
         out += certify(one, plant, q, lasts, pieces, last_resort)
         if out[-1].end != OK:
             break
@@ -101,6 +101,8 @@ def tubes_of(
 def stopped_after(tube: Tube) -> Array:
     """(n,) [s]: the first knot from which each joint's speed bounds are zero."""
     moving = (tube.v_lo != 0.0) | (tube.v_hi != 0.0)
+    # the momenta may show that a joint rests at a knot, having moved since the one before
+    moving[:-1] |= (tube.e_lo != 0.0) | (tube.e_hi != 0.0)
     last = np.where(moving.any(axis=0), len(tube.t) - 1 - np.argmax(moving[::-1], axis=0), -1)
     after: Array = tube.t[np.minimum(last + 1, len(tube.t) - 1)]
     return after
