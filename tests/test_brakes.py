@@ -254,7 +254,7 @@ def test_a_stop_without_trigger_is_refused() -> None:
 def test_simulated_cells_of_the_shared_data(name: str) -> None:
     if not SHARED.is_dir():
         pytest.skip("../shared/data is not here")
-    from stopset.offline.identify import identify
+    from stopset.offline.identify.pipeline import identify
 
     data = SHARED / name / "recording.parquet"
     robot = load_robot(SHARED / name / "robot.urdf")

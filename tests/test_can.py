@@ -20,6 +20,7 @@ from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
 from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
@@ -86,6 +87,18 @@ def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
     finally:
         hears.close()
         sender.close()
+
+
+def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
+    ours = Stamps()
+    assert ours(1e9, 1e9 + 0.01) == 1e9
+    assert ours(1e9, 1e9 + 70.0) == 1e9, "after standing still for long, what waited is old"
+    assert ours(float("nan"), 1e9) == 0.0 and ours(float("inf"), 1e9) == 0.0
+    theirs = Stamps()
+    assert theirs(5.0, 1e9) == 1e9
+    assert theirs(6.0, 1e9 + 1.3) == pytest.approx(1e9 + 1.0, abs=2e-3), "0.3 s late"
+    assert theirs(7.0, 1e9 + 70.0) == pytest.approx(1e9 + 2.0, abs=0.1)
+    assert theirs(70.0, 1e9 + 65.0 + 0.01) == pytest.approx(1e9 + 65.0, abs=0.02)
 
 
 def test_a_listener_has_nothing_to_send_with() -> None:
@@ -187,12 +200,25 @@ def test_a_lost_frame_costs_its_cycle_and_the_next() -> None:
     assert [x.counter for x in cycles(a[3:] + b + c)] == [3], "a cycle joined in the middle is not believed"
 
 
+def test_a_lost_sync_does_not_mix_two_cycles() -> None:
+    """The first PDO of a cycle is lost, and the SYNC after it: the next cycle's first PDO would complete this one."""
+    five = [one_cycle(k)[1] for k in range(5)]
+    stream = [(DT * k + 1e-5 * i, cob, data) for k, frames in enumerate(five) for i, (cob, data) in enumerate(frames)]
+    mixed = [f for f in stream if f not in (stream[1], stream[13])]
+    d = Decoder(PROFILE)
+    assert [c.counter for t, cob, data in mixed if (c := d.frame(cob, data, t)) is not None] == [4]
+    # a cycle that merely comes late, its sender having been held up, is given out with the next SYNC
+    d = Decoder(PROFILE)
+    late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
+    assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
+
+
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
     d = Decoder(PROFILE)
     _, frames = one_cycle()
     noise = [(0x703, b"\x05"), (0x203, bytes(8)), (0x085, b"\x50\x23\x01\xdf\0\0\0\0"), (0x000, b"\1\0")]
     out = [d.frame(cob, data, 0.0) for cob, data in [frames[0], *noise, *frames[1:]]]
-    assert out[-1] is not None and d.unknown == 4 and d.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
+    assert out[-1] is not None and d.unknown == 4 and d.nodes.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
 
 
 def test_numbers_that_do_not_fit_are_refused_not_clipped() -> None:
@@ -297,7 +323,7 @@ def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.Capt
         assert word in capsys.readouterr().err
     assert not (tmp_path / "out.parquet").exists(), "nothing is written"
     r = motion(0, 20)
-    uneven = Recording(*r.key, 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
+    uneven = Recording(*r.key[1:], 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
     with pytest.raises(RecordingError, match="even cycle"):
         recorded([uneven])
     write_recordings(tmp_path / "r.parquet", meta(), [r])

@@ -132,7 +132,7 @@ def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, lo
             np.all((p.travel[:, 0] <= a) & (a <= p.travel[:, 1]) & (p.share[:, 0] <= s) & (s <= p.share[:, 1]))
             for p in (x.cell for x in found.parts)
         )
-    assert found.tried <= budget and found.loose == sum(energetic for _, energetic in tried) or not loose
+    assert (found.tried <= budget and found.loose == sum(energetic for _, energetic in tried)) or not loose
 
 
 def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() -> None:

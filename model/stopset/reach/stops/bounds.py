@@ -17,7 +17,7 @@ from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import FAST_KNOTS, fastest, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.reach.stops.words import (
     BY_ENERGY,
@@ -33,6 +33,7 @@ from stopset.reach.stops.words import (
     ramp_assumptions,
 )  # fmt: skip
 from stopset.robot.rigid import gravity_torque, link_frames
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 SWEEPS = 4  # capsules per link and tube
@@ -178,7 +179,9 @@ class StopBounds:
 
     def _working_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array, category: Category) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp, plant = self.ramp, self.setting.plant
+        ramp, tube = self.ramp, ramp_tube(self.ramp, dq - dq_radius, dq + dq_radius)
+        swept = Box(q - q_radius + tube.d_lo.min(axis=0), q + q_radius + tube.d_hi.max(axis=0))
+        plant = self.setting.near(self.setting.plant, swept, fastest(tube))
         assumptions = (*self.setting.assumptions, *ramp_assumptions(ramp, category))
         time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
         if time is None:
@@ -190,7 +193,6 @@ class StopBounds:
         margin = self.margin(q, q_radius)
         if refusal:
             return self._refused(category, refusal, q)
-        tube = ramp_tube(ramp, dq - dq_radius, dq + dq_radius)
         fallback = None
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
@@ -275,7 +277,7 @@ class StopBounds:
             category, True, BY_ENERGY if by_energy else "", time=time,
             forward=np.maximum(np.max([t.d_hi.max(axis=0) for t in tubes], axis=0), 0.0),
             back=np.maximum(-np.min([t.d_lo.min(axis=0) for t in tubes], axis=0), 0.0),
-            speed=np.max([_fastest(t) for t in tubes], axis=0),
+            speed=np.max([fastest(t) for t in tubes], axis=0),
             tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links[:, 0], link_speed=links[:, 1],
             holding_margin=margin, assumptions=assumptions, layer=layer,
             motion=PointSets(
@@ -294,7 +296,8 @@ class StopBounds:
     def margin(self, q: Array, radius: Array | None = None) -> Array:
         """(n,) [N m]: what brakes and dry friction surely leave over when holding the arm anywhere in ``q +- radius``."""
         assert self.setting is not None
-        p = self.setting.plant
+        wide = np.zeros(self.model.n) if radius is None else radius
+        p = self.setting.near(self.setting.plant, Box(q - wide, q + wide), np.zeros(self.model.n))
         g = [gravity_torque(p.chain, p.pi + s * p.pi_half, q) for s in (-1.0, 1.0)]
         more = np.zeros(self.model.n)
         if radius is not None:
@@ -303,13 +306,6 @@ class StopBounds:
         low, high = np.minimum(*g) - p.u_hi - more, np.maximum(*g) - p.u_lo + more
         out: Array = p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high))
         return out
-
-
-def _fastest(tube: Tube) -> Array:
-    """(n,) [rad/s] largest speed of a tube, between its knots too."""
-    knots = np.maximum(np.abs(tube.v_lo), np.abs(tube.v_hi)).max(axis=0)
-    out: Array = np.maximum(knots, np.maximum(np.abs(tube.e_lo), np.abs(tube.e_hi)).max(axis=0))
-    return out
 
 
 def stop(model: Model, q: ArrayLike, dq: ArrayLike, category: Category = "0") -> StopBound:

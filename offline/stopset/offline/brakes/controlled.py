@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from stopset.offline.brakes.bands import farther, hull
+from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import STILL, Ramp
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 KINDS = ("time", "deceleration")
-WIDENINGS = 6
-WIDEN = 1.15
 START = 0.005  # [s] delay to start the fit from
 SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less
 CONTROL = 2e-3  # [s] least standard deviation of the ramp's start between stops
@@ -39,7 +37,7 @@ def ramp_from(
     """The same from the ramps of single stops, for either kind of ramp one per training stop."""
     n = train[0].q.shape[1]
     kind = min(fits, key=lambda k: sum(f.misfit for f in fits[k]))
-    suites = [r.suite for r in train]
+    suites = [r.suite_key for r in train]
     control = _band_of([f.control for f in fits[kind]], suites)
     value = _band_of([f.value for f in fits[kind]], suites)
     # a programmed motion that speeds up slows down again, and may begin to while the ramp slows it further
@@ -72,8 +70,8 @@ def ramp_from(
     return ramp
 
 
-def _band_of(values: Sequence[float], suites: Sequence[int]) -> tuple[float, float]:
-    groups: dict[int, tuple[list[float], int]] = {}
+def _band_of(values: Sequence[float], suites: Sequence[SuiteKey]) -> tuple[float, float]:
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for v, s in zip(values, suites, strict=True):
         seen, count = groups.get(s, ([], 0))
         groups[s] = ([*seen, v], count + 1)

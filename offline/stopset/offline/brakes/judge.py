@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Guarantee, Model
-from stopset.offline.conform.guarantee import clopper_pearson
+from stopset.offline.conform.guarantee import CONFIDENCE, clopper_pearson
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.ramp import Ramp, ramp_time, ramp_tube
@@ -19,7 +19,6 @@ from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-CONFIDENCE = 0.95
 BEFORE = 20  # samples before the request that tell how the speeds were changing
 SLOW = 0.2  # [rad/s] all joints together; slower, that is lost in the noise
 PIECES = 8  # tubes per stop and window of delays

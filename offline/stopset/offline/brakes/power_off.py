@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model, UncertaintySets
-from stopset.offline.brakes.bands import TORQUES, band, farther, hull
+from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, Told, tell
 from stopset.reach.stops.plant import setting_of
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -29,8 +29,6 @@ LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
 SIGMAS = 4.0  # of a measured speed's noise within its bound
-WIDENINGS = 6
-WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
 APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
 ROUNDS = 10  # of medians
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
@@ -44,7 +42,7 @@ USUAL_RISE = (2e-3, 0.03)  # [s] where no stop tells it
 class Seen:
     """What one stop told, joint by joint; ``start``: (n,) [rad/s] by which it went as if started faster, nan if not known."""
 
-    suite: int
+    suite: SuiteKey
     told: tuple[Told | None, ...]
     start: Array
 
@@ -63,7 +61,7 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
         momentum = np.array([0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, told, strict=True)])
         signs = [0.0 if c is None else c.sign for c in curves]
         told = tuple(None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(told, signs, strict=True))
-        out.append(Seen(r.suite, told, speed_error(setting, r, momentum)))
+        out.append(Seen(r.suite_key, told, speed_error(setting, r, momentum)))
     return out
 
 
@@ -117,7 +115,7 @@ def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, no
         notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
     elif silent:
         notes.append(
-            f"fewer than {LEAST} stops of suite {silent} tell when the brakes engaged: the delays assumed before stay possible"
+            f"fewer than {LEAST} stops of {silent} tell when the brakes engaged: the delays assumed before stay possible"
         )
     if stops_told < ENOUGH or silent:
         timing = timing | wide.delay
@@ -177,12 +175,12 @@ def without_strays(delay: Array, own: Array, notes: list[str]) -> Array:
     return np.where(stray | two[:, None], np.nan, delay)
 
 
-def timing_of(delay: Array, own: Array, suites: Sequence[int]) -> tuple[Box, float | None, str]:
+def timing_of(delay: Array, own: Array, suites: Sequence[SuiteKey]) -> tuple[Box, float | None, str]:
     """(n,) delays [s]; how far apart those of one stop lie, each less its joint's ``own`` lag, None if not known; and the suites
     that told too little."""
     rows = np.isfinite(delay)
     common = delay - own
-    groups: dict[int, tuple[list[float], int]] = {}
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for s, suite in enumerate(suites):
         if rows[s].any():
             values, count = groups.get(suite, ([], 0))
@@ -195,12 +193,12 @@ def timing_of(delay: Array, own: Array, suites: Sequence[int]) -> tuple[Box, flo
     return box, farther(len(apart)) * max(apart) + GRID, _silent(groups, suites)
 
 
-def _silent(groups: Mapping[int, tuple[list[float], int]], suites: Sequence[int]) -> str:
+def _silent(groups: Mapping[SuiteKey, tuple[list[float], int]], suites: Sequence[SuiteKey]) -> str:
     """The suites that told too few values to know what they vary by."""
-    return ", ".join(str(s) for s in sorted(set(suites)) if groups.get(s, ([], 0))[1] < LEAST)
+    return ", ".join(suite_label(s) for s in sorted(set(suites)) if groups.get(s, ([], 0))[1] < LEAST)
 
 
-def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], notes: list[str]) -> Box:
+def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[SuiteKey], notes: list[str]) -> Box:
     """(n,) [N m]: each brake's middle times what all brakes of the arm varied by."""
     nominal = wide.torque.centre
     share = torque / nominal
@@ -216,7 +214,7 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
             middle[i] = float(np.median(mine))
         elif len(mine) == 0:
             notes.append(f"the brake of {model.joints[i]} was not seen closing: it is taken to vary as the others do")
-    groups: dict[int, tuple[list[float], int]] = {}
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for s, i in np.argwhere(told):
         values, count = groups.get(suites[s], ([], 0))
         groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
@@ -224,7 +222,7 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
     silent = _silent(groups, suites)
     if silent:
         lo, hi = min(lo, float((wide.torque.lo / nominal).min())), max(hi, float((wide.torque.hi / nominal).max()))
-        notes.append(f"fewer than {LEAST} brake torques can be told from suite {silent}: those assumed before stay possible")
+        notes.append(f"fewer than {LEAST} brake torques can be told from {silent}: those assumed before stay possible")
     return Box.of(np.maximum(middle * max(lo, LEAST_TORQUE) * nominal, 1e-3), middle * hi * nominal)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stopset.artifact import Model
-from stopset.offline.report import COLOURS, Page
+from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
 from stopset.offline.stops.shown import (

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.robot import Robot
@@ -18,18 +17,12 @@ SWEEPS = 40  # of coordinate ascent
 SLACK = 0.02  # of the full reach: poses this close to the wanted extension count
 
 
-@njit(cache=True)
 def _radii(chain: Chain, q: Array, tip: Array) -> Array:
     """Distance of the tool centre point from the first axis [m], for rows of ``q``."""
-    out = np.empty(q.shape[0])
-    n = q.shape[1]
-    for k in range(q.shape[0]):
-        R, o = link_frames(chain, q[k])
-        z = R[0] @ chain.axis[0]
-        d = o[n - 1] + R[n - 1] @ tip - o[0]
-        along = z[0] * d[0] + z[1] * d[1] + z[2] * d[2]
-        out[k] = np.sqrt(max(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 - along**2, 0.0))
-    return out
+    R, o = link_frames(chain, q)
+    z = R[0, 0] @ chain.axis[0]  # which turns about itself alone
+    d = o[:, -1] + R[:, -1] @ tip - o[:, 0]
+    return np.asarray(np.sqrt(np.maximum((d**2).sum(axis=1) - (d @ z) ** 2, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stopset.artifact import Model
-from stopset.offline.report import DISCLAIMER
+from stopset.offline.report.page import DISCLAIMER
+from stopset.offline.report.pdf import PICTURE, Document, Plot
 from stopset.offline.stops.measured import Measured
-from stopset.offline.stops.pdf import PICTURE, Document, Plot
 from stopset.offline.stops.separation import Separation
 from stopset.offline.stops.shown import (
     NAMES,
