@@ -38,6 +38,7 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("stops", "checked at {:g} points", (ramp.POINTS,)),
     ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
     ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),
+    ("stops", "a failed ramp into at most {:g} boxes", (failed.FAST_TUBES[1],)),
     ("uncertainty-sets", "bound at {:g} %", (100 * guarantee.CONFIDENCE,)),
     ("uncertainty-sets", "nominal torque at {:g} % of", (100 * parameter_uncertainty.SHARE,)),
 )
@@ -48,7 +49,6 @@ IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "(of {} seconds, where", PART),
     ("diagnosis", "it takes {} as much", prior.DOUBT),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
-    ("stops", "into at most {} boxes", failed.FAST_CELLS),
     ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
     ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
 )

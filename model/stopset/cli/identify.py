@@ -13,6 +13,7 @@ from stopset.cli.common import add_keep_options, add_output_options, add_robot_o
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
+    from stopset.artifact import Model
     from stopset.offline.conform.linear_program import Fit
     from stopset.offline.identify.pipeline import Identification
 
@@ -76,6 +77,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bands", type=bands, default=0, metavar="N", help="also sets for N temperature bands, where temperature is recorded"
     )
+    parser.add_argument(
+        "--accept-wide", action="store_true",
+        help="exit 0 even if the sets are too wide to say anything (more than 10 times the largest deviation after 0.1 s)",
+    )  # fmt: skip
     add_keep_options(parser)
     parser.add_argument(
         "--update",
@@ -111,17 +116,40 @@ def run(args: argparse.Namespace) -> int:
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
     if args.keep:
         say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
-    if args.json:
-        from stopset.offline.compare.compare import answer, compare
+    if args.json or args.report:
+        _compared(args, model)
+    return verdict(found, args.accept_wide)
 
-        write_json(args.json, answer(model, compare(model, args.data)))
+
+def _compared(args: argparse.Namespace, model: Model) -> None:
+    """The model against its own recordings, once for answer and page."""
+    from stopset.offline.compare.compare import answer, compare
+
+    comparison = compare(model, args.data)
+    if args.json:
+        write_json(args.json, answer(model, comparison))
     if args.report:
-        from stopset.offline.compare.compare import compare
         from stopset.offline.compare.page import page
 
-        page(model, compare(model, args.data), args.data).save(args.report)
+        page(model, comparison, args.data).save(args.report)
         say(f"report {args.report}")
-    return 0
+
+
+def verdict(found: Identification, accepted: bool) -> int:
+    """Exit code: 1 for sets that enclose everything and say nothing, unless they are accepted."""
+    from stopset.offline.compare.tightness import LIMIT
+
+    if not (found.tightness.too_wide() or found.absurd):
+        return 0
+    why = "absurd (see the notes)" if found.absurd else f"too wide: more than {LIMIT:g} times what deviated after 0.1 s"
+    if accepted:
+        say(f"accepted as asked although the sets are {why}")
+        return 0
+    say(
+        f"not accepted: the sets are {why}. The model file is written, to find out what is missing (`stopset diagnose`); take it "
+        "as it is with --accept-wide"
+    )
+    return 1
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
@@ -176,6 +204,7 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
 
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    from stopset.offline.compare.tightness import table
     from stopset.offline.conform.bands import narrower
     from stopset.offline.conform.linear_sets import BOX
 
@@ -202,6 +231,7 @@ def summary(found: Identification) -> str:
     for b in narrower(m):
         tube = "" if b.tube_share is None else f"position tube {b.tube:.4f} rad, {b.tube_share:.0%} of the whole's; "
         lines.append(f"  {b.band:<17} {b.at:<20} {tube}U {b.torque:.2f} N m, {b.torque_share:.0%}")
+    lines += ["", *table(found.tightness, m.joints)]
     lines += ["", "what fixes the bounds of U:"]
     lines += [
         f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"

@@ -18,7 +18,6 @@ from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-STANDSTILL = 1.5  # how much larger the error of a speed may be in motion than at standstill
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
 HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 
@@ -79,7 +78,7 @@ def setting_of(
 ) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
-    ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the
+    ``payload``: [kg] range on top of what the robot's ``pi`` holds, default the model's domain; ``payload_com``: (3,) [m] in the
     last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain, unless it is to be
     ``extrapolate``-d: then the rigid body carries it, and an assumption says that no recording did; and for an effect of the
     model that no stop can be bounded with.
@@ -138,8 +137,7 @@ def setting_of(
     if np.all(friction.dry.hi == 0):
         assumptions.append("Coulomb friction unknown, taken as none")
     misread = misreadings(model, torques.fastest)
-    measured = _noise(model, sets.V, regime)
-    noise = Box(measured.lo - misread.hi, measured.hi - misread.lo)
+    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
     assumptions.append(
         f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
     )
@@ -200,16 +198,6 @@ def beyond_domain(model: Model, q: Array, dq: Array, q_radius: Array | None = No
     if not parts:
         return None
     return "; ".join(parts)
-
-
-def _noise(model: Model, V: Box, regime: str) -> Box:
-    """Error of a measured state. ``V`` of the powered regime also holds what its model cannot explain; where the speed at
-    standstill was measured, `STANDSTILL` times that is the error of a measured speed."""
-    n, still = model.n, model.abstraction.standstill
-    if regime == "stop0" or still.shape != (n,):
-        return V
-    bound = np.concatenate([np.full(n, np.inf), STANDSTILL * np.abs(still)])
-    return Box(np.maximum(V.lo, -bound), np.minimum(V.hi, bound))
 
 
 def _list(x: Array, scale: float = 1.0) -> str:

@@ -13,6 +13,7 @@ from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.campaign.session import POWERED, Session
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
@@ -36,7 +37,8 @@ class Survey:
     longest: float  # [s]
     places: int  # trials of the whole campaign, all phases
     motion: dict[SuiteKey, int]
-    noise: Box
+    readings: ReadingError
+    late: Array  # (n,) [s] by which velocities come after the slope of their positions
     q: Box
     dq: Box
     tau: Box
@@ -56,6 +58,10 @@ class Survey:
     def held_out(self) -> frozenset[SuiteKey]:
         """Suites of the motions that nothing is fitted to: on them the sets are judged."""
         return _held(self.motion, self.learnt)
+
+    def within(self, horizon: float) -> float:
+        """How far ahead [s] is predicted at most: as asked, but not beyond the longest trial."""
+        return min(horizon, self.longest)
 
     def warm(self, r: Recording) -> float:
         """How long the drives have been running, 0 to 1 (see `Session`)."""
@@ -105,9 +111,13 @@ class Tally:
     def add(self, r: Recording) -> None:
         """Take one trial in."""
         self.places = max(self.places, r.place + 1)
-        self.noise.add(r)
         if r.phase != self.phase or len(r.t) < 3:
+            self.noise.add(r)
             return
+        self.steps.append(float(np.median(np.diff(r.t))))
+        grid = on_grid(r, self.steps[-1])
+        self.irregular |= grid is not r
+        self.noise.add(grid, self.steps[-1])
         for name, x in (("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp)):
             if x is not None:
                 self.hulls[name] = self.hulls[name] | Box.hull(x) if name in self.hulls else Box.hull(x)
@@ -117,12 +127,10 @@ class Tally:
         ends = Ends.of(r)
         self.ends[r.suite_key] = self.ends[r.suite_key].until(ends) if r.suite_key in self.ends else ends
         self.repeats[r.suite_key] = self.repeats.get(r.suite_key, 0) + 1
-        if len(self.steps) % self.stride == 0:
+        if (len(self.steps) - 1) % self.stride == 0:
             self.kept.append(r)
             if len(self.kept) > KEEP:
                 self.kept, self.stride = self.kept[::2], 2 * self.stride
-        self.steps.append(float(np.median(np.diff(r.t))))
-        self.irregular |= on_grid(r, self.steps[-1]) is not r
         self.samples += len(r.t)
         self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
 
@@ -136,10 +144,11 @@ class Tally:
         if not self.steps:
             raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
         motion = independent_motions(self.torques, self.ends)
+        held = _held(motion, learnt)
         return Survey(
             phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
             samples=self.samples, longest=self.longest, places=self.places, motion=motion,
-            noise=self.noise.box(without=_held(motion, learnt)), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
+            readings=self.noise.error(held), late=self.noise.late(held), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
             temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular,
             session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
         )  # fmt: skip

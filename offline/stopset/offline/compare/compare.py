@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import Survey, on_grid, survey
+from stopset.offline.compare.known import left_over
 from stopset.offline.compare.metrics import Figures, torque_error
+from stopset.offline.compare.tightness import Along, Tightness, of_tube
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
@@ -57,12 +59,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What `compare` found; ``figures``: joint -> torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse."""
+    """What `compare` found; ``figures``: joint -> torque_rmse, torque_rmse_floor, torque_rmse_known, velocity_rmse, position_rmse."""
 
     figures: dict[str, dict[str, Any]]
     rows: tuple[Row, ...]
     survey: Survey
     tube: Tube
+    tightness: Tightness
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
 
     @property
@@ -104,14 +107,20 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
     dt = model.powered.dt
     judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
     figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
-    rows = []
+    rows, left = [], []
     for motion, r, u in inputs(model, paths, found, dt):
         figures.add(r, u)
+        if model.effort != "compensated_torque":
+            left.append(left_over(model, r, u, float(np.median(np.diff(r.t)))))
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
-    return Comparison(figures.result(model.joints), tuple(rows), found, judge.tube, judge.bands)
+    told = figures.result(model.joints)
+    known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
+    for k, j in enumerate(model.joints):
+        told[j]["torque_rmse_known"] = None if known is None else float(known[k])
+    return Comparison(told, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
 
 
 class _Linear:
@@ -122,6 +131,7 @@ class _Linear:
         across = None if sets.zonotope is None else sets.zonotope.directions
         self.tube = deviation_tube(model.abstraction, sets, across)
         self._deviations = Deviations(model.abstraction, sets.dt, len(self.tube.ages) - 1, sets.windows, across)
+        self._all, self._n = self._deviations.empty(), model.n
         self._names = state_names(model.joints, len(self._deviations.across))
         self._banded = {
             k: (s.temp, deviation_tube(model.abstraction, s, across)) for k, s in model.sets.items() if s.temp is not None
@@ -130,11 +140,15 @@ class _Linear:
 
     def violation(self, r: Recording, u: Array) -> Violation | None:
         env = self._deviations.of(r, u)
+        self._all.absorb(env)
         for k, (band, of_band) in self._banded.items():
             if r.temp is not None and band is not None and band.covers(r.temp).all():
                 held, out = self.bands[k]
                 self.bands[k] = held + 1, out + (_worst(self._names, env, of_band, r.label) is not None)
         return _worst(self._names, env, self.tube, r.label)
+
+    def tightness(self) -> Tightness:
+        return of_tube(self.tube, self._all.hi, self._all.lo, self._n)
 
 
 class _Along:
@@ -147,6 +161,10 @@ class _Along:
         self._model, self._stride, self._seen = model, stride, 0
         self.tube = Tube(np.zeros(1), np.zeros((1, 2 * model.n)), np.zeros((1, 2 * model.n)))
         self.bands: dict[str, tuple[int, int]] = {}
+        self._tight = Along(model.abstraction, model.powered)
+
+    def tightness(self) -> Tightness:
+        return self._tight.result()
 
     def violation(self, r: Recording, u: Array) -> Violation | None:
         model, sets, x = self._model, self._model.powered, np.hstack([r.q, r.dq])
@@ -154,6 +172,7 @@ class _Along:
             self.tube = self._first(x, u)
         where = starts_in(self._seen, len(x), sets.windows, self._stride)
         self._seen += 1
+        self._tight.add((x, u))
         e = worst_excess(model.abstraction, sets, (x, u), where)
         if e is None:
             return None
@@ -227,6 +246,7 @@ def answer(model: Model, found: Comparison) -> dict[str, Any]:
             "motions": promise.motions, "violated": promise.violated, "upper_bound": promise.upper_bound,
             "confidence": promise.confidence, "text": promise.text,
         },
+        **found.tightness.answer(model.joints),
         "bands": {k: {"recordings": held, "violations": out} for k, (held, out) in found.bands.items()},
         "violating": [
             {"recording": v.recording, "state": v.state, "side": v.side, "start_s": v.start_s, "age_s": v.age_s, "excess": v.excess}

@@ -39,8 +39,8 @@ def _sensitivity(q: float, v: float, w: Array, c: Array, dt: float, cut: int) ->
 class JointProblem:
     """One joint's data: ``x``: states (N, 2) per trial, ``u``: inputs (N,), held over each step of ``dt`` [s].
 
-    ``noise``: (2,) half-widths of the reading's noise; ``both``: must velocities be enclosed too; ``cost``: (8,) price
-    of each unknown [rad].
+    ``noise``: (2,) half-widths that the reading's error has at least, of an angle exactly; ``most``: of a speed at most;
+    ``both``: must velocities be enclosed too; ``cost``: (8,) price of each unknown [rad].
     """
 
     name: str
@@ -53,6 +53,7 @@ class JointProblem:
     cut: int
     every_start: bool
     noise: Array
+    most: float
     both: bool
     cost: Array
 

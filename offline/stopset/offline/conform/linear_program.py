@@ -1,8 +1,8 @@
 """The uncertainty sets of a linear model: an exact linear program over the envelope, solved, re-checked, repaired outward.
 
 Unknowns are the bounds of ``X0``, ``U`` and ``V`` themselves.  ``U`` is found directly (trap P6), centres are free (trap
-P7).  ``V`` is the measurement noise for positions and at least that for velocities: what a velocity reading does beyond it
-(vibration above the model's bandwidth, a filter's ringing) may widen it where that is cheaper than a torque at all times.
+P7).  ``V`` holds the noise, and more where that is cheaper than a torque at all times, but never more than readings were seen
+to be apart from each other (`stopset.offline.conform.reading_error`): it has no room for an error of the model.
 A start state is a reading too, so ``X0`` lies in ``-V`` (trap P12) and cannot hide stiction.  With a decoupled model and
 boxes every joint is a program of its own.  Source: Liu & Althoff (2018), eq. (17)-(21) as corrected there.
 """
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, ActiveBound, TorqueZonotope
 from stopset.offline.conform.envelope import Envelope, state_names
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
@@ -111,14 +112,14 @@ def _block(env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: li
 
 
 def fit_sets(
-    env: Envelope, R: Responses, noise: Box, abstraction: Abstraction, joints: tuple[str, ...], conform: str = "all",
+    env: Envelope, R: Responses, readings: ReadingError, abstraction: Abstraction, joints: tuple[str, ...], conform: str = "all",
     capped: bool = True, template: Template | None = None,
 ) -> Fit:  # fmt: skip
     """Smallest sets ``X0`` (2n,), ``U`` (n,), ``V`` (2n,) whose tube encloses the envelope at every age.
 
-    ``noise`` (2n,): what ``V`` holds at least; ``conform``: ``"all"`` states or ``"position"`` only (then ``V`` is exactly
-    ``noise``, since positions alone say nothing of velocity readings); ``capped=False`` is the paper's program: ``V`` is
-    exactly ``noise``, ``X0`` is free, so stiction may hide in it, and every edge at every age costs the same (eq. 21).
+    ``readings`` (2n,): what ``V`` holds at least and at most; ``conform``: ``"all"`` states or ``"position"`` only (positions
+    alone say nothing of velocity readings: give an exact one); ``capped=False`` is the paper's program: ``X0`` is free, so
+    stiction may hide in it, and every edge at every age costs the same (eq. 21).
     ``template``: ``U`` as a zonotope; ``R`` and ``env`` are then those of its directions, and ages between those of the
     program are left to the caller's check.  Raises `NotConformant` when no such sets exist.
     """
@@ -134,7 +135,7 @@ def fit_sets(
     cost = 0.0
     active: list[ActiveBound] = []
     for us, xs in blocks:
-        bounds = Bounds(noise.take(xs), len(us), capped, conform == "all", None if template is None else n)
+        bounds = Bounds(readings.take(xs), len(us), capped, None if template is None else n)
         mine = [i for i in wanted if i in xs] if alone else wanted
         block = _block(env, R, mine, xs, us, bounds, template is None)
         who = "joint " + ", ".join(joints[j] for j in us if j < n)

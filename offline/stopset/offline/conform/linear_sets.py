@@ -18,6 +18,7 @@ from stopset.errors import NotConformant
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses, responses
 from stopset.recording import Recording
@@ -125,7 +126,7 @@ def gather(
 
 
 def conform(
-    found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
+    found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, dt: float, horizon: float,
     options: Options, trials: int, learnt: Collection[int] = (), template: Template | None = None,
 ) -> Conformance:  # fmt: skip
     """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s].
@@ -138,10 +139,10 @@ def conform(
     division = divided(parts, learnt)
     used = {m: parts[m] for m in division.used}
     everything = g.union(list(parts.values()))
-    V = fit_sets(g.union(list(used.values())), R, noise, abstraction, joints, "all", template=template).V
+    V = fit_sets(g.union(list(used.values())), R, readings, abstraction, joints, "all", template=template).V
 
     def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> Fit:
-        base = V if case == "position" else noise
+        base = ReadingError.exact(V) if case == "position" else readings
         env = g.union(list(envelopes))
         fit = fit_sets(env, R, base, abstraction, joints, case, template=template)
         return fit if template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
@@ -177,12 +178,12 @@ def conform(
     second = fitted(list(used.values()), other)
     table = {options.conform: fit, other: second}
     by_state = R if template is None else responses(abstraction, dt, round(horizon / dt))
-    table |= _variants(found.start, abstraction, joints, noise, by_state)
+    table |= _variants(found.start, abstraction, joints, readings, by_state)
     if template is not None:
         box = Template(np.eye(abstraction.n), template.directions)
         in_them = seen_by(abstraction, dt, round(horizon / dt), box)
         everyone = g.union(list(used.values()))
-        base = V if options.conform == "position" else noise
+        base = ReadingError.exact(V) if options.conform == "position" else readings
         same = fit_sets(everyone, in_them, base, abstraction, joints, options.conform, template=box)
         table[BOX] = enclosing(same, in_them, everyone, alone)
         notes.append(
@@ -263,11 +264,13 @@ def _range(factors: Array) -> str:
     return f"{factors.min():.2f} to {factors.max():.2f} by joint" if np.ptp(factors) > 0.005 else f"{factors.max():.2f}"
 
 
-def _variants(start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, R: Responses) -> dict[str, Fit]:
+def _variants(
+    start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, R: Responses
+) -> dict[str, Fit]:
     """What the paper's own definition gives on the same data: from the trial's start, with and without the noise set."""
-    none = Box.symmetric(np.zeros_like(noise.hi))
+    none = ReadingError.exact(Box.symmetric(np.zeros(readings.dim)))
     return {
-        "start, all": fit_sets(start, R, noise, abstraction, joints, "all"),
+        "start, all": fit_sets(start, R, readings, abstraction, joints, "all"),
         "start, all, no noise set": fit_sets(start, R, none, abstraction, joints, "all", capped=False),
         "start, position, no noise set": fit_sets(start, R, none, abstraction, joints, "position", capped=False),
     }

@@ -23,6 +23,7 @@ from stopset.errors import NotConformant
 from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
 from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.program import STOP_TIME, age_weights, solved
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
 from stopset.sets import Box
@@ -36,7 +37,7 @@ LARGEST = 1e3  # scaling beyond which the data contradict the model
 
 
 def _program(problem: JointProblem, rows: list[Array], rhs: list[float]) -> Array:
-    """Cheapest sets that satisfy all planes; X0 inside -V (trap P12), velocity noise at least ``noise``."""
+    """Cheapest sets that satisfy all planes; X0 inside -V (trap P12), velocity noise between ``noise`` and ``most``."""
     a, b = problem.noise
     order = [(Q_LO, Q_HI), (V_LO, V_HI), (U_LO, U_HI)]
     limits = []
@@ -48,7 +49,7 @@ def _program(problem: JointProblem, rows: list[Array], rhs: list[float]) -> Arra
         row = np.zeros(8)
         row[[x, noise]] = 1.0 if x == V_HI else -1.0
         limits.append(row)
-    wide = np.inf if problem.both else b
+    wide = problem.most if problem.both else b
     bounds = [(-a, a), (None, None), (-a, a), (None, None), (-wide, -b), (b, wide), (None, None), (None, None)]
     # a vanishing charge on every width, and unit size of every row, as for the linear sets
     sign = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
@@ -114,7 +115,7 @@ def verified(problem: JointProblem, z: Array) -> tuple[Array, float]:
 
 
 def problems(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: int,
+    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
     conform: str = "all", windows: str = "sliding",
 ) -> list[JointProblem]:  # fmt: skip
     """One problem per joint; a torque's and a start's price are those of the model linearised at rest."""
@@ -136,19 +137,20 @@ def problems(
             JointProblem(
                 joints[j], [np.ascontiguousarray(x[:, [j, n + j]]) for x, _ in trials],
                 [np.ascontiguousarray(u[:, j]) for _, u in trials], float(abstraction.Minv[j, j]), abstraction.viscous[j].copy(),
-                dt, horizon, parts(abstraction, dt, speed), windows == "sliding", noise.hi[[j, n + j]], conform == "all", cost,
+                dt, horizon, parts(abstraction, dt, speed), windows == "sliding", readings.least.hi[[j, n + j]],
+                float(readings.most.hi[n + j]), conform == "all", cost,
             )
         )  # fmt: skip
     return out
 
 
 def fit_cooperative(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: int,
+    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
     conform: str = "all", windows: str = "sliding", labels: Sequence[str] = (),
 ) -> tuple[Fit, Array]:  # fmt: skip
     """Sets of a decoupled model 1 with any friction curve, and the scaling each joint needed in the final check (n,).
 
-    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``noise``: symmetric box (2n,); ``horizon`` in steps;
+    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``readings`` (2n,): error of a reading; ``horizon`` in steps;
     ``labels`` of the trials: to say what fixes each bound.  Raises `NotConformant`.
     """
     n = abstraction.n
@@ -156,12 +158,12 @@ def fit_cooperative(
     factor = np.ones(n)
     active: list[ActiveBound] = []
     cost = 0.0
-    for j, problem in enumerate(problems(trials, abstraction, joints, noise, dt, horizon, conform, windows)):
+    for j, problem in enumerate(problems(trials, abstraction, joints, readings, dt, horizon, conform, windows)):
         z[j], factor[j] = verified(problem, search(problem))
         cost += float(problem.cost @ z[j]) + 2.0 * float(problem.noise[0])
         if labels:
             active += touched(problem, z[j], labels)
-    return replace(packed(z, noise, cost, conform), active=tuple(active)), factor
+    return replace(packed(z, readings.least.hi[:n], cost, conform), active=tuple(active)), factor
 
 
 def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[ActiveBound]:
@@ -179,12 +181,12 @@ def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[Acti
 
 
 def needed_factor(
-    fit: Fit, trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: int,
+    fit: Fit, trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
     windows: str = "sliding",
 ) -> float:  # fmt: skip
     """Smallest factor (>= 1, to 1e-4) about the sets' centres that encloses ``trials``, worst joint."""
     n, worst = abstraction.n, 1.0
-    for j, problem in enumerate(problems(trials, abstraction, joints, noise, dt, horizon, fit.conform, windows)):
+    for j, problem in enumerate(problems(trials, abstraction, joints, readings, dt, horizon, fit.conform, windows)):
         z = np.empty(8)
         z[[Q_LO, V_LO, Q_HI, V_HI]] = fit.X0.lo[j], fit.X0.lo[n + j], fit.X0.hi[j], fit.X0.hi[n + j]
         z[[NOISE_LO, NOISE_HI, U_LO, U_HI]] = fit.V.lo[n + j], fit.V.hi[n + j], fit.U.lo[j], fit.U.hi[j]
@@ -193,9 +195,8 @@ def needed_factor(
     return worst
 
 
-def packed(z: Array, noise: Box, cost: float, conform: str) -> Fit:
-    """The joints' unknowns (n, 8) as boxes."""
-    half = noise.hi[: len(z)]
+def packed(z: Array, half: Array, cost: float, conform: str) -> Fit:
+    """The joints' unknowns (n, 8) as boxes; ``half`` (n,): error of an angle."""
     X0 = Box(np.concatenate([z[:, Q_LO], z[:, V_LO]]), np.concatenate([z[:, Q_HI], z[:, V_HI]]))
     V = Box(np.concatenate([-half, z[:, NOISE_LO]]), np.concatenate([half, z[:, NOISE_HI]]))
     return Fit(X0, Box(z[:, U_LO].copy(), z[:, U_HI].copy()), V, cost, (), conform)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from stopset.errors import NotConformant
-from stopset.sets import Box
+from stopset.offline.conform.reading_error import ReadingError
 
 Array = NDArray[np.float64]
 
@@ -43,20 +43,19 @@ UNSOLVED = {
 class Bounds:
     """The unknowns of ``m`` states and ``k`` inputs, and what holds for them whatever was recorded.
 
-    ``noise`` (m,): ``V`` is at least that, for speeds (the second half of the states) more where ``widen``; ``capped``:
-    ``X0`` lies in ``-V``, so that it cannot hide stiction (trap P12); the first ``points`` inputs are single values and the
-    others symmetric (a zonotope's centre and generators), or all are free intervals (None; trap P7).
+    ``readings`` (m,): between which boxes ``V`` lies; ``capped``: ``X0`` lies in ``-V``, so that it cannot hide stiction (trap
+    P12); the first ``points`` inputs are single values and the others symmetric (a zonotope's centre and generators), or all
+    are free intervals (None; trap P7).
     """
 
-    noise: Box
+    readings: ReadingError
     k: int
     capped: bool = True
-    widen: bool = True
     points: int | None = None
 
     @property
     def m(self) -> int:
-        return self.noise.dim
+        return self.readings.dim
 
     def split(self, z: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Views of ``z``: X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi."""
@@ -92,11 +91,10 @@ class Bounds:
     def limits(self) -> list[tuple[float, float]]:
         """Bounds of each unknown."""
         inf = np.inf
-        wide = [self.capped and self.widen and a >= self.m // 2 for a in range(self.m)]
-        lo, hi = self.noise.lo.tolist(), self.noise.hi.tolist()
+        least, most = self.readings.least, self.readings.most
         out: list[tuple[float, float]] = [(-inf, inf)] * (2 * self.m)
-        out += [(-inf if w else v, v) for v, w in zip(lo, wide, strict=True)]
-        out += [(v, inf if w else v) for v, w in zip(hi, wide, strict=True)]
+        out += zip(most.lo.tolist(), least.lo.tolist(), strict=True)
+        out += zip(least.hi.tolist(), most.hi.tolist(), strict=True)
         return out + [(-inf, inf)] * (2 * self.k)
 
     def tidy(self, z: Array) -> Array:
@@ -183,9 +181,6 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
             break
         chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
     return z
-
-
-# a solver's status in words that are the user's
 
 
 def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.effects import Fitted, get
+from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
@@ -29,6 +29,7 @@ from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
 MOVE = "Move every joint through its range at several speeds."
+TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,11 +338,24 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                given, c.effect.look_at, c.effect.says, points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
+                given, c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
         before = after
     return tuple(out)
+
+
+def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
+    """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
+    m = told["m"] if effect.name == "payload" else None
+    if m is None or m.std is None:
+        return effect.says
+    half = TWO_SIDES * m.std
+    text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
+    if abs(m.value) < half:
+        return f"{text}."
+    centre = ", ".join(f"{told[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
+    return f"{text}, centre at ({centre}) m in the last link's frame."
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:

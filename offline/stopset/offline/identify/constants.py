@@ -32,11 +32,12 @@ from stopset.offline.conform import (
     nonlinear,
     nonlinear_sets,
     program,
+    reading_error,
     zonotopes,
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
-from stopset.offline.diagnose.evidence import candidate, engine, evidence, priors
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
@@ -52,6 +53,7 @@ from stopset.offline.nominal import (
     normal_equations,
     open_loop,
     output_error,
+    pair_choice,
     parameter_uncertainty,
     physical,
     preprocess,
@@ -61,7 +63,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -71,7 +73,7 @@ SCHEMA = 1  # of the hash: counted up when a name changes or the way values are 
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
-    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED"),
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
     ("robot", arm, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),
@@ -80,12 +82,13 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("survey", survey, "JITTER DRIFT KEEP STOPS"),
     ("session", session, "REPEATED POWERED"),
     ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES SEAM SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY"),
-    ("hold-out", hold_out, "FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
+    ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY FOLDS NEVER"),
+    ("coupled pairs", pair_choice, "EFFECT TELLS LOOKED_AT"),
+    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
@@ -102,6 +105,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
+    ("error of readings", reading_error, "SMOOTH FEWEST"),
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
@@ -122,12 +126,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("stop energy", energy, "CLAIMS ROUNDING"),
-    ("failed stops", failed, "SLICES NARROW CELLS FAST_CELLS ANGLE_WEIGHT"),
+    ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
     ("stop accelerations", moving, "ROUNDING"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
-    ("stop plant", plant, "STANDSTILL"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
@@ -138,8 +141,9 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
+    ("diagnosis baseline", baseline, "POSES LOADED"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "FOLDS GIVEN"),
+    ("diagnosis engine", engine, "GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
     ("diagnosis doubt", doubt, "SURE EDGE"),

@@ -12,17 +12,21 @@ from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.campaign.survey import Survey, Tally
 from stopset.offline.compare.metrics import Figures
+from stopset.offline.compare.tightness import Tightness, of_tube
 from stopset.offline.conform.bands import Bands, band_sets
 from stopset.offline.conform.gather import Kept, Sums
+from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.absurd import absurd
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.offline.update.signals_file import Signals
+from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 
@@ -37,6 +41,8 @@ class Identification:
     conformance: Conformance
     survey: Survey
     settings: Settings
+    tightness: Tightness
+    absurd: tuple[str, ...]
     kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
 
 
@@ -46,16 +52,22 @@ def concluded(
 ) -> Identification:  # fmt: skip
     """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
     options = Options(settings.conform, settings.windows, settings.margin)
-    horizon = min(settings.horizon, found.longest)
+    horizon = found.within(settings.horizon)
     steps = round(horizon / found.dt)
     gathered = sums.gathered.mapped(lambda env: env.upto(steps))
-    shared = (nominal.abstraction, robot.joints, found.noise, found.dt, horizon, options)
+    shared = (nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options)
     learnt = found.learnt_motions
     result = conform(gathered, *shared, found.trials, learnt, zonotope)
     by_band = {}
     if bands is not None and found.temp is not None:
         by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt, zonotope)
-    out = packed(robot, meta, found, nominal, settings, sums.figures, result, by_band)
+    everything = union(list(gathered.parts.values()))
+    across = None if zonotope is None else zonotope.directions
+
+    def tight(sets: UncertaintySets) -> Tightness:
+        return of_tube(deviation_tube(nominal.abstraction, sets, across), everything.hi, everything.lo, robot.n)
+
+    out = packed(robot, meta, found, nominal, settings, sums.figures, result, by_band, tight)
     if tally is None:
         return out
     # what may judge the model later must stay what it was when the nominal model was fitted
@@ -68,7 +80,7 @@ def concluded(
 
 def packed(
     robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, figures: Figures, result: Conformance,
-    by_band: dict[str, UncertaintySets],
+    by_band: dict[str, UncertaintySets], tight: Callable[[UncertaintySets], Tightness],
 ) -> Identification:  # fmt: skip
     errors, u_hull = figures.result(robot.joints), figures.u
     assert u_hull is not None
@@ -76,6 +88,7 @@ def packed(
     if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
         result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
         by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
+    tightness, odd = tight(result.sets), absurd(result.sets, errors, found)
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
     total = widths | _sums(errors)
@@ -91,9 +104,9 @@ def packed(
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
-        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *tightness.words(robot.joints), *odd),
     )  # fmt: skip
-    return Identification(model, result, found, settings)
+    return Identification(model, result, found, settings, tightness, tuple(odd))
 
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:

@@ -27,6 +27,7 @@ from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
 from stopset.offline.conform.gather import Kept, Sums
 from stopset.offline.conform.linear_sets import Gathered
+from stopset.offline.conform.noise import Kept as KeptNoise
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.identify.constants import settings_sha256
@@ -176,14 +177,17 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
         arrays["means"] = np.array(tally.means)
     for name, box in tally.hulls.items():
         arrays[f"hull_{name}"] = _edges(box)
-    spread, quantum = tally.noise.kept()
-    arrays["noise_spread"] = np.vstack([x for rows in spread.values() for x in rows])
-    arrays["noise_quantum"] = np.vstack(list(quantum.values()))
+    noise = tally.noise.kept
+    arrays["noise_spread"] = np.vstack([x for rows in noise.spread.values() for x in rows])
+    arrays["noise_quantum"] = np.vstack(list(noise.quantum.values()))
+    arrays["noise_reach"] = np.vstack(list(noise.reach.values()))
+    arrays["noise_late"] = np.stack(list(noise.late.values()))
     return {
         "phase": tally.phase,
         "suites": [[*s, len(x), tally.repeats[s]] for s, x in tally.torques.items()],
         "ends": [[e.t.tolist(), e.q.tolist(), e.dq.tolist()] for e in tally.ends.values()],
-        "noise": [[*s, len(rows)] for s, rows in spread.items()],
+        "noise": [[*s, len(rows)] for s, rows in noise.spread.items()],
+        "powered": [list(s) for s in noise.reach],
         "hulls": list(tally.hulls),
         "places": tally.places,
         "samples": tally.samples,
@@ -196,6 +200,7 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
     suites = [_key(*s) for *s, _, _ in head["suites"]]
     torques = _pieces(arrays["torques"], [length for *_, length, _ in head["suites"]])
     noisy = [_key(*s) for *s, _ in head["noise"]]
+    powered = [_key(*s) for s in head["powered"]]
     spread = _pieces(arrays["noise_spread"], [count for *_, count in head["noise"]])
     return Tally(
         phase=head["phase"], torques=dict(zip(suites, torques, strict=True)),
@@ -203,8 +208,14 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
         repeats={_key(*s): count for *s, _, count in head["suites"]}, steps=arrays["steps"].tolist(),
         means=list(arrays["means"]) if "means" in arrays else [],
         hulls={name: _box(arrays[f"hull_{name}"]) for name in head["hulls"]},
-        noise=NoiseEstimate.of(
-            {s: list(x) for s, x in zip(noisy, spread, strict=True)}, dict(zip(noisy, arrays["noise_quantum"], strict=True))
+        noise=NoiseEstimate(
+            KeptNoise(
+                {s: list(x) for s, x in zip(noisy, spread, strict=True)},
+                *(
+                    dict(zip(suites, arrays[f"noise_{name}"], strict=True))
+                    for name, suites in (("quantum", noisy), ("reach", powered), ("late", powered))
+                ),
+            )
         ),
         places=head["places"], samples=head["samples"], longest=head["longest"], irregular=head["irregular"],
     )  # fmt: skip

@@ -11,6 +11,7 @@ from stopset.effects import REFERENCE_TEMPERATURE, Signals
 from stopset.offline.diagnose.levers import Levers, levers
 from stopset.offline.diagnose.rows.prepare import CREEP, Array, Mask, Prepared
 from stopset.offline.diagnose.rows.smooth import calm
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrices, regressors, torques
 
@@ -23,6 +24,7 @@ class Source:
     data: Prepared
     compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
     gain: float = 1.0  # recorded over true torque: what a new load adds to the record
+    gain_std: float = DRIVES
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit
@@ -169,7 +171,7 @@ class Source:
         return Signals(
             q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
-            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z,
+            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip
 
     def _rate(self, x: Array) -> Array:

@@ -9,11 +9,16 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques
+from stopset.sets import Box
+
+POSES = 500  # at which gravity torques are compared
+LOADED = 1e-3  # of the most loaded joint: joints that gravity loads less say nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +48,8 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
             if f.effect == effect and f.joint in model.joints:
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
-    gain, notes = drive_gain(described, robot, recordings)
-    return Baseline(robot, Known(friction, gain), "identified model", notes)
+    gain, notes = drive_gain(described, robot, model.domain.q)
+    return Baseline(robot, Known(friction, *gain), "identified model", notes)
 
 
 def settled(model: Model) -> tuple[Fitted, ...]:
@@ -53,22 +58,29 @@ def settled(model: Model) -> tuple[Fitted, ...]:
     return tuple(f for f in model.effects if f.label not in chosen)
 
 
-def drive_gain(described: Robot, identified: Robot, recordings: Recordings) -> tuple[float, tuple[str, ...]]:
-    """Recorded over true torque: the identified gravity torque over the described one, all joints together; and notes.
+def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[tuple[float, float], tuple[str, ...]]:
+    """Recorded over true torque and its standard deviation, from identified over described gravity torques at angles in ``reach``;
+    and notes.
 
-    A torque constant that is off scales every identified mass, and every new load with them.  Taken over all joints, the
-    heavy inner links decide, whose masses a tool or cables hardly change.
+    A torque constant that is off scales every identified mass, and every new load with them; but so does a description whose
+    masses are off, and recordings of one arm cannot tell the two apart.  How far the ratio differs from joint to joint says how
+    far the description is to be trusted: a wrong gain is the same for all.  What is left is shared by how well each is known.
     """
-    q = np.concatenate([r.q[:: max(1, len(r.q) // 200)] for r in recordings])
-    ours, theirs = (gravity_torques(r.chain, r.pi, np.ascontiguousarray(q)) for r in (identified, described))
-    total = float(np.sum(theirs**2))
-    if total == 0:
-        return 1.0, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
-    gain, (least, most) = float(np.sum(ours * theirs)) / total, limit.GAIN
-    if least < gain < most:
-        return gain, ()
-    return 1.0, (
-        f"the identified gravity torque is {gain:.2g} times what the robot description says; expected {least:g} to {most:g}, which a "
-        "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded torque "
-        "as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)",
-    )
+    q = np.random.default_rng(0).uniform(reach.lo, reach.hi, (POSES, reach.dim))
+    ours, theirs = (gravity_torques(r.chain, r.pi, q) for r in (identified, described))
+    weight, product = (theirs**2).sum(axis=0), (ours * theirs).sum(axis=0)
+    total = float(weight.sum())
+    loaded = weight > LOADED * weight.max()
+    if total <= 0.0:
+        return (1.0, limit.DRIVES), ()  # no gravity loads a joint: nothing tells, and no mass is weighed
+    ratio, (least, most) = float(product.sum()) / total, limit.GAIN
+    if not least < ratio < most:
+        return (1.0, limit.DRIVES), (
+            f"the identified gravity torque is {ratio:.2g} times what the robot description says; expected {least:g} to {most:g}, which a "
+            "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded torque "
+            "as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)",
+        )
+    spread = float(weight[loaded] @ (product[loaded] / weight[loaded] - ratio) ** 2) / total
+    masses = Tolerance().mass ** 2 + spread * float(weight @ weight) / total**2
+    share = limit.DRIVES**2 / (limit.DRIVES**2 + masses)
+    return (1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses))), ()

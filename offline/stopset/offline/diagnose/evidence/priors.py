@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
 
@@ -16,11 +17,13 @@ class Known:
     """What a model from other recordings adds to the description: then only what has *changed* is asked for.
 
     ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
-    ``gain``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES` of the thresholds.
+    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as
+    `SCALES` of the thresholds.
     """
 
     friction: Array
     gain: float = 1.0
+    gain_std: float = DRIVES
     spread: float = 0.15
     scales: tuple[float, ...] = (0.1, 0.3)
 
