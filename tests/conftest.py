@@ -13,6 +13,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
+from stopset.core import build
+
+if not build.current():  # sources changed since the installation: the tests are about the sources
+    build.build()
+
 WORKERS = 2
 
 

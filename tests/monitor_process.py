@@ -18,6 +18,7 @@ from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.zenoh_link import ZenohLink
 
 PREFIX = "site/cell/arm/stopset"
+DATA_ID = 1001
 
 
 def free_port() -> int:
@@ -97,10 +98,11 @@ class Ear:
         self.link.close()
 
 
-def write_config(folder: Path, model: Path, bus: str, port: int, more: str = "") -> Path:
+def write_config(folder: Path, model: Path, bus: str, port: int, more: str = "", publish: str = "valid_for_ms = 1000") -> Path:
+    """A configuration for a machine that is shared with everything else: data may be a second old."""
     path = folder / "monitor.toml"
     path.write_text(
-        f'model = "{model}"\n{more}\n{bus}\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n[publish]\nvalid_for_ms = 2000\n',
+        f'model = "{model}"\ndata_id = {DATA_ID}\n{more}\n{bus}\n[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n[publish]\n{publish}\n',
         encoding="utf-8",
     )
     return path

@@ -192,7 +192,7 @@ def test_other_nodes_and_emergencies_are_told_apart() -> None:
     _, frames = one_cycle()
     noise = [(0x703, b"\x05"), (0x203, bytes(8)), (0x085, b"\x50\x23\x01\xdf\0\0\0\0"), (0x000, b"\1\0")]
     out = [d.frame(cob, data, 0.0) for cob, data in [frames[0], *noise, *frames[1:]]]
-    assert out[-1] is not None and d.unknown == 4 and d.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
+    assert out[-1] is not None and d.unknown == 4 and d.nodes.emergencies == [(5, b"\x50\x23\x01\xdf\0\0\0\0")]
 
 
 def test_numbers_that_do_not_fit_are_refused_not_clipped() -> None:
@@ -297,7 +297,7 @@ def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.Capt
         assert word in capsys.readouterr().err
     assert not (tmp_path / "out.parquet").exists(), "nothing is written"
     r = motion(0, 20)
-    uneven = Recording(*r.key, 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
+    uneven = Recording(*r.key[1:], 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
     with pytest.raises(RecordingError, match="even cycle"):
         recorded([uneven])
     write_recordings(tmp_path / "r.parquet", meta(), [r])

@@ -15,6 +15,7 @@ from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.offline.compare.compare import answer, compare
 from stopset.offline.compare.dependence import Explained, partial_residual
+from stopset.offline.compare.verdict import verdict
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Meta, read_recordings, write_recordings
 from synthetic import names, recordings, save_trials
@@ -92,7 +93,7 @@ def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, c
     page = (tmp_path / "a.html").read_text()
     # self-contained: no script, style, font or picture from elsewhere
     assert not re.search(r"""<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=\s*["'](?:https?:)?//""", page)
-    assert "Conformant" in page
+    assert "recordings stay inside the predicted sets" in page
     assert "not a" in page
     pushed = [dataclasses.replace(r, tau=1.5 * r.tau) for r in trials]
     bad = save_trials(tmp_path / "bad.parquet", pushed, JOINTS)
@@ -139,3 +140,22 @@ def test_the_real_recordings_conform_to_their_own_model(schunk, schunk_file) -> 
     assert len(result.rows) == 100
     assert not result.violations
     assert result.outside_domain == 0
+
+
+def test_the_first_sentence_names_the_joint_that_fails_though_the_sets_hold(planar) -> None:  # type: ignore[no-untyped-def]
+    """Wide sets enclose what a model does not explain: that must not read as good."""
+    folder, _, _ = planar
+    found = compare(load_model(folder / "m.model.json"), [folder / "rec.parquet"])
+    assert not found.violations
+    figures = {
+        j: row | {"torque_rmse": (0.4 if k else 0.1), "torque_rmse_floor": 0.1}
+        for k, (j, row) in enumerate(found.figures.items())
+    }
+    said = verdict(dataclasses.replace(found, figures=figures))
+    assert said.kind == ""
+    assert JOINTS[1] in said.text and "4.0 times" in said.text and "diagnose" in said.text
+    explained = {j: row | {"torque_rmse": 0.11, "torque_rmse_floor": 0.1} for j, row in found.figures.items()}
+    assert verdict(dataclasses.replace(found, figures=explained)).kind == "good"
+    beyond = tuple(dataclasses.replace(r, inside_domain=False) for r in found.rows)
+    said = verdict(dataclasses.replace(found, figures=explained, rows=beyond))
+    assert said.kind == "bad" and said.text.startswith("Not covered")

@@ -228,7 +228,7 @@ def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path
     """Else the count of violations among them would prove nothing."""
     trials = recordings((2.0,), (4.0,), suites=8, trials=2, seconds=0.6)
     a = found(tmp_path, trials)
-    held = {suite for _, suite in a.survey.held_out}
+    held = {suite for _, _, suite in a.survey.held_out}
     assert len(held) == 2
     rng = np.random.default_rng(0)
     spoiled = [
@@ -329,7 +329,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
         return trials
 
     def fitted(*args: object) -> NominalPart:
-        seen.extend(r.motion for r in args[2]())  # type: ignore[operator]
+        seen.extend(r.suite_key for r in args[2]())  # type: ignore[operator]
         return fit_nominal(*args)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -337,7 +337,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
         abstracted(robot, head, source, found, settings, (), part)
     held = order._half(found)
     assert held is not None
-    assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.motion in seen)
+    assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.suite_key in seen)
 
 
 def test_friction_that_the_motions_do_not_show_is_refused() -> None:

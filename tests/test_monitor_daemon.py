@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -65,12 +66,18 @@ class Wire:
         self.raw: list[bytes] = []
         self.slow: dict[str, list[Any]] = {}
         self.handlers: dict[str, Callable[[str, bytes], None]] = {}
+        self.ears: dict[str, Callable[[str, bytes], None]] = {}  # others who hear what is published, by key
 
     def fast(self, name: str) -> Callable[[bytes], None]:
-        return self.raw.append
+        def publish(data: bytes) -> None:
+            self.raw.append(data)
+            self.ears.get(name, lambda *_: None)(name, data)
+
+        return publish
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
         self.slow.setdefault(name, []).append(json.loads(data))
+        self.ears.get(name, lambda *_: None)(name, bytes(data))  # type: ignore[arg-type]
 
     def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
         self.handlers[name] = handler
@@ -102,12 +109,12 @@ Made = tuple[Daemon, Arm, Wire]
 def make(tmp_path: Path) -> Iterator[Callable[..., Made]]:
     made: list[Daemon] = []
 
-    def build(script: Script, **more: Any) -> Made:
+    def build(script: Script, *, publish: dict[str, Any] | None = None, **more: Any) -> Made:
         model = save_model(known_model(), tmp_path / "arm.model.json")
         config = Config(
-            str(tmp_path / "arm.model.json"), Bus("hub:1"), stops=Stops(("0",)),
+            str(tmp_path / "arm.model.json"), Bus("hub:1"), data_id=7, stops=Stops(("0",)),
             # json at every cycle: how fast the script runs must not decide what the slow channel shows
-            publish=Publish(valid_for_ms=5000, stale_ms=100, json_hz=1e9), sha256="ab" * 32, **more,
+            publish=Publish(**{"valid_for_ms": 5000, "stale_ms": 100, "json_hz": 1e9, **(publish or {})}), sha256="ab" * 32, **more,
         )  # fmt: skip
         arm, wire = Arm(script), Wire()
         daemon = Daemon(config, model, arm, wire, DT)
@@ -130,7 +137,7 @@ def never() -> Source:
 
 
 def test_states_of_a_quiet_life(make: Callable[..., Made]) -> None:
-    daemon, _, wire = make([None, *samples(), *[None] * 15])
+    daemon, _, wire = make([None, *samples(), *[None] * 15], publish={"recover_s": 0.0, "evidence_min_s": 0.0})
     assert daemon.run(never) == 0
     daemon.close()
     words = [w for w in wire.words if w is not State.OK]
@@ -212,7 +219,7 @@ def test_systemd_hears_ready_watchdog_and_stopping(make: Callable[..., Made], tm
         monkeypatch.setitem(os.environ, "NOTIFY_SOCKET", str(path))
         daemon, _, wire = make(samples(8))
         heard: list[str] = []
-        daemon.outlet.put = lambda *a, **k: heard.extend(drain(s))  # type: ignore[method-assign]
+        wire.put = lambda *a, **k: heard.extend(drain(s))  # type: ignore[method-assign]
         daemon.run(never)
         daemon.close()
         heard += drain(s)
@@ -232,7 +239,7 @@ def drain(s: socket.socket) -> list[str]:
 def test_a_model_of_another_cycle_is_refused_at_the_start(tmp_path: Path) -> None:
     model = save_model(known_model(), tmp_path / "m.json")
     with pytest.raises(NotCovered, match="cycle"):
-        Daemon(Config(str(tmp_path / "m.json"), Bus("hub:1")), model, Arm([]), Wire(), 0.010)
+        Daemon(Config(str(tmp_path / "m.json"), Bus("hub:1"), data_id=7), model, Arm([]), Wire(), 0.010)
 
 
 def test_a_bus_that_never_appears_ends_with_a_sentence(tmp_path: Path) -> None:
@@ -252,16 +259,13 @@ def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -
     r = motion(1, 60)
     tau = r.tau.copy()
     tau[:, 4] *= 1.5
-    daemon, _, wire = make([Sample(k, 0.0, r.q[k], r.dq[k], tau[k]) for k in range(60)])
-    daemon.run(never)
-    view = View(watchdog_s=1e6)  # the daemon has ended when the browser looks
-    twin = [t for t in wire.slow["state/json"] if t["state"] == "VIOLATION"][-1]
-    view.take_json("", json.dumps(twin).encode())
-    for event in wire.slow["event"]:
-        view.take_event("", json.dumps(event).encode())
-    for data in wire.raw:
-        if unpack(data)["state"] != State.SHUTDOWN:
-            view.take_state("", data)
+    judged: Script = [Sample(k, 0.0, r.q[k], r.dq[k], tau[k]) for k in range(60)]
+    daemon, arm, wire = make([*judged, *[None] * 10_000], publish={"json_hz": 20.0})
+    view = View()
+    view.ask = lambda nonce: wire.handlers["challenge"]("challenge", nonce)
+    wire.ears = {"state": view.take_state, "state/json": view.take_json, "event": view.take_event}
+    loop = threading.Thread(target=daemon.run, args=(never,))
+    loop.start()
     page = Page(view, "127.0.0.1", 0)
     page.start()
     try:
@@ -278,5 +282,7 @@ def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         browser.get("about:blank")
+        arm.script.clear()
+        loop.join()
         page.shutdown()
         page.server_close()

@@ -233,7 +233,7 @@ def test_extension_means_what_it_says() -> None:
     from stopset.offline.stops.poses import Poses
 
     robot = prbt_like().robot
-    poses = Poses.of(robot, robot.tip)
+    poses = Poses.of(robot, robot.tip, prbt_like().domain.q)
     assert 0.70 < poses.reach < 0.76  # 0.350 + 0.305 + 0.084 m stretched
     for share in (0.33, 0.66, 1.0):
         q = poses.worst_for(1, share, robot.pi)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stopset.errors import NotCovered
-from stopset.reach.stops import Ramp
+from stopset.reach.stops import Ramp, StopBounds
 from stopset.robot.rigid import torque
 
 sys.path.insert(0, str(File(__file__).resolve().parents[1] / "benchmarks"))
@@ -21,6 +21,7 @@ from stopset.offline.stops.path import Path, path_stop
 
 MODEL = prbt_like((0.0, 0.5))
 RAMP = Ramp.stated(6, time=0.3, control=0.02)
+BOUNDS = StopBounds.of(MODEL, ramp=RAMP)
 POINTS = np.array(
     [
         [0.0, 0.3, 0.4, 0.0, 0.5, 0.0],
@@ -33,7 +34,7 @@ POINTS = np.array(
 
 def test_stays_on_the_path_within_torque_and_uses_it() -> None:
     path = Path.through(POINTS)
-    stop = path_stop(MODEL, path, 0.5, 1.5, RAMP)
+    stop = path_stop(BOUNDS, path, 0.5, 1.5)
     assert stop.bound.certified and stop.room >= 0.0
     dense = path.p(np.linspace(0.5, 0.5 + stop.length, 4000), 0)
     assert all(np.abs(dense - q).max(axis=1).min() < 1e-3 for q in stop.q)
@@ -41,7 +42,7 @@ def test_stays_on_the_path_within_torque_and_uses_it() -> None:
     assert np.all(travel.max(axis=0) <= stop.bound.forward + 1e-9) and np.all(-travel.min(axis=0) <= stop.bound.back + 1e-9)
     # full braking leaves some drive with little torque: no shorter stop exists
     assert stop.room < 0.1 * MODEL.robot.torque_limit.max()
-    slower = path_stop(MODEL, path, 0.5, 0.75, RAMP)
+    slower = path_stop(BOUNDS, path, 0.5, 0.75)
     assert slower.length < stop.length and slower.time < stop.time
 
 
@@ -53,7 +54,7 @@ def test_straight_line_matches_the_closed_form() -> None:
     end = q.copy()
     end[5] = 1.0
     ramp = Ramp.stated(6, time=0.3, control=0.0)
-    stop = path_stop(model, Path.through(np.array([q, end])), 0.0, 1.0, ramp, (0.0, 0.0))
+    stop = path_stop(StopBounds.of(model, (0.0, 0.0), ramp=ramp), Path.through(np.array([q, end])), 0.0, 1.0)
     # the drive's torque less friction (2 N m and 1 N m s/rad, a quarter more), U and reserve does the braking
     free = 8.0 * 0.98 - 2.5 - 1.25 - 0.4
     inertia = (
@@ -68,13 +69,13 @@ def test_straight_line_matches_the_closed_form() -> None:
         (POINTS, 2.968, 1.5, "too fast"),
         (POINTS, 0.5, 50.0, "too fast"),
         (POINTS + 3.0, 0.5, 1.0, "beyond its limits"),
-        (POINTS, 7.0, 1.0, "expected 0 <= s"),
+        (POINTS, 7.0, 1.0, "expected 0 <= row"),
         (POINTS[:1], 0.0, 1.0, "at least two"),
     ],
 )
 def test_impossible_paths_are_refused(points: np.ndarray, s: float, ds: float, word: str) -> None:
     with pytest.raises(NotCovered, match=word):
-        path_stop(MODEL, Path.through(points), s, ds, RAMP)
+        path_stop(BOUNDS, Path.through(points), s, ds)
 
 
 def test_between_the_poses_looked_at_nothing_leaves_the_bound() -> None:
@@ -82,7 +83,7 @@ def test_between_the_poses_looked_at_nothing_leaves_the_bound() -> None:
     from stopset.robot.rigid import link_frames
 
     path, robot = Path.through(POINTS), MODEL.robot
-    stop = path_stop(MODEL, path, 0.5, 1.5, RAMP)
+    stop = path_stop(BOUNDS, path, 0.5, 1.5)
     s = np.linspace(0.5, 0.5 + stop.length, 20000)
     q, d1 = path.p(s, 0), path.p(s, 1)
 

@@ -15,12 +15,8 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.stats import binom
 
-import stopset.offline.abstraction.choose as choose
 import stopset.offline.conform.linear_program as linear
-import stopset.offline.conform.noise as readings
 import stopset.offline.conform.program as program
-import stopset.offline.identify.constants as algorithm
-import stopset.offline.nominal.preprocess as preprocess
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
@@ -30,6 +26,7 @@ from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
 from stopset.offline.conform.linear_program import Fit, fit_sets
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
@@ -344,7 +341,7 @@ def test_p8_four_starts_of_two_motions_are_two_motions(shared_data) -> None:
         first: dict[tuple[str, int], np.ndarray] = {}
         for r in stream_recordings(path):
             if r.phase == "open_loop":
-                first.setdefault(r.motion, r.tau)
+                first.setdefault(r.suite_key, r.tau)
         found = independent_motions(first)
         quads = [{found[k] for k in list(found)[i : i + 4]} for i in range(0, len(found), 4)]
         assert not set.intersection(quads[0], quads[1])
@@ -531,20 +528,8 @@ def test_p18_another_grid_is_another_tube_so_the_grid_is_in_the_file(planar) -> 
     Ad, _ = discretise(found.model.abstraction, sets.dt)
     Ad2, _ = discretise(found.model.abstraction, coarse.dt)
     assert not np.allclose(Ad, Ad2)
-    assert found.model.provenance["settings_sha256"] == found.settings.sha256
-    assert Settings(windows="start").sha256 != Settings().sha256
-
-
-def test_p18_the_hash_covers_the_constants_of_the_algorithm_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = Settings().sha256
-    assert algorithm.constants()["stopset.offline.conform.program.STOP_TIME"] == program.STOP_TIME
-    for module, name in ((program, "STOP_TIME"), (readings, "COVERAGE"), (preprocess, "CLEAR"), (choose, "TIE")):
-        with monkeypatch.context() as m:
-            m.setattr(module, name, 1.5 * getattr(module, name))
-            algorithm.constants.cache_clear()
-            assert Settings().sha256 != before, f"{module.__name__}.{name}"
-    algorithm.constants.cache_clear()
-    assert Settings().sha256 == before
+    assert found.model.provenance["settings_sha256"] == settings_sha256(found.settings)
+    assert settings_sha256(Settings(windows="start")) != settings_sha256(Settings())
 
 
 # ---- P24: kind and unit of the effort

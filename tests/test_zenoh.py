@@ -20,6 +20,7 @@ from monitor_arm import motion
 from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError
+from stopset.monitor.consumer import SAYS, Doubt
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State, pack
 from stopset.monitor.links.zenoh_link import ZenohLink
@@ -131,11 +132,24 @@ def test_the_viewer_shows_what_holds_now_and_nothing_older() -> None:
         console.print(terminal(view))
         return console.export_text()
 
-    view = View(watchdog_s=0.3)
+    asked: list[bytes] = []
+    view = View(watchdog_s=0.3, ask=asked.append)
     assert view.word()[0] == "NO DATA"
     view.take_json("", json.dumps(TWIN).encode())
-    view.take_state("", pack({"data_id": 1, "seq": 1, "state": int(State.OK)}))
-    assert view.word() == ("OK", "inside every prediction")
+    answer = {"data_id": 1, "boot_id": 3, "state": int(State.OK), "valid_for_ms": 1000}
+
+    def hear(seq: int, **more: object) -> None:
+        now = time.time_ns()
+        view.take_state("", pack({**answer, "seq": seq, "t_meas_ns": now, "t_pub_ns": now, **more}))
+
+    hear(1)
+    assert view.word() == ("NO DATA", SAYS[Doubt.UNPROVEN]), "nobody has answered a challenge: it could be an old recording"
+    hear(2, nonces=(0, int.from_bytes(asked[-1], "little")))
+    assert view.word()[0] == "OK" and "inside every prediction" in view.word()[1] and "not checked" in view.word()[1]
+    for rubbish in (b"{", b"\xff", b"[]", b'{"state": 3}', b'{"kind": 1}', b"[" * 100_000, b'{"a":' * 50_000):
+        for take in (view.take_json, view.take_event, view.take_health, view.take_state):
+            take("", rubbish)
+    assert view.word()[0] == "OK"
     assert "100 ms" in text() and "20 mm" in text() and "not a safety function" in text()
     page = Page(view, "127.0.0.1", 0)
     page.start()

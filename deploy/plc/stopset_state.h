@@ -6,9 +6,15 @@
 #include <string.h>
 
 #define STOPSET_MAGIC 0x53505453u
-#define STOPSET_LAYOUT_VERSION 1u
-#define STOPSET_LENGTH 544u
+#define STOPSET_LAYOUT_VERSION 2u
+#define STOPSET_LENGTH 616u
 #define STOPSET_MAX_JOINTS 8u
+#define STOPSET_MAC_AT 592u /* the authentication code covers all bytes before it */
+#define STOPSET_MAC_LENGTH 16u
+#define STOPSET_NONCES 4u
+#define STOPSET_PROOF_LIFE_NS 1000000000LL /* an answered challenge is believed for this long */
+#define STOPSET_CHALLENGE_NS 200000000LL
+#define STOPSET_DRIFT_PPM 500LL
 #define STOPSET_STATE_NEVER_SENT 0x00u
 #define STOPSET_STATE_INIT 0x17u
 #define STOPSET_STATE_OK 0x2Bu
@@ -27,6 +33,22 @@
 #define STOPSET_FLAG_NO_TORQUE 128u
 #define STOPSET_FLAG_FALLBACK_IN_FORCE 256u
 #define STOPSET_FLAG_STOP_NOT_FRESH 512u
+#define STOPSET_FLAG_NODE_NOT_GOOD 1024u
+#define STOPSET_FLAG_EVIDENCE_YOUNG 2048u
+#define STOPSET_FLAG_RECOVERING 4096u
+#define STOPSET_DOUBT_NONE 0 /* none */
+#define STOPSET_DOUBT_NO_MESSAGE 1 /* no message yet */
+#define STOPSET_DOUBT_UNREADABLE 2 /* a message was damaged or of another version */
+#define STOPSET_DOUBT_FOREIGN 3 /* a message of another data id */
+#define STOPSET_DOUBT_FORGED 4 /* a message whose authentication code is not of a key held here */
+#define STOPSET_DOUBT_OTHER_MODEL 5 /* a message of another model */
+#define STOPSET_DOUBT_OTHER_CONFIG 6 /* a message of another configuration */
+#define STOPSET_DOUBT_REPEATED 7 /* a message repeated or out of order */
+#define STOPSET_DOUBT_UNPROVEN 8 /* no answer to my challenge by this daemon */
+#define STOPSET_DOUBT_SILENT 9 /* silent */
+#define STOPSET_DOUBT_STALE 10 /* the data may be older than they are valid for */
+#define STOPSET_DOUBT_AHEAD 11 /* the data are stamped later than now */
+#define STOPSET_DOUBT_NO_SUCH_STATE 12 /* unknown state code */
 
 typedef struct {
   uint32_t magic; /* @0 0x53505453 */
@@ -81,6 +103,14 @@ typedef struct {
   float stop2_reaction; /* @532 [s] STOP 2: reaction time in the numbers (0: yours to add) */
   uint32_t check; /* @536 CRC-32/ISO-HDLC of all bytes before this field */
   uint32_t crc; /* @540 CRC-32C of all bytes before this field */
+  uint64_t nonces[4]; /* @544 first 8 bytes of the last challenges heard, newest first; 0 none */
+  uint32_t key_id; /* @576 key of the authentication code; 0 no code */
+  uint32_t bad_nodes; /* @580 bit i set = the drive of joint i+1 is silent, not operational, or in an emergency */
+  uint32_t dropped; /* @584 samples dropped unread since the start because newer ones were there */
+  uint32_t reserved2; /* @588 0 */
+  uint8_t mac[16]; /* @592 HMAC-SHA256 of all bytes before this field, its first 16 bytes */
+  uint32_t end_check; /* @608 CRC-32/ISO-HDLC of all bytes before this field */
+  uint32_t end_crc; /* @612 CRC-32C of all bytes before this field */
 } stopset_state;
 typedef char stopset_size_check[sizeof(stopset_state) == STOPSET_LENGTH ? 1 : -1];
 
@@ -93,21 +123,13 @@ static uint32_t stopset_crc(const uint8_t *p, size_t n, uint32_t polynomial) {
   return ~c;
 }
 
-/* 0: *out holds a message that may be believed as far as `last` shows; else why not. `last` is the message accepted before
-   (all zero at first). The caller keeps the watchdog: without an accepted message in time the state is FAULT. */
-static int stopset_accept(const uint8_t *data, size_t n, uint32_t data_id, const stopset_state *last, stopset_state *out) {
-  stopset_state m;
-  if (n != STOPSET_LENGTH) return 1;
-  memcpy(&m, data, sizeof m);
-  if (m.magic != STOPSET_MAGIC || m.layout_version != STOPSET_LAYOUT_VERSION || m.length != STOPSET_LENGTH) return 1;
-  if (m.crc != stopset_crc(data, STOPSET_LENGTH - 4u, 0x82F63B78u)) return 2;
-  if (m.check != stopset_crc(data, STOPSET_LENGTH - 8u, 0xEDB88320u)) return 2;
-  if (m.data_id != data_id) return 3;
-  if (last->magic && m.boot_id == last->boot_id) {
-    uint32_t step = m.seq - last->seq;
-    if (step == 0u || step >= 0x80000000u) return 4;
-  }
-  *out = m;
-  return 0;
+/* 1: *out holds an undamaged message of this layout; 0: there is none. Whether it may be believed: stopset_consumer.h */
+static int stopset_read(const uint8_t *data, size_t n, stopset_state *out) {
+  if (n != STOPSET_LENGTH) return 0;
+  memcpy(out, data, sizeof *out);
+  return out->magic == STOPSET_MAGIC && out->layout_version == STOPSET_LAYOUT_VERSION && out->length == STOPSET_LENGTH &&
+         out->crc == stopset_crc(data, 540u, 0x82F63B78u) && out->check == stopset_crc(data, 536u, 0xEDB88320u) &&
+         out->end_crc == stopset_crc(data, 612u, 0x82F63B78u) &&
+         out->end_check == stopset_crc(data, 608u, 0xEDB88320u);
 }
 #endif

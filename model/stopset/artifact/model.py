@@ -19,7 +19,7 @@ from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
 
 Array = NDArray[np.float64]
-SCHEMA_VERSION = 2  # 2: torque sets as zonotopes
+SCHEMA_VERSION = 3  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +106,9 @@ class UncertaintySets:
 class Brakes:
     """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s].
 
-    ``apart`` [s]: within one stop every joint's delay lies at the same place of its interval, up to this much, as when one
-    power stage cuts all brakes; None where nothing is known of it.
+    ``apart`` [s]: the times at which the brakes of one stop engage, each less its joint's ``lag``, lie apart by no more than
+    this, as when one power stage cuts all brakes; None where nothing is known of it. ``lag``: (n,) [s] by how much a joint's
+    brake is always later; None: no brake is.
     """
 
     torque: Box
@@ -115,6 +116,7 @@ class Brakes:
     rise: Box
     source: str = "assumed"  # "assumed" | "data sheet" | "identified from ..."
     apart: float | None = None
+    lag: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +21,9 @@ SHOWN = (
     ("held_out_position_rmse", "open-loop position error, held out", "rad"),
     ("sum_U_width", "sum of U widths", "N m"),
     ("sum_U_width_without_margin", "  of it without margin", "N m"),
-    ("stop0_angle", "STOP 0 angle bound at full speed, mean of axes", "rad"),
+    ("stop0_angle", "STOP 0 angle bound at full speed", "rad"),
 )
+OWN = (("U_width", "width of U, the unexplained torque", "N m"),)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,12 +55,17 @@ def run(args: argparse.Namespace) -> int:
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:
-            for line in (*_changes(j.before, j.after), *_there(j.name.partition(":")[2], j.before, j.after)):
+            for line in (*_there(_joints(j.name), j.before, j.after), *_changes(j.before, j.after)):
                 say(f"  {line}")
     if done.model is not None:
         say(f"before -> after, errors judged on {done.judged_on}")
-        for line in (*_changes(done.before, done.after), *_widths(model, done.model)):
+        widths = {f"U_width:{j}": (a, b) for j, a, b in _widths(model, done.model)}
+        before, after = (dict(f) | {k: w[side] for k, w in widths.items()} for side, f in enumerate((done.before, done.after)))
+        own = dict.fromkeys(joint for j in done.judged if not j.why for joint in _joints(j.name))
+        for line in (*_there(own, before, after), "over the whole arm", *_changes(before, after)):
             say(line)
+        for key, (a, b) in widths.items():
+            say(_line(f"U width of {key.partition(':')[2]} [N m]", a, b))
         if "stop0_angle" not in done.after:
             say("STOP 0: not every axis' stop from full speed can be proved, so there is no mean to compare")
     if args.json:
@@ -86,21 +92,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
-    """One line per figure that both sides have."""
-    return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in SHOWN if key in before and key in after]
+def _joints(name: str) -> list[str]:
+    """The joints an effect ``name[:joint[+joint]]`` acts at; none where it belongs to the whole arm."""
+    return [j for j in name.partition(":")[2].split("+") if j]
 
 
-def _there(joint: str, before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
-    """The position error at the effect's own joint: over the arm, worse joints may hide what it does there."""
-    key = f"held_out_position_rmse:{joint}"
-    return [_line(f"  of it at {joint} [rad]", before[key], after[key])] if key in before and key in after else []
+def _changes(before: Mapping[str, float], after: Mapping[str, float], joint: str = "") -> list[str]:
+    """One line per figure that both sides have: over the arm, or at one ``joint``."""
+    keys = [(f"{key}:{joint}" if joint else key, means, unit) for key, means, unit in (*SHOWN, *(OWN if joint else ()))]
+    return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in keys if key in before and key in after]
 
 
-def _widths(before: Model, after: Model) -> list[str]:
-    """One line per joint: how wide its unknown torque is."""
-    pairs = zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True)
-    return [_line(f"U width of {joint} [N m]", a, b) for joint, a, b in pairs]
+def _there(joints: Iterable[str], before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """The figures at an effect's own joints come first: over the arm, other joints hide what it does there."""
+    return [line for j in joints for line in (f"at {j}", *_changes(before, after, j))]
+
+
+def _widths(before: Model, after: Model) -> list[tuple[str, float, float]]:
+    """Of each joint: how wide its unknown torque is [N m], before and after."""
+    return list(zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True))
 
 
 def _line(what: str, a: float, b: float) -> str:

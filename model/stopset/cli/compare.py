@@ -21,10 +21,12 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
     from stopset.offline.compare.tightness import table
+    from stopset.offline.compare.verdict import verdict
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
     found = compare(model, args.data)
+    say(verdict(found).text)
     say(f"{'joint':<22}{'torque':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in found.figures.items():
         cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])

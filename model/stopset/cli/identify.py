@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_keep_options, add_output_options, add_robot_options, check_outputs, say, write_json
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
@@ -51,11 +51,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p; not with --update"
     )
+    add_robot_options(parser)
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
     parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
     parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
+    parser.add_argument(
+        "--friction", choices=("evidence", "plain"), default="evidence",
+        help="laws beside Coulomb and viscous friction: those that lower the held-out error (default), or only what --effects names",
+    )  # fmt: skip
     parser.add_argument(
         "--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)"
     )
@@ -148,11 +153,11 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
         raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
     if args.state is not None:
         raise StopsetError(f"--state {args.state} is only read by --update; name the model it belongs to, or leave it out")
-    robot = load_robot(args.robot)
+    robot = load_robot(args.robot, tip=args.tip, lock=args.lock)
     settings = Settings(
         model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
-        shape=args.shape,
+        shape=args.shape, friction=args.friction,
     )  # fmt: skip
     return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
@@ -165,7 +170,19 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
     add_arguments(parser)
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape", "keep_as")
+        for name in (
+            "robot",
+            "model",
+            "order",
+            "effects",
+            "friction",
+            "conform",
+            "windows",
+            "margin",
+            "bands",
+            "shape",
+            "keep_as",
+        )
         if getattr(args, name) != parser.get_default(name)
     ]
     if given:

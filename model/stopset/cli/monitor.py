@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.cli.common import say
     from stopset.monitor.config import load_config
-    from stopset.monitor.daemon import NOTICE
+    from stopset.monitor.report import NOTICE
     from stopset.monitor.service import start
 
     config = load_config(args.config)

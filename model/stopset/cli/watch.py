@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stopset.monitor.consumer import Expected
+    from stopset.monitor.viewer import View
 
 HELP = "live page and terminal view of a running monitor, from zenoh alone"
 
@@ -10,6 +16,17 @@ HELP = "live page and terminal view of a running monitor, from zenoh alone"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", metavar="ENDPOINT", help="zenoh (default: %(default)s)")
     parser.add_argument("--arm", default="site/cell/arm", metavar="SITE/CELL/ARM", help="which arm (default: %(default)s)")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="C.toml",
+        help="the monitor's own configuration: only messages of its data id, model, configuration and keys are believed",
+    )
+    parser.add_argument(
+        "--check", action="store_true",
+        help="say what holds after --seconds (default 2) and end: exit code 0 for a fresh, valid message of a state that is "
+        "not FAULT, else 1; with --config, for a health check",
+    )  # fmt: skip
     parser.add_argument("--zenoh", metavar="FILE.json5", help="zenoh configuration (TLS) instead of --connect")
     parser.add_argument("--host", default="127.0.0.1", help="address of the page (default: this machine only)")
     parser.add_argument("--port", type=int, default=8600, help="port of the page, 0 for none (default: %(default)s)")
@@ -28,13 +45,19 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.links.zenoh_link import ZenohLink
     from stopset.monitor.viewer import Page, View, terminal
 
-    view = View()
-    link = ZenohLink(f"{args.arm}/stopset", mode="client", connect=[] if args.zenoh else [args.connect], file=args.zenoh)
+    arm, connect, file, expected = f"{args.arm}/stopset", [args.connect], args.zenoh, None
+    if args.config:
+        arm, connect, file, expected = _configured(args.config)
+    view = View(expected=expected)
+    link = ZenohLink(arm, mode="client", connect=[] if file else connect, file=file)
+    view.ask = lambda nonce: link.put("challenge", nonce)
     try:
         for name, take in (
             ("state", view.take_state), ("state/json", view.take_json), ("health", view.take_health), ("event", view.take_event),
         ):  # fmt: skip
             link.subscribe(name, take)
+        if args.check:
+            return _check(view, args.seconds or 2.0)
         if args.port:
             try:
                 page = Page(view, args.host, args.port)
@@ -62,3 +85,32 @@ def run(args: argparse.Namespace) -> int:
     finally:
         link.close()
     return 0
+
+
+def _configured(path: Path) -> tuple[str, list[str], str | None, Expected]:
+    """Prefix, endpoints, zenoh file and what to expect of the monitor of a configuration."""
+    from stopset.artifact import load_model
+    from stopset.monitor.authentication import load_keys
+    from stopset.monitor.config import load_config
+    from stopset.monitor.consumer import Expected
+
+    c = load_config(path)
+    keys = load_keys(c.keys) if c.keys else None
+    endpoints = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
+    expected = Expected.of(c.data_id, load_model(c.model).sha256, c.sha256, keys)
+    return c.prefix, endpoints, c.zenoh.file or None, expected
+
+
+def _check(view: View, seconds: float) -> int:
+    """Wait for a state that may be believed, at most ``seconds``; exit code."""
+    import time
+
+    from stopset.cli.common import say
+
+    end = time.monotonic() + seconds
+    word, why = view.word()
+    while word in ("NO DATA", "FAULT") and time.monotonic() < end:
+        time.sleep(0.02)
+        word, why = view.word()
+    say(f"{word}  {why}")
+    return int(word in ("NO DATA", "FAULT"))

@@ -31,6 +31,7 @@ EFFECT = Effect(
     law=law,
     needs=("tip",),
     enters="inertia",
+    role="plant",
     source="khalil2007",
     scope="arm",
     looks_like=("torque_gain", "base_tilt"),

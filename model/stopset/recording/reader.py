@@ -19,7 +19,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from stopset.errors import RecordingError
-from stopset.recording.types import EFFORTS, PHASES, Array, Meta, Recording, Recordings
+from stopset.recording.types import EFFORTS, PHASES, Array, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
 
 BATCH_ROWS = 65_536
@@ -181,6 +181,10 @@ def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | N
 
     Raises `RecordingError` with one sentence for anything that is not a sound recording.
     """
+    return counted(_stream(paths, robot))
+
+
+def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> Iterator[Recording]:
     place = 0
     for number, path in enumerate(_paths(paths)):
         schema, batches = _open(path)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
+import os
 import tomllib
 import typing
 from dataclasses import dataclass, field
@@ -48,12 +50,19 @@ class Zenoh:
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """How often and how long-lived: ``stale_ms``: silence of the arm that makes the state FAULT."""
+    """How often and how long-lived.
+
+    ``valid_for_ms``: oldest data that OK is said for; ``stale_ms``: silence of the arm that makes the state FAULT;
+    ``evidence_s``: how much is published with a violation; ``evidence_min_s``: OK needs a prediction at least this old;
+    ``recover_s``: OK comes back only after cycles without a fault for this long.
+    """
 
     json_hz: float = 5.0
     valid_for_ms: int = 30
     stale_ms: int = 200
     evidence_s: float = 1.0
+    evidence_min_s: float = 0.1
+    recover_s: float = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +94,21 @@ class Fallback:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen."""
+    """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
+
+    ``data_id``: this arm's, told to its consumers; ``keys``: key file of the authentication code, "" = no code; ``journal``:
+    where a violation is remembered, "" = beside the configuration, or in systemd's state directory.
+    """
 
     model: str
+    data_id: int = field(kw_only=True)
     bus: Bus | None = None
     joint_states: JointStates | None = None
     site: str = "site"
     cell: str = "cell"
     arm: str = "arm"
-    data_id: int = 1
+    keys: str = ""
+    journal: str = ""
     payload_kg: float = 0.0
     warm: tuple[float, ...] = (0.0, 1.0)  # place in the session, if known better: only for models with a warm-up
     realtime: bool = False  # lock memory; needs the limits of deploy/systemd
@@ -154,30 +169,47 @@ def load_config(path: str | Path) -> Config:
         ("bus.time_scale", config.bus.time_scale if config.bus else 1.0, 1e-3, 1e3),
         ("joint_states.cycle_s", config.joint_states.cycle_s if config.joint_states else 1.0, 1e-4, 1.0),
         ("publish.json_hz", config.publish.json_hz, 0.1, 50.0),
-        ("publish.valid_for_ms", config.publish.valid_for_ms, 1, 65535),
+        ("publish.valid_for_ms", config.publish.valid_for_ms, 1, 1000),
         ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
         ("publish.evidence_s", config.publish.evidence_s, 0.0, 10.0),
+        ("publish.evidence_min_s", config.publish.evidence_min_s, 0.0, 10.0),
+        ("publish.recover_s", config.publish.recover_s, 0.0, 60.0),
         ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
         ("stops.ramp_time_s", config.stops.ramp_time_s, 0.0, 10.0),
         ("stops.ramp_deceleration", config.stops.ramp_deceleration, 0.0, 1e3),
         ("stops.ramp_control_s", config.stops.ramp_control_s, 0.0, 10.0),
         ("stops.ramp_off_after_s", config.stops.ramp_off_after_s, 0.0, 10.0),
-        ("data_id", config.data_id, 0, 2**32 - 1),
+        ("data_id", config.data_id, 1, 2**32 - 1),
+        ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
+        ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
+        ("payload_kg", config.payload_kg, 0.0, 1e4),
+        # a stop takes time and way: none at all is no worst case
+        ("fallback.time_s", config.fallback.time_s, 1e-3, math.inf),
+        ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
+        ("fallback.tcp_m", config.fallback.tcp_m, 1e-6, math.inf),
     )
     for name, value, lo, hi in limits:
         if not lo <= value <= hi:
-            raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}")
+            raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}: mend it")
     if not (len(config.warm) == 2 and 0.0 <= config.warm[0] <= config.warm[1] <= 1.0):
         raise ConfigError(f"{p}: warm is {list(config.warm)}; expected [lo, hi] between 0 (cold) and 1 (as warm as identified)")
     if config.stops.ramp_time_s and config.stops.ramp_deceleration:
         raise ConfigError(f"{p}: stops.ramp_time_s and stops.ramp_deceleration are both given; expected one of them")
     if bad := [c for c in config.stops.categories if c not in ("0", "1", "2")]:
         raise ConfigError(f"{p}: stops.categories holds {bad[0]!r}; expected some of 0, 1, 2")
+    if not config.stops.categories or len(set(config.stops.categories)) != len(config.stops.categories):
+        raise ConfigError(
+            f"{p}: stops.categories is {list(config.stops.categories)}; expected at least one of 0, 1, 2, each once: a monitor "
+            "that bounds no stop has nothing to be OK about"
+        )
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
     here = p.parent
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
+    state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
     return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest()
-    )
+        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
+        keys=str(here / config.keys) if config.keys else "",
+        journal=str(here / config.journal if config.journal else state / f"{p.stem}.latch"),
+    )  # fmt: skip

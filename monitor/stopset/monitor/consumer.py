@@ -1,59 +1,178 @@
-"""How a consumer must read the state: every doubt is FAULT. The PLC examples in ``deploy/plc`` do the same."""
+"""How a consumer must read the state: every doubt is FAULT. ``deploy/plc/stopset_consumer.h`` is the same in C.
+
+No common clock is needed. The consumer sends a random nonce on ``challenge``; the first message that carries it was made after
+it was sent and before it was heard, which bounds how far the daemon's clock is from the consumer's, and proves that this
+daemon, in this life (``boot_id``), is there now. From then on the age of every message's data is known to within that bound.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 from stopset.errors import BusError
-from stopset.monitor.layout import State, unpack
+from stopset.monitor.authentication import Keys
+from stopset.monitor.layout import State, offsets, unpack
+
+MS = 1_000_000
+DRIFT_PPM = 500  # two crystal clocks part by no more than this
+CHALLENGE_EVERY = 200 * MS  # [ns]
+PROOF_LIFE = 1000 * MS  # [ns] an answered challenge is believed for this long
+_MAC_AT = offsets()["mac"]
+
+
+class Doubt(IntEnum):
+    """Why a message was refused or a state is FAULT; the same numbers in C."""
+
+    NONE = 0
+    NO_MESSAGE = 1
+    UNREADABLE = 2
+    FOREIGN = 3
+    FORGED = 4
+    OTHER_MODEL = 5
+    OTHER_CONFIG = 6
+    REPEATED = 7
+    UNPROVEN = 8
+    SILENT = 9
+    STALE = 10
+    AHEAD = 11
+    NO_SUCH_STATE = 12
+
+
+SAYS = {
+    Doubt.NONE: "", Doubt.NO_MESSAGE: "no message yet", Doubt.UNREADABLE: "a message was damaged or of another version",
+    Doubt.FOREIGN: "a message of another data id", Doubt.FORGED: "a message whose authentication code is not of a key held here",
+    Doubt.OTHER_MODEL: "a message of another model", Doubt.OTHER_CONFIG: "a message of another configuration",
+    Doubt.REPEATED: "a message repeated or out of order", Doubt.UNPROVEN: "no answer to my challenge by this daemon",
+    Doubt.SILENT: "silent", Doubt.STALE: "the data may be older than they are valid for",
+    Doubt.AHEAD: "the data are stamped later than now", Doubt.NO_SUCH_STATE: "unknown state code",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """Whose messages are wanted; nothing has a default. ``model_hash``, ``config_hash``: None = taken as they come, which a
+    display may do and a controller must not. ``keys``: None = no authentication code is asked for."""
+
+    data_id: int
+    model_hash: int | None
+    config_hash: int | None
+    keys: Keys | None
+
+    @classmethod
+    def of(cls, data_id: int, model_sha256: str, config_sha256: str, keys: Keys | None) -> Expected:
+        """From the full hashes of the model file and the configuration."""
+        return cls(data_id, int(model_sha256[:16], 16), int(config_sha256[:16], 16), keys)
 
 
 @dataclass(slots=True)
 class Consumer:
-    """Takes messages, answers what may be believed now. ``watchdog_s``: longest silence; at least two cycles and jitter.
+    """Takes messages, answers what may be believed now; times in ns of the consumer's own monotonic clock.
 
-    A common clock is not needed: silence is measured with the consumer's own clock, and a message that was delayed on the
-    way is found by its nonce (see `stopset.monitor.daemon`) or by the sequence number of the next one.
+    ``watchdog``: longest silence; at least two cycles and jitter. Send what `challenge` gives.
     """
 
-    data_id: int
-    watchdog_s: float = 0.05
+    expected: Expected
+    watchdog: int = 50 * MS
     last: dict[str, Any] | None = None
-    arrived: float = float("-inf")
-    rejected: int = 0
+    arrived: int = 0
     lost: int = 0
-    why: str = "no message yet"
+    refused: Counter[Doubt] = field(default_factory=Counter)
+    why: Doubt = Doubt.NO_MESSAGE
+    _nonce: int = 0  # the one that waits for its answer, 0 none
+    _asked: int = 0
+    _boot: int | None = None  # the life that has answered last
+    _proved: int = 0
+    _lo: int = 0  # daemon's clock minus mine, at _proved: not less than _lo, not more than _hi
+    _hi: int = 0
 
-    def take(self, data: bytes, now: float) -> None:
-        """A message arrived at ``now`` [s, own monotonic clock]; a bad one counts as silence."""
+    def challenge(self, now: int, random: int) -> bytes | None:
+        """The nonce to send now, made of ``random`` (64 fresh bits); None when it is not time."""
+        due = PROOF_LIFE // 2 if self._nonce else CHALLENGE_EVERY
+        if self._asked and now - self._asked < due:
+            return None
+        self._nonce, self._asked = random or 1, now
+        return self._nonce.to_bytes(8, "little")
+
+    def take(self, data: bytes, now: int) -> Doubt:
+        """A message arrived at ``now``; a doubtful one counts as silence. Returns the doubt."""
         try:
             m = unpack(data)
-        except BusError as e:
-            return self._reject(str(e))
-        if m["data_id"] != self.data_id:
-            return self._reject(f"message of source {m['data_id']}, expected {self.data_id}")
+        except BusError:
+            return self._refuse(Doubt.UNREADABLE)
+        if doubt := self._stranger(m, data):
+            return self._refuse(doubt)
+        alive = self.last is not None and now - self.arrived <= self.watchdog
+        if m["boot_id"] != self._boot and alive:
+            return self._refuse(Doubt.UNPROVEN)  # another sender beside the one that is there
+        answer = self._nonce != 0 and self._nonce in m["nonces"]
+        if m["boot_id"] != self._boot and not answer:
+            return self._refuse(Doubt.UNPROVEN)
         if self.last is not None and m["boot_id"] == self.last["boot_id"]:
             step = (m["seq"] - self.last["seq"]) & 0xFFFFFFFF
             if not 0 < step < 1 << 31:
-                return self._reject(f"sequence number {m['seq']} after {self.last['seq']}: repeated or old")
+                return self._refuse(Doubt.REPEATED)
             self.lost += step - 1
+        if answer:
+            self._prove(m, now)
+        elif now + self._hi + self._drift(now) < m["t_pub_ns"]:  # made later than now: its clock has been set forward
+            self._proved = now - PROOF_LIFE - 1
         self.last, self.arrived = m, now
-        return None
+        return Doubt.NONE
 
-    def _reject(self, why: str) -> None:
-        self.rejected += 1
-        self.why = why
+    def _stranger(self, m: dict[str, Any], data: bytes) -> Doubt:
+        e = self.expected
+        if m["data_id"] != e.data_id:
+            return Doubt.FOREIGN
+        if e.keys is not None and not e.keys.made(m["key_id"], data[:_MAC_AT], bytes(m["mac"])):
+            return Doubt.FORGED
+        if e.model_hash is not None and m["model_hash"] != e.model_hash:
+            return Doubt.OTHER_MODEL
+        if e.config_hash is not None and m["config_hash"] != e.config_hash:
+            return Doubt.OTHER_CONFIG
+        return Doubt.NONE
 
-    def state(self, now: float) -> State:
-        """What holds at ``now``: the sender's state, or FAULT if it is silent, stale or unintelligible."""
-        if self.last is None or now - self.arrived > self.watchdog_s:
-            if self.last is not None:
-                self.why = f"silent for {(now - self.arrived) * 1e3:.0f} ms"
-            return State.FAULT
-        try:
-            state = State(self.last["state"])
-        except ValueError:
-            self.why = f"unknown state code {self.last['state']:#x}"
-            return State.FAULT
-        return State.FAULT if state is State.NEVER_SENT else state
+    def _prove(self, m: dict[str, Any], now: int) -> None:
+        lo, hi = m["t_pub_ns"] - now, m["t_pub_ns"] - self._asked
+        if m["boot_id"] == self._boot:  # what was known before still holds, but for the drift since
+            drift = self._drift(now)
+            before = max(lo, self._lo - drift), min(hi, self._hi + drift)
+            if before[0] <= before[1]:
+                lo, hi = before
+        self._boot, self._proved, self._lo, self._hi, self._nonce = m["boot_id"], now, lo, hi, 0
+
+    def _drift(self, now: int) -> int:
+        return max(0, now - self._proved) * DRIFT_PPM // 1_000_000
+
+    def _refuse(self, doubt: Doubt) -> Doubt:
+        self.refused[doubt] += 1
+        return doubt
+
+    def state(self, now: int) -> State:
+        """What holds at ``now``: the daemon's state, or FAULT if there is any doubt, which is then in ``why``."""
+        self.why = self._doubt(now)
+        return State.FAULT if self.why else State(self.last["state"])  # type: ignore[index]
+
+    def _doubt(self, now: int) -> Doubt:
+        m = self.last
+        if m is None:
+            return Doubt.UNPROVEN if self.refused else Doubt.NO_MESSAGE
+        if now - self.arrived > self.watchdog:
+            return Doubt.SILENT
+        if now - self._proved > PROOF_LIFE:
+            return Doubt.UNPROVEN
+        if m["state"] not in tuple(State) or m["state"] == State.NEVER_SENT:
+            return Doubt.NO_SUCH_STATE
+        if m["state"] not in (State.OK, State.DEGRADED):  # nothing in it is to be used
+            return Doubt.NONE
+        oldest = now + self._hi + self._drift(now) - m["t_meas_ns"]
+        if oldest < 0:
+            return Doubt.AHEAD
+        return Doubt.STALE if oldest > m["valid_for_ms"] * MS else Doubt.NONE
+
+    @property
+    def rejected(self) -> int:
+        """Messages refused so far."""
+        return sum(self.refused.values())

@@ -5,15 +5,22 @@ JSON: ``{"stamp": seconds, "name": [...], "position": [...], "velocity": [...], 
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
 
 from stopset.errors import BusError
 
-MAX_JOINTS = 64  # a longer list is a damaged message, not an arm
+# what goes beyond these is a damaged message or an attack, not an arm
+MAX_JOINTS = 64
+MAX_BYTES = 65536
+MAX_NAME = 256
+MAX_STAMP_NS = 2**62  # the year 2116
+MAX_VALUE = 1e9  # of any angle, speed or torque
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,24 +35,53 @@ class JointState:
 
 
 def decode(data: bytes) -> JointState:
-    """Either encoding, told apart by the first byte; raises `BusError` for anything else."""
+    """Either encoding, told apart by the first byte; raises `BusError` for anything else, whatever the bytes are."""
+    if len(data) > MAX_BYTES:
+        raise BusError(f"joint_states message of {len(data)} bytes; expected at most {MAX_BYTES}: look at the sender")
     try:
         state = _from_json(data) if data[:1] == b"{" else _from_cdr(data)
-    except (ValueError, KeyError, TypeError, struct.error, IndexError, UnicodeDecodeError) as e:
+    except (ValueError, struct.error, msgspec.MsgspecError, RecursionError) as e:
         raise BusError(
             f"joint_states message of {len(data)} bytes is neither JSON nor CDR JointState ({e}); look at the sender"
         ) from e
     n = len(state.name)
     if not all(len(x) in (0, n) for x in (state.position, state.velocity, state.effort)):
         raise BusError(f"joint_states names {n} joints but carries other numbers of values; look at the sender")
+    if len(set(state.name)) != n:
+        raise BusError("joint_states names a joint twice; expected each once: look at the sender")
+    if not 0 <= state.stamp_ns < MAX_STAMP_NS:
+        raise BusError(
+            f"joint_states is stamped {state.stamp_ns:.3g} ns; expected the time since 1970: look at the sender's clock"
+        )
+    if not all(abs(x) <= MAX_VALUE for x in (*state.position, *state.velocity, *state.effort)):  # nor is NaN
+        raise BusError(f"joint_states carries a value that is not a number up to {MAX_VALUE:g}; look at the sender")
     return state
 
 
+_Row = Annotated[tuple[float, ...], msgspec.Meta(max_length=MAX_JOINTS)]
+
+
+class _Json(msgspec.Struct):
+    name: Annotated[tuple[Annotated[str, msgspec.Meta(max_length=MAX_NAME)], ...], msgspec.Meta(max_length=MAX_JOINTS)]
+    stamp_ns: int | None = None
+    stamp: float | None = None
+    position: _Row = ()
+    velocity: _Row = ()
+    effort: _Row = ()
+
+
+_decode_json = msgspec.json.Decoder(_Json).decode
+
+
 def _from_json(data: bytes) -> JointState:
-    d = json.loads(data)
-    stamp = int(d["stamp_ns"]) if "stamp_ns" in d else round(float(d["stamp"]) * 1e9)
-    values = (tuple(float(x) for x in d.get(k, ())) for k in ("position", "velocity", "effort"))
-    return JointState(stamp, tuple(str(x) for x in d["name"]), *values)
+    d = _decode_json(data)
+    if d.stamp_ns is None and d.stamp is None:
+        raise ValueError("no stamp")
+    stamp = d.stamp_ns
+    if stamp is None:
+        assert d.stamp is not None
+        stamp = round(d.stamp * 1e9) if abs(d.stamp) < 1e10 else -1
+    return JointState(stamp, d.name, d.position, d.velocity, d.effort)
 
 
 class _Reader:
@@ -64,6 +100,8 @@ class _Reader:
 
     def text(self) -> str:
         length = int(self.take("I"))
+        if length > MAX_NAME:
+            raise ValueError(f"text of {length} bytes")
         raw = self.data[self.at : self.at + length]
         if len(raw) < length:
             raise ValueError("text runs over the end")
@@ -91,7 +129,7 @@ def to_json(s: JointState) -> bytes:
     if any(not math.isfinite(x) for x in (*s.position, *s.velocity, *s.effort)):
         raise BusError("a joint state holds a value that is not a number; it cannot be sent")
     body = {"stamp_ns": s.stamp_ns, "name": s.name, "position": s.position, "velocity": s.velocity, "effort": s.effort}
-    return json.dumps(body, separators=(",", ":")).encode()
+    return msgspec.json.encode(body)
 
 
 def to_cdr(s: JointState) -> bytes:

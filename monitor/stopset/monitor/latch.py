@@ -1,29 +1,33 @@
-"""What has been seen stays seen: violations are latched until a person with a name resets them."""
+"""What has been seen stays seen: violations are latched until a person with a name resets them, restarts or not."""
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
+
+from stopset.monitor.journal import Journal, Unreadable
 from stopset.monitor.watch import Conformance, Deviation, Sample, Verdict
 
 RECENT = 10
 DRIFT = 3  # this many violating samples of RECENT are a drift, fewer a spike (a sensor error is then suspected)
+SCHEMA = 1
+SAVE_EVERY = 1.0  # [s] a growing count is written this often; a new entry at once
 
 
 @dataclass(slots=True)
 class Entry:
-    """All violations of one joint's state on one side since the last reset."""
+    """All violations of one joint's state on one side since the last reset; ``recent``: cycle numbers of the last ones."""
 
     first: Deviation
     worst: Deviation
     first_t: float
     last_t: float
     samples: int = 1
-    recent: deque[int] = field(default_factory=lambda: deque(maxlen=DRIFT))
+    recent: list[int] = field(default_factory=list)
 
-    def plain(self, names: bool = True) -> dict[str, Any]:
+    def plain(self) -> dict[str, Any]:
         """For people and JSON."""
         w = self.worst
         drift = len(self.recent) == DRIFT and self.recent[-1] - self.recent[0] < RECENT
@@ -37,47 +41,107 @@ class Entry:
 
 
 @dataclass(slots=True)
-class Latch:
-    """Counts and keeps violations; ``first`` is the entry that came first (first-out)."""
+class Record:
+    """What is remembered: ``why`` it is latched (empty: it is not), samples counted, entries in the order they came first."""
 
+    schema: int = SCHEMA
+    why: str = ""
     count: int = 0
-    entries: dict[tuple[str, str, str], Entry] = field(default_factory=dict)
-    first: Entry | None = None
+    entries: list[Entry] = field(default_factory=list)
+    reset: dict[str, str] = field(default_factory=dict)  # who cleared it last, and why
 
-    def take(self, sample: Sample, verdict: Verdict) -> list[Entry]:
-        """Record a verdict; returns the entries that are new with it."""
+
+class Latch:
+    """Counts and keeps violations; what the ``journal`` holds is latched from the start."""
+
+    def __init__(self, journal: Journal | None = None) -> None:
+        self._journal, self._saved_at, self._saved = journal, float("-inf"), 0
+        self.record = Record()
+        if journal is None:
+            return
+        try:
+            self.record = msgspec.convert(journal.read(), Record)
+            if self.record.schema != SCHEMA:
+                raise Unreadable(f"the journal of the latch has schema {self.record.schema}, this version reads {SCHEMA}")
+        except (Unreadable, msgspec.ValidationError) as e:
+            self.record = Record(why=f"{e}: a violation may have been forgotten")
+            journal.renew(self.record)
+        self._saved = self.record.count
+
+    def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[Entry]:
+        """Record a verdict at ``now`` [s]; returns the entries that are new with it."""
         if verdict.conformance is not Conformance.VIOLATION:
             return []
-        self.count += 1
+        r = self.record
+        r.count += 1
         new: list[Entry] = []
+        known = self.entries
         for d in verdict.deviations:
-            key = (d.joint, d.state, d.side)
-            entry = self.entries.get(key)
+            entry = known.get((d.joint, d.state, d.side))
             if entry is None:
                 entry = Entry(d, d, sample.t, sample.t)
-                self.entries[key] = entry
                 new.append(entry)
             else:
                 entry.samples += 1
                 entry.last_t = sample.t
                 if d.fraction > entry.worst.fraction:
                     entry.worst = d
-            entry.recent.append(sample.k)
-        if self.first is None and new:
-            self.first = max(new, key=lambda e: e.first.fraction)
+            entry.recent = [*entry.recent[1 - DRIFT :], sample.k]
+        r.entries += sorted(new, key=lambda e: -e.first.fraction)
+        if not r.why:
+            r.why = f"a measurement was outside its prediction ({verdict.why})"
+        if new:
+            self.save(now)
         return new
+
+    def save(self, now: float) -> None:
+        """Put what is known on disk."""
+        if self._journal is not None:
+            self._saved_at, self._saved = now, self.record.count
+            self._journal.write(self.record)
+
+    def keep(self, now: float) -> str:
+        """Save a count that has grown, or what the disk has refused; returns the disk's complaint, empty if none."""
+        if self._journal is None:
+            return ""
+        if now - self._saved_at >= SAVE_EVERY and (self.record.count != self._saved or self._journal.trouble):
+            self.save(now)
+        return self._journal.trouble
 
     @property
     def latched(self) -> bool:
-        return self.first is not None
+        return bool(self.record.why)
+
+    @property
+    def count(self) -> int:
+        """Samples outside their prediction since the last reset."""
+        return self.record.count
+
+    @property
+    def entries(self) -> dict[tuple[str, str, str], Entry]:
+        """By joint, state and side, in the order in which they came first."""
+        return {(e.first.joint, e.first.state, e.first.side): e for e in self.record.entries}
+
+    @property
+    def first(self) -> Entry | None:
+        """The entry that came first (first-out)."""
+        return self.record.entries[0] if self.record.entries else None
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints that violated, in the order in which they first did."""
-        order = sorted(self.entries.values(), key=lambda e: (e is not self.first, e.first_t))
-        return tuple(dict.fromkeys(e.first.joint for e in order))
+        return tuple(dict.fromkeys(e.first.joint for e in self.record.entries))
 
-    def reset(self) -> None:
-        """Forget; who did it and why belongs into an event."""
-        self.count, self.first = 0, None
-        self.entries.clear()
+    def reset(self, who: str = "", why: str = "", now: float = 0.0) -> None:
+        """Forget; who did it and why is kept."""
+        self.record = Record(reset={"name": who, "reason": why})
+        if self._journal is not None:
+            self._saved_at, self._saved = now, 0
+            self._journal.renew(self.record)
+
+    def close(self) -> None:
+        """Save the last count."""
+        if self._journal is not None:
+            if self.record.count != self._saved or self._journal.trouble:
+                self._journal.write(self.record)
+            self._journal.close()

@@ -2,6 +2,8 @@
 
 Little endian, fixed offsets, every field naturally aligned. Numbers are rounded to the safe side: what bounds from above goes
 up, what bounds from below goes down, so a float32 never promises more than the float64 it came from.
+
+Version 2 adds its fields behind those of version 1, whose offsets stay; a reader of version 1 refuses it by its version.
 """
 
 from __future__ import annotations
@@ -9,20 +11,22 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import ffi, lib
 from stopset.errors import BusError
 
 MAGIC = 0x53505453  # "STPS" in memory
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 MAX_JOINTS = 8
+NONCES = 4
+MAC = 16
 CATEGORIES = ("0", "1", "1 guaranteed", "2")
 PREFIX = {"0": "stop0", "1": "stop1", "1 guaranteed": "stop1g", "2": "stop2"}
 
@@ -53,6 +57,9 @@ class Flag(IntFlag):
     NO_TORQUE = 128
     FALLBACK_IN_FORCE = 256
     STOP_NOT_FRESH = 512
+    NODE_NOT_GOOD = 1024
+    EVIDENCE_YOUNG = 2048
+    RECOVERING = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +116,18 @@ FIELDS: tuple[Field, ...] = (
     *(f for c in CATEGORIES for f in _category(c, PREFIX[c])),
     Field("check", "u32", 1, "", "CRC-32/ISO-HDLC of all bytes before this field"),
     Field("crc", "u32", 1, "", "CRC-32C of all bytes before this field"),
+    # version 2
+    Field("nonces", "u64", NONCES, "", "first 8 bytes of the last challenges heard, newest first; 0 none"),
+    Field("key_id", "u32", 1, "", "key of the authentication code; 0 no code"),
+    Field("bad_nodes", "u32", 1, "", "bit i set = the drive of joint i+1 is silent, not operational, or in an emergency"),
+    Field("dropped", "u32", 1, "", "samples dropped unread since the start because newer ones were there"),
+    Field("reserved2", "u32", 1, "", "0"),
+    Field("mac", "u8", MAC, "", "HMAC-SHA256 of all bytes before this field, its first 16 bytes"),
+    Field("end_check", "u32", 1, "", "CRC-32/ISO-HDLC of all bytes before this field"),
+    Field("end_crc", "u32", 1, "", "CRC-32C of all bytes before this field"),
 )
 _STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
 LENGTH = _STRUCT.size
-_CRC_TABLE = np.zeros(256, np.uint32)
-for _i in range(256):
-    _c = _i
-    for _ in range(8):
-        _c = (_c >> 1) ^ (0x82F63B78 if _c & 1 else 0)
-    _CRC_TABLE[_i] = _c
 
 
 def offsets() -> dict[str, int]:
@@ -129,17 +139,9 @@ def offsets() -> dict[str, int]:
     return out
 
 
-@njit(cache=True)
-def _crc32c(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> int:
-    crc = np.uint32(0xFFFFFFFF)
-    for b in data:
-        crc = np.uint32(table[np.uint8(crc ^ np.uint32(b))] ^ (crc >> np.uint32(8)))
-    return int(crc ^ np.uint32(0xFFFFFFFF))
-
-
-def crc32c(data: bytes) -> int:
+def crc32c(data: bytes | bytearray) -> int:
     """CRC-32C (Castagnoli) of ``data``."""
-    return _crc32c(np.frombuffer(data, np.uint8), _CRC_TABLE)
+    return int(lib.stopset_crc32c(len(data), ffi.from_buffer("uint8_t[]", data)))
 
 
 def outward(x: float, rounds: str) -> float:
@@ -155,29 +157,88 @@ def outward(x: float, rounds: str) -> float:
     return float(y)
 
 
-def pack(values: Mapping[str, Any]) -> bytes:
-    """One message from field values; magic, version, length and both checks are filled in, missing fields are 0."""
-    flat: list[Any] = []
-    given = {"magic": MAGIC, "layout_version": LAYOUT_VERSION, "length": LENGTH, **values}
-    for f in FIELDS:
-        v = given.get(f.name, 0)
-        items = list(v) if isinstance(v, (Sequence, np.ndarray)) else [v]
-        items += [0] * (f.count - len(items))
-        flat += [outward(float(x), f.rounds) for x in items] if f.kind == "f32" else [int(x) for x in items]
-    body = bytearray(_STRUCT.pack(*flat))
-    struct.pack_into("<I", body, LENGTH - 8, zlib.crc32(body[: LENGTH - 8]))
-    struct.pack_into("<I", body, LENGTH - 4, crc32c(bytes(body[: LENGTH - 4])))
-    return bytes(body)
+def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """`outward` of many numbers at once."""
+    sign = np.where(up, 1.0, -1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        y = (sign * x).astype(np.float32)  # bounds from below are bounds from above of the negative
+        y = np.where(y < sign * x, np.nextafter(y, np.float32(np.inf)), y)
+    return np.asarray(np.where(np.isnan(y), np.inf, y) * sign, np.float32)
+
+
+class Signer(Protocol):
+    """A key's number, and the authentication code it makes of some bytes; see `stopset.monitor.authentication`."""
+
+    @property
+    def key_id(self) -> int: ...
+
+    def code(self, data: bytes | bytearray) -> bytes: ...
+
+
+_AT = offsets()
+_WHOLE = tuple(f for f in FIELDS if f.kind != "f32")
+_REAL = tuple(f for f in FIELDS if f.kind == "f32")
+_SLOTS = {f.name: slice(at, at + f.count) for f, at in zip(_REAL, np.cumsum([0, *(f.count for f in _REAL)]), strict=False)}
+_WORDS = np.concatenate([_AT[f.name] // 4 + np.arange(f.count) for f in _REAL])
+_UP = np.concatenate([np.full(f.count, f.rounds == "up") for f in _REAL])
+_CHECKED = (("check", "crc"), ("end_check", "end_crc"))
+
+
+class Packer:
+    """Makes messages in place, one after another; ``signer`` adds its authentication code."""
+
+    def __init__(self, signer: Signer | None = None) -> None:
+        self.signer = signer
+        self._bytes = bytearray(LENGTH)
+        self._real = np.zeros(len(_WORDS))
+        self._floats = np.frombuffer(self._bytes, "<f4")
+        self._views = {
+            f.name: np.frombuffer(self._bytes, "<" + {"B": "u1", "H": "u2", "I": "u4", "Q": "u8"}[KINDS[f.kind][0]], f.count, _AT[f.name])
+            for f in _WHOLE
+        }  # fmt: skip
+
+    def pack(self, values: Mapping[str, Any]) -> bytes:
+        """One message from field values; magic, version, length, code and checks are filled in, missing fields are 0."""
+        data, views, real = self._bytes, self._views, self._real
+        data[:] = bytes(LENGTH)
+        real[:] = 0.0
+        views["magic"][0], views["layout_version"][0], views["length"][0] = MAGIC, LAYOUT_VERSION, LENGTH
+        for name, value in values.items():
+            place = _SLOTS.get(name)
+            if place is None:
+                view = views[name]
+                view[: np.size(value)] = value
+            else:
+                real[place.start : place.start + np.size(value)] = value
+        self._floats[_WORDS] = outward_all(real, _UP)
+        self._check(*_CHECKED[0])
+        if self.signer is not None:
+            views["key_id"][0] = self.signer.key_id
+            at = _AT["mac"]
+            data[at : at + MAC] = self.signer.code(data[:at])
+        self._check(*_CHECKED[1])
+        return bytes(data)
+
+    def _check(self, iso: str, castagnoli: str) -> None:
+        data = self._bytes
+        self._views[iso][0] = zlib.crc32(data[: _AT[iso]])
+        self._views[castagnoli][0] = crc32c(data[: _AT[castagnoli]])
+
+
+def pack(values: Mapping[str, Any], signer: Signer | None = None) -> bytes:
+    """One message, see `Packer`."""
+    return Packer(signer).pack(values)
 
 
 def unpack(data: bytes) -> dict[str, Any]:
-    """Field values of a message; raises `BusError` if it is not one or was damaged on the way."""
+    """Field values of a message; raises `BusError` if it is not one or was damaged on the way. Who sent it is not checked."""
     if len(data) != LENGTH:
         raise BusError(f"state message has {len(data)} bytes, expected {LENGTH}; sender and reader have different versions")
     items = iter(_STRUCT.unpack(data))
     out: dict[str, Any] = {f.name: next(items) if f.count == 1 else tuple(next(items) for _ in range(f.count)) for f in FIELDS}
     if out["magic"] != MAGIC or out["layout_version"] != LAYOUT_VERSION or out["length"] != LENGTH:
         raise BusError(f"state message has magic {out['magic']:#x}, version {out['layout_version']}; expected {LAYOUT_VERSION}")
-    if out["crc"] != crc32c(data[: LENGTH - 4]) or out["check"] != zlib.crc32(data[: LENGTH - 8]):
-        raise BusError("state message is damaged: its checksum does not match; drop it and look at the network")
+    for iso, castagnoli in _CHECKED:
+        if out[castagnoli] != crc32c(data[: _AT[castagnoli]]) or out[iso] != zlib.crc32(data[: _AT[iso]]):
+            raise BusError("state message is damaged: its checksum does not match; drop it and look at the network")
     return out

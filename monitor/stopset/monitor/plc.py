@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from stopset.monitor.layout import FIELDS, LAYOUT_VERSION, LENGTH, MAGIC, MAX_JOINTS, Flag, State, offsets
+from stopset.monitor.consumer import CHALLENGE_EVERY, DRIFT_PPM, PROOF_LIFE, SAYS, Doubt
+from stopset.monitor.layout import FIELDS, LAYOUT_VERSION, LENGTH, MAC, MAGIC, MAX_JOINTS, NONCES, Flag, State, offsets
 
 _C = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "f32": "float"}
 _ST = {"u8": "USINT", "u16": "UINT", "u32": "UDINT", "u64": "ULINT", "f32": "REAL"}
@@ -13,7 +14,7 @@ _NOTE = "Generated from stopset.monitor.layout; do not edit. Monitoring aid, not
 
 
 def c_header() -> str:
-    """``stopset_state.h``: the struct, its codes, and the check every consumer must make before reading it."""
+    """``stopset_state.h``: the struct, its codes, and the check for damage."""
     at = offsets()
     rows = "\n".join(
         f"  {_C[f.kind]} {f.name}{f'[{f.count}]' if f.count > 1 else ''}; "
@@ -22,6 +23,7 @@ def c_header() -> str:
     )
     states = "\n".join(f"#define STOPSET_STATE_{s.name} 0x{s.value:02X}u" for s in State)
     flags = "\n".join(f"#define STOPSET_FLAG_{f.name} {f.value}u" for f in Flag)
+    doubts = "\n".join(f"#define STOPSET_DOUBT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Doubt)
     return f"""/* {_NOTE} Little-endian hosts. */
 #ifndef STOPSET_STATE_H
 #define STOPSET_STATE_H
@@ -33,8 +35,15 @@ def c_header() -> str:
 #define STOPSET_LAYOUT_VERSION {LAYOUT_VERSION}u
 #define STOPSET_LENGTH {LENGTH}u
 #define STOPSET_MAX_JOINTS {MAX_JOINTS}u
+#define STOPSET_MAC_AT {at["mac"]}u /* the authentication code covers all bytes before it */
+#define STOPSET_MAC_LENGTH {MAC}u
+#define STOPSET_NONCES {NONCES}u
+#define STOPSET_PROOF_LIFE_NS {PROOF_LIFE}LL /* an answered challenge is believed for this long */
+#define STOPSET_CHALLENGE_NS {CHALLENGE_EVERY}LL
+#define STOPSET_DRIFT_PPM {DRIFT_PPM}LL
 {states}
 {flags}
+{doubts}
 
 typedef struct {{
 {rows}
@@ -50,22 +59,14 @@ static uint32_t stopset_crc(const uint8_t *p, size_t n, uint32_t polynomial) {{
   return ~c;
 }}
 
-/* 0: *out holds a message that may be believed as far as `last` shows; else why not. `last` is the message accepted before
-   (all zero at first). The caller keeps the watchdog: without an accepted message in time the state is FAULT. */
-static int stopset_accept(const uint8_t *data, size_t n, uint32_t data_id, const stopset_state *last, stopset_state *out) {{
-  stopset_state m;
-  if (n != STOPSET_LENGTH) return 1;
-  memcpy(&m, data, sizeof m);
-  if (m.magic != STOPSET_MAGIC || m.layout_version != STOPSET_LAYOUT_VERSION || m.length != STOPSET_LENGTH) return 1;
-  if (m.crc != stopset_crc(data, STOPSET_LENGTH - 4u, 0x82F63B78u)) return 2;
-  if (m.check != stopset_crc(data, STOPSET_LENGTH - 8u, 0xEDB88320u)) return 2;
-  if (m.data_id != data_id) return 3;
-  if (last->magic && m.boot_id == last->boot_id) {{
-    uint32_t step = m.seq - last->seq;
-    if (step == 0u || step >= 0x80000000u) return 4;
-  }}
-  *out = m;
-  return 0;
+/* 1: *out holds an undamaged message of this layout; 0: there is none. Whether it may be believed: stopset_consumer.h */
+static int stopset_read(const uint8_t *data, size_t n, stopset_state *out) {{
+  if (n != STOPSET_LENGTH) return 0;
+  memcpy(out, data, sizeof *out);
+  return out->magic == STOPSET_MAGIC && out->layout_version == STOPSET_LAYOUT_VERSION && out->length == STOPSET_LENGTH &&
+         out->crc == stopset_crc(data, {at["crc"]}u, 0x82F63B78u) && out->check == stopset_crc(data, {at["check"]}u, 0xEDB88320u) &&
+         out->end_crc == stopset_crc(data, {at["end_crc"]}u, 0x82F63B78u) &&
+         out->end_check == stopset_crc(data, {at["end_check"]}u, 0xEDB88320u);
 }}
 #endif
 """

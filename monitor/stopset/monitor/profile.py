@@ -31,7 +31,8 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """How to read one arm's bus. ``nodes``: node id by joint; ``cycle_s``: SYNC period; ``sync_overflow``: 0 = no counter."""
+    """How to read one arm's bus. ``nodes``: node id by joint; ``cycle_s``: SYNC period; ``sync_overflow``: 0 = no counter;
+    ``heartbeat_s``: period of every drive's heartbeat (object 0x1017), 0 = they send none."""
 
     name: str
     dcf: Path
@@ -40,6 +41,7 @@ class Profile:
     sync_overflow: int
     nodes: dict[str, int]
     signals: dict[str, Signal]
+    heartbeat_s: float = 0.0
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -84,7 +86,7 @@ def load_profile(where: str | Path) -> Profile:
 
 
 def _profile(raw: dict[str, Any], name: str, path: Path) -> Profile:
-    unknown = set(raw) - {"dcf", "bitrate", "cycle_s", "sync_overflow", "nodes", "signals"}
+    unknown = set(raw) - {"dcf", "bitrate", "cycle_s", "sync_overflow", "heartbeat_s", "nodes", "signals"}
     unknown |= set(raw["signals"]) - set(SIGNALS)
     if unknown:
         raise ValueError(f"unknown key {', '.join(sorted(unknown))}")
@@ -100,7 +102,12 @@ def _profile(raw: dict[str, Any], name: str, path: Path) -> Profile:
     cycle = float(raw["cycle_s"])
     if not 1e-4 <= cycle <= 1.0:
         raise ValueError(f"cycle_s is {cycle}")
-    return Profile(name, dcf, int(raw["bitrate"]), cycle, int(raw.get("sync_overflow", 0)), nodes, signals)
+    heartbeat, overflow = float(raw.get("heartbeat_s", 0.0)), int(raw.get("sync_overflow", 0))
+    if not 0.0 <= heartbeat <= 60.0:
+        raise ValueError(f"heartbeat_s is {heartbeat}, expected 0 (none) to 60")
+    if not (overflow == 0 or 2 <= overflow <= 240):
+        raise ValueError(f"sync_overflow is {overflow}, expected 0 (no counter) or 2 to 240")
+    return Profile(name, dcf, int(raw["bitrate"]), cycle, overflow, nodes, signals, heartbeat)
 
 
 def _signal(s: dict[str, Any], n: int) -> Signal:

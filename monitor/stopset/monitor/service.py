@@ -1,4 +1,4 @@
-"""A configuration made into a running daemon: model, bus, zenoh session, signals, memory."""
+"""A configuration made into a running daemon: model, bus, zenoh session, journal, keys, signals, memory."""
 
 from __future__ import annotations
 
@@ -6,39 +6,43 @@ import ctypes
 import gc
 import signal
 import time
+from pathlib import Path
 from typing import Any
 
-from stopset.artifact import load_model
+from stopset.artifact import Model, load_model
 from stopset.errors import BusError, NotCovered
+from stopset.monitor.authentication import load_keys
 from stopset.monitor.config import Config
 from stopset.monitor.daemon import Daemon
+from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
-from stopset.monitor.profile import load_profile
-from stopset.monitor.source import CanSource, JointStateSource, NoSource, Source
+from stopset.monitor.profile import Profile, load_profile
+from stopset.monitor.report import health
+from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, Source
 from stopset.monitor.watch import check_cycle
 
 
 def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
-    """Open everything the configuration names, run until SIGTERM or SIGINT (or ``seconds``), close. Exit code, last twin."""
+    """Open everything the configuration names, run until SIGTERM or SIGINT (or ``seconds``), close. Exit code, last health.
+
+    SIGHUP reads the model anew.
+    """
     model = load_model(config.model)
-    z = config.zenoh
     profile = load_profile(config.bus.profile) if config.bus else None
-    if profile is not None and profile.joints != model.joints:
-        raise NotCovered(
-            f"the bus profile names {', '.join(profile.joints)}, the model {', '.join(model.joints)}; give the matching profile"
-        )
-    cycle_s = config.joint_states.cycle_s if config.joint_states else 0.0
-    if config.bus and profile:
-        cycle_s = config.bus.cycle_s or profile.cycle_s
-    check_cycle(model, cycle_s)
+    cycle_s = _cycle(config, model, profile)
+    signer = load_keys(config.keys).first if config.keys else None
+    latch = Latch(Journal(FileStore(Path(config.journal), Record())))
+    z = config.zenoh
     link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None)
+    valid_for = config.publish.valid_for_ms * 1e-3  # older samples need not wait
 
     def open_source() -> Source:
         if config.bus and profile:
-            return CanSource(listen(config.bus.link), profile, cycle_s / config.bus.time_scale)
+            return CanSource(listen(config.bus.link), profile, cycle_s / config.bus.time_scale, valid_for)
         assert config.joint_states is not None
-        source = JointStateSource(model.joints, cycle_s)
+        source = JointStateSource(model.joints, cycle_s, max(BACKLOG, round(valid_for / cycle_s)))
         link.subscribe("/" + config.joint_states.key, source.take)
         return source
 
@@ -51,26 +55,48 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
             return NoSource(profile, time.monotonic() + config.bus.wait_s)
 
     try:
-        daemon = Daemon(config, model, first_source(), link, cycle_s)
+        daemon = Daemon(
+            config, model, first_source(), link, cycle_s, latch=latch, signer=signer, load=lambda: load_model(config.model)
+        )
     except BaseException:
         link.close()
         raise
-
-    def stop(*_: object) -> None:
-        daemon.stopping = True
-
-    for s in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(s, stop)
-    if seconds:
-        signal.signal(signal.SIGALRM, stop)
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+    _signals(daemon, seconds)
     if config.realtime:
         ctypes.CDLL(None, use_errno=True).mlockall(3)
     gc.collect()
     gc.freeze()
     try:
         code = daemon.run(open_source)
-        return code, daemon.health()
+        return code, health(daemon)
     finally:
         daemon.close()
         link.close()
+
+
+def _cycle(config: Config, model: Model, profile: Profile | None) -> float:
+    """The period of the samples [s]; raises `NotCovered` if bus and model do not belong together."""
+    if profile is not None and profile.joints != model.joints:
+        raise NotCovered(
+            f"the bus profile names {', '.join(profile.joints)}, the model {', '.join(model.joints)}; give the matching profile"
+        )
+    cycle_s = config.joint_states.cycle_s if config.joint_states else 0.0
+    if config.bus and profile:
+        cycle_s = config.bus.cycle_s or profile.cycle_s
+    check_cycle(model, cycle_s)
+    return cycle_s
+
+
+def _signals(daemon: Daemon, seconds: float) -> None:
+    def stop(*_: object) -> None:
+        daemon.stopping = True
+
+    def reload(*_: object) -> None:
+        daemon.reload_asked = True
+
+    for s in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(s, stop)
+    signal.signal(signal.SIGHUP, reload)
+    if seconds:
+        signal.signal(signal.SIGALRM, stop)
+        signal.setitimer(signal.ITIMER_REAL, seconds)

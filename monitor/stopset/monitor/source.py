@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import math
-import queue
-import time
-from dataclasses import dataclass, field
+import threading
+from collections import deque
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from stopset.errors import BusError
-from stopset.monitor.jointstate import JointState
+from stopset.monitor.clock import Clock, SystemClock
+from stopset.monitor.jointstate import MAX_BYTES, JointState
 from stopset.monitor.jointstate import decode as decode_joint_state
 from stopset.monitor.links.bus import Listener
 from stopset.monitor.links.canopen_map import Cycle, Decoder
+from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.watch import Quantum, Sample
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 GAP = 1000  # a step in the cycle number that no run of samples makes
+BACKLOG = 8  # messages that may wait; of more the oldest are dropped
+TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
+SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
+NEAR = 60.0  # [s] a stamp farther than this from now is not of this clock
 
 
 class Source(Protocol):
@@ -76,14 +81,20 @@ class CycleCount:
 
 @dataclass(slots=True)
 class CanSource:
-    """Samples of a bus. ``cycle_s``: SYNC period as it passes on the wire (a fast replay's is shorter)."""
+    """Samples of a bus. ``cycle_s``: SYNC period as it passes on the wire (a fast replay's is shorter).
+
+    ``oldest_s``: samples older than this are dropped and counted while newer ones wait, and never worked off.
+    """
 
     bus: Listener
     profile: Profile
     cycle_s: float
+    oldest_s: float = float("inf")
+    clock: Clock = field(default_factory=SystemClock)
     decoder: Decoder = field(init=False)
     quantum: Quantum = field(init=False)
     frames: int = 0
+    dropped: int = 0
     _count: CycleCount = field(init=False)
 
     def __post_init__(self) -> None:
@@ -93,17 +104,32 @@ class CanSource:
         self.quantum = Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau"))
 
     def next(self, timeout: float) -> Sample | None:
-        end = time.monotonic() + timeout
-        while True:
-            frame = self.bus.recv(max(0.0, end - time.monotonic()))
-            if frame is None:
-                if time.monotonic() >= end:
-                    return None
-                continue
-            self.frames += 1
-            cycle = self.decoder.frame(frame.cob_id, frame.data, frame.t)
-            if cycle is not None:
-                return sample_of(cycle, self._count(cycle))
+        """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
+        end, wait, found = self.clock.monotonic() + timeout, timeout, None
+        for _ in range(TURN):
+            frame = self.bus.recv(wait)
+            if frame is not None:
+                sample = self._take(frame)
+                if sample is not None:
+                    self.dropped += found is not None
+                    found = sample
+                    if self.clock.time_ns() * 1e-9 - sample.t <= self.oldest_s:
+                        break
+            elif found is not None or self.clock.monotonic() >= end:
+                break
+            wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
+        return found
+
+    def _take(self, frame: Frame) -> Sample | None:
+        self.frames += 1
+        now = self.clock.time_ns() * 1e-9
+        t = frame.t if abs(frame.t - now) <= NEAR else now  # a stamp that is not a number is not near either
+        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
+        if cycle is None:
+            return None
+        bits, words = self.decoder.nodes.bad(now)
+        sample = sample_of(cycle, self._count(cycle))
+        return replace(sample, doubt=words, bad_nodes=bits) if words else sample
 
     def counters(self) -> dict[str, int]:
         d = self.decoder
@@ -112,10 +138,12 @@ class CanSource:
             "incomplete_cycles": d.incomplete,
             "other_frames": d.unknown,
             "missed_cycles": self._count.missed,
+            "dropped": self.dropped,
         }
 
     def complaints(self) -> list[str]:
-        said, self.decoder.emergencies = self.decoder.emergencies, []
+        nodes = self.decoder.nodes
+        said, nodes.emergencies = nodes.emergencies, []
         names = {node: joint for joint, node in self.profile.nodes.items()}
         return [
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
@@ -152,32 +180,49 @@ class NoSource:
 
 @dataclass(slots=True)
 class JointStateSource:
-    """Samples of ``joint_states``; give its `take` to a subscription. The stamp is the sampling instant."""
+    """Samples of ``joint_states``; give its `take` to a subscription. The stamp is the sampling instant.
+
+    ``backlog``: messages that may wait for their turn; when more do, the oldest are dropped and counted.
+    """
 
     joints: tuple[str, ...]
     cycle_s: float
+    backlog: int = BACKLOG
     quantum: Quantum = field(init=False)
     received: int = 0
     refused: int = 0
     missed: int = 0
+    dropped: int = 0
     complaint: str = ""
-    _queue: queue.SimpleQueue[bytes] = field(default_factory=queue.SimpleQueue)
+    _waiting: deque[bytes] = field(init=False)
+    _there: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+    _lock: threading.Lock = field(default_factory=threading.Lock)
     _k: int = 0
     _stamp: int | None = None
 
     def __post_init__(self) -> None:
         self.quantum = Quantum.none(len(self.joints))
+        self._waiting = deque(maxlen=self.backlog)
 
     def take(self, _key: str, data: bytes) -> None:
         """Called from zenoh's thread: nothing but the queue."""
-        self._queue.put(data)
+        self.received += 1
+        if len(data) > MAX_BYTES:
+            self.refused += 1
+            self.complaint = f"joint_states message of {len(data)} bytes; expected at most {MAX_BYTES}: look at the sender"
+            return
+        with self._lock:
+            full = len(self._waiting) == self.backlog
+            self._waiting.append(data)
+        self.dropped += full
+        if not full:
+            self._there.release()
 
     def next(self, timeout: float) -> Sample | None:
-        try:
-            data = self._queue.get(timeout=timeout)
-        except queue.Empty:
+        if not self._there.acquire(timeout=timeout):
             return None
-        self.received += 1
+        with self._lock:
+            data = self._waiting.popleft()
         try:
             return self._sample(decode_joint_state(data))
         except BusError as e:  # the stamp of the next good one shows the gap
@@ -192,8 +237,11 @@ class JointStateSource:
         if not s.position or not s.velocity:
             raise BusError("joint_states carries no position or velocity; the check needs both")
         index = [place[j] for j in self.joints]
-        step = 1 if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9 / self.cycle_s
-        whole = round(step) if math.isfinite(step) else 0
+        later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
+        if -SWAPPED < later <= 0.0:
+            raise BusError("joint_states came twice or out of order; the later one counts: look at the sender")
+        step = later / self.cycle_s
+        whole = round(step)
         # a stamp off the grid by more than a tenth of a cycle is not the grid the model was identified on
         if whole < 1 or abs(step - whole) > 0.1:
             whole = GAP
@@ -207,7 +255,9 @@ class JointStateSource:
         return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), row(s.effort) if s.effort else None)
 
     def counters(self) -> dict[str, int]:
-        return {"messages": self.received, "refused_messages": self.refused, "missed_cycles": self.missed}
+        return {
+            "messages": self.received, "refused_messages": self.refused, "missed_cycles": self.missed, "dropped": self.dropped,
+        }  # fmt: skip
 
     def complaints(self) -> list[str]:
         said, self.complaint = self.complaint, ""

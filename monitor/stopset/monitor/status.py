@@ -12,64 +12,129 @@ from stopset.monitor.watch import Conformance, Sample, Verdict
 
 
 @dataclass(frozen=True, slots=True)
+class Limits:
+    """``valid_for``: oldest data [s] that OK is said for; ``ahead``: how far [s] a stamp may lie in the future;
+    ``evidence``: OK needs a prediction at least this old [s]; ``recover``: and unbroken good cycles for this long [s]."""
+
+    valid_for: float
+    ahead: float
+    evidence: float
+    recover: float
+
+
+@dataclass(frozen=True, slots=True)
 class Situation:
-    """Everything the state depends on, in one place. ``fault``: words of an error, empty if none."""
+    """Everything the state depends on, in one place. ``fault``: words of an error, empty if none; ``age``: of the last
+    sample by its stamp, ``since``: since it arrived, both [s] at this moment; ``latched``: why, empty if not."""
 
     started: bool
     fault: str
     stale: bool
     late: bool
-    latched: bool
+    latched: str
+    age: float
+    since: float
     sample: Sample | None
     verdict: Verdict | None
     fresh: bool
     numbers: dict[str, Numbers]
 
 
-def decide(s: Situation) -> tuple[State, Flag, str]:
-    """State, flags and one sentence. Order: own fault, latched violation, no signal, no verdict, no bound, OK."""
+def flags_of(s: Situation) -> Flag:
+    """What is seen, whatever follows from it."""
+    v, x = s.verdict, s.sample
+    gap = v is not None and v.conformance is Conformance.UNKNOWN and v.why.startswith("gap")
+    seen = {
+        Flag.VIOLATION_LATCHED: bool(s.latched), Flag.BUS_STALE: s.stale, Flag.DEADLINE_MISS: s.late,
+        Flag.OUT_OF_DOMAIN: v is not None and bool(v.outside), Flag.BUS_GAP: gap,
+        Flag.DRIVES_NOT_POWERED: x is not None and not x.powered, Flag.NO_TORQUE: x is not None and x.tau is None,
+        Flag.NO_STOP_PROVABLE: not s.numbers or not all(n.provable.all() for n in s.numbers.values()),
+        Flag.STOP_NOT_FRESH: not s.fresh, Flag.NODE_NOT_GOOD: x is not None and bool(x.doubt),
+    }  # fmt: skip
     flags = Flag(0)
-    v = s.verdict
-    if s.latched:
-        flags |= Flag.VIOLATION_LATCHED
-    if s.stale:
-        flags |= Flag.BUS_STALE
-    if s.late:
-        flags |= Flag.DEADLINE_MISS
-    if v is not None and v.outside:
-        flags |= Flag.OUT_OF_DOMAIN
-    if v is not None and v.conformance is Conformance.UNKNOWN and v.why.startswith("gap"):
-        flags |= Flag.BUS_GAP
-    if s.sample is not None and not s.sample.powered:
-        flags |= Flag.DRIVES_NOT_POWERED
-    if s.sample is not None and s.sample.tau is None:
-        flags |= Flag.NO_TORQUE
-    unproven = [c for c, x in s.numbers.items() if not x.provable.all()]
-    if unproven or not s.numbers:
-        flags |= Flag.NO_STOP_PROVABLE
-    if not s.fresh:
-        flags |= Flag.STOP_NOT_FRESH
+    for flag, there in seen.items():
+        flags |= flag if there else Flag(0)
+    return flags
+
+
+def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
+    """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, no verdict, little
+    evidence, no bound, OK."""
+    flags, v = flags_of(s), s.verdict
     failed = s.fault or (v.why if v is not None and v.conformance is Conformance.FAULT else "")
     if failed:
         return State.FAULT, flags, failed
     if s.latched:
-        return State.VIOLATION, flags, "a measurement was outside its prediction; reset with a name and a reason"
+        return State.VIOLATION, flags, f"{s.latched}; reset with a name and a reason"
     if s.stale:
         return (State.FAULT, flags, "no signal from the arm") if s.started else (State.INIT, flags, "waiting for the arm")
     if s.late:
         return State.FAULT, flags, "the monitor is later than its numbers are valid"
-    if v is None:
+    if v is None or s.sample is None:
         return State.INIT, flags, "waiting for the arm"
+    old = max(s.age, s.since)
+    if not old <= limits.valid_for:
+        why = f"the last sample is {old * 1e3:.0f} ms old, its numbers are valid for {limits.valid_for * 1e3:.0f} ms"
+        return State.UNKNOWN, flags | Flag.BUS_STALE, why
+    if not s.age >= -limits.ahead:
+        why = f"samples are stamped {-s.age * 1e3:.0f} ms in the future: how old they are is not known; synchronise the clocks"
+        return State.UNKNOWN, flags | Flag.BUS_STALE, why
+    if s.sample.doubt:
+        return State.UNKNOWN, flags, s.sample.doubt
     if v.conformance is not Conformance.CONFORMANT:
         return State.UNKNOWN, flags, v.why
-    if unproven:
-        return State.DEGRADED, flags, f"STOP {unproven[0]}: {s.numbers[unproven[0]].why}"
+    if v.oldest < limits.evidence:
+        why = f"held against predictions of the last {v.oldest * 1e3:.0f} ms only; OK needs {limits.evidence * 1e3:.0f} ms"
+        return State.UNKNOWN, flags | Flag.EVIDENCE_YOUNG, why
+    unproven = next((c for c, x in s.numbers.items() if not x.provable.all()), None)
+    if unproven is not None:
+        return State.DEGRADED, flags, f"STOP {unproven}: {s.numbers[unproven].why}"
     return State.OK, flags, v.why
 
 
+@dataclass(slots=True)
+class Recovery:
+    """Better news must last before it is told, worse news is told at once: OK and DEGRADED come back only after good cycles
+    without a break for ``limits.recover``, so that a state on the edge does not flicker.
+
+    A turn of the loop later than ``limits.valid_for`` after the one before is a break: nobody watched meanwhile.
+    """
+
+    limits: Limits
+    _turn: float = float("-inf")
+    _bad: float = float("-inf")  # when the state was last neither OK nor DEGRADED
+    _degraded: float = float("-inf")
+    _why_bad: str = "the start"
+    _why_degraded: str = ""
+
+    def hold(self, state: State, why: str, now: float) -> tuple[State, Flag, str]:
+        """The state to tell at ``now`` [s], the flag that it is held back, and the sentence."""
+        if now - self._turn > self.limits.valid_for:
+            self._bad = now
+            if self._turn > float("-inf"):
+                self._why_bad = f"the monitor itself stood still for {(now - self._turn) * 1e3:.0f} ms"
+        self._turn = now
+        if state not in (State.OK, State.DEGRADED):
+            self._bad, self._why_bad = now, why
+            return state, Flag(0), why
+        if state is State.DEGRADED:
+            self._degraded, self._why_degraded = now, why
+        need = self.limits.recover
+        if now - self._bad < need:
+            return State.UNKNOWN, Flag.RECOVERING, self._wait(now - self._bad, self._why_bad)
+        if state is State.OK and now - self._degraded < need:
+            return State.DEGRADED, Flag.RECOVERING, self._wait(now - self._degraded, self._why_degraded)
+        return state, Flag(0), why
+
+    def _wait(self, passed: float, why: str) -> str:
+        return f"good again for {passed:.2f} s of {self.limits.recover:.2f} s that must pass unbroken; before: {why}"
+
+
 def believable(state: State, flags: Flag) -> bool:
-    """Whether stop numbers may be given at all: not for a refuted model, nor outside its domain, nor without a signal."""
-    return state in (State.OK, State.DEGRADED, State.UNKNOWN) and not flags & (Flag.OUT_OF_DOMAIN | Flag.BUS_STALE)
+    """Whether stop numbers may be given at all: not for a refuted model, nor outside its domain, without a signal, or
+    against what the drives say."""
+    doubtful = Flag.OUT_OF_DOMAIN | Flag.BUS_STALE | Flag.NODE_NOT_GOOD
+    return state in (State.OK, State.DEGRADED, State.UNKNOWN) and not flags & doubtful
 
 
 def stop_fields(prefix: str, x: Numbers) -> dict[str, object]:

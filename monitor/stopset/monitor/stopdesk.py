@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import load_model
 from stopset.errors import StopsetError
+from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Stops
 from stopset.monitor.watch import Quantum
 
@@ -147,6 +148,7 @@ class StopDesk:
     answer: Answer | None = None
     why: str = "the first stop bound is being computed"
     restarts: int = 0
+    clock: Clock = field(default_factory=SystemClock)
     _pipe: Connection | None = None
     _process: Any = None
     _asked: float = float("-inf")
@@ -176,7 +178,7 @@ class StopDesk:
         while len(self._past) > 2 and t - self._past[0][0] > LOOK_BACK:
             self._past.popleft()
         self._collect()
-        now = time.monotonic()
+        now = self.clock.monotonic()
         if self._waiting or now - self._asked < 1.0 / self.stops.rate_hz or self._pipe is None:
             return
         took = min(self.answer.took if self.answer else 0.01, LONGEST)

@@ -7,67 +7,157 @@ from __future__ import annotations
 
 import http.server
 import json
+import secrets
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
 
+import msgspec
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from stopset.monitor.consumer import Consumer
+from stopset.monitor.consumer import MS, SAYS, Consumer, Doubt, Expected
 
 COLOURS = {"OK": "green", "DEGRADED": "yellow", "VIOLATION": "red", "UNKNOWN": "magenta", "FAULT": "red", "NO DATA": "red"}
 SLOW = 2.0  # [s] without ``state/json`` before its content is withdrawn
+LARGEST = 1 << 20  # bytes of any message in words
+
+
+class _JointStop(msgspec.Struct):
+    time_s: float | None
+    forward_rad: float | None
+    back_rad: float | None
+
+
+class _Stop(msgspec.Struct):
+    time_s: float | None
+    tcp_m: float | None
+    why: str
+    joints: dict[str, _JointStop]
+
+
+class _Violation(msgspec.Struct):
+    joint: str
+    samples: int
+
+
+class Twin(msgspec.Struct):
+    """What the displays need of ``state/json``; a message without it is not shown."""
+
+    state: str
+    why: str
+    data_id: int
+    joints: list[str]
+    violations: list[_Violation]
+    gaps: int
+    room: dict[str, float] | None
+    verdicts: dict[str, int]
+    oldest_prediction_s: float
+    notice: str
+    stops: dict[str, _Stop]
+
+
+class _Event(msgspec.Struct):
+    kind: str
+    why: str = ""
+
+
+_is_twin = msgspec.json.Decoder(Twin).decode
+_is_event = msgspec.json.Decoder(_Event).decode
 
 
 @dataclass(slots=True)
 class View:
-    """The last thing heard; fed from zenoh's threads, read by the displays."""
+    """The last thing heard; fed from zenoh's threads, read by the displays.
+
+    ``expected``: whose messages are believed; None = the first that is heard, which is then said. ``ask`` sends a challenge.
+    """
 
     watchdog_s: float = 0.5
+    expected: Expected | None = None
+    ask: Callable[[bytes], None] | None = None
     twin: dict[str, Any] | None = None
     twin_at: float = float("-inf")
     health: dict[str, Any] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
     consumer: Consumer | None = None
+    garbled: int = 0  # messages in words that were none
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
+    def _read(self, data: bytes, check: Callable[[bytes], Any]) -> dict[str, Any] | None:
+        try:
+            if len(data) > LARGEST:
+                raise ValueError("too long")
+            check(data)
+            read: dict[str, Any] = msgspec.json.decode(data, type=dict[str, Any])
+            return read
+        except (msgspec.MsgspecError, ValueError, RecursionError):
+            self.garbled += 1
+            return None
+
     def take_json(self, _key: str, data: bytes) -> None:
-        twin = json.loads(data)
+        """``state/json``."""
+        twin = self._read(data, _is_twin)
+        if twin is None:
+            return
         with self._lock:
+            if self.expected is not None and twin["data_id"] != self.expected.data_id:
+                return
             self.twin, self.twin_at = twin, time.monotonic()
-            if self.consumer is None or self.consumer.data_id != twin["data_id"]:
-                self.consumer = Consumer(int(twin["data_id"]), self.watchdog_s)
+            if self.consumer is None:
+                expected = self.expected or Expected(twin["data_id"], None, None, None)
+                self.consumer = Consumer(expected, round(self.watchdog_s * 1e9))
 
     def take_state(self, _key: str, data: bytes) -> None:
+        """``state``."""
         with self._lock:
+            if self.consumer is None and self.expected is not None:
+                self.consumer = Consumer(self.expected, round(self.watchdog_s * 1e9))
             if self.consumer is not None:
-                self.consumer.take(data, time.monotonic())
+                self.consumer.take(data, time.monotonic_ns())
 
     def take_health(self, _key: str, data: bytes) -> None:
-        self.health = json.loads(data)
+        """``health``."""
+        self.health = self._read(data, len) or self.health
 
     def take_event(self, _key: str, data: bytes) -> None:
-        event = json.loads(data)
+        """``event``."""
+        event = self._read(data, _is_event)
+        if event is None:
+            return
         event.pop("evidence", None)
         with self._lock:
             self.events = [*self.events[-49:], event]
 
+    def challenge(self) -> None:
+        """Ask for a sign of life when it is time."""
+        with self._lock:
+            nonce = self.consumer.challenge(time.monotonic_ns(), secrets.randbits(64)) if self.consumer else None
+        if nonce is not None and self.ask is not None:
+            self.ask(nonce)
+
     def word(self) -> tuple[str, str]:
         """The state word and one sentence, as they hold now."""
-        now = time.monotonic()
+        self.challenge()
         with self._lock:
-            if self.consumer is None or self.twin is None:
+            c = self.consumer
+            if c is None:
                 return "NO DATA", "nothing heard yet"
-            state = self.consumer.state(now)
-            if now - self.consumer.arrived > self.consumer.watchdog_s:
-                return "NO DATA", self.consumer.why
-            if now - self.twin_at > SLOW:
+            now = time.monotonic_ns()
+            state = c.state(now)
+            if c.why is Doubt.SILENT:
+                return "NO DATA", f"silent for {(now - c.arrived) / MS:.0f} ms"
+            if c.why:
+                return "NO DATA", SAYS[c.why]
+            if self.twin is None or time.monotonic() - self.twin_at > SLOW:
                 return state.name, "no words with it"
-            return state.name, str(self.twin["why"]) if self.twin["state"] == state.name else f"just now {state.name}"
+            why = str(self.twin["why"]) if self.twin["state"] == state.name else f"just now {state.name}"
+            unverified = self.expected is None
+            return state.name, why + (" (model and configuration not checked: no --config)" if unverified else "")
 
     def snapshot(self) -> dict[str, Any]:
         """Everything the page shows."""

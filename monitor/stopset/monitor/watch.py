@@ -10,18 +10,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.artifact.taped import Kept
+from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
 
 Array = NDArray[np.float64]
 MAX_PREDICTIONS = 1500  # rows of the comparison; longer horizons start fewer predictions
+BRIDGE = 5  # cycles from one sample to the next that predictions are led across; after more they start anew
+LARGEST = 1e6  # of any reading [SI]; beyond it arithmetic would end in what is not a number
 
 
 class Conformance(StrEnum):
@@ -38,7 +42,8 @@ class Sample:
     """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
 
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
-    ``t``: sampling instant [s]; ``powered``: the drives hold torque (else no verdict: another regime).
+    ``t``: sampling instant [s]; ``powered``: the drives hold torque (else no verdict: another regime); ``doubt``: what the
+    drives themselves say against it, empty if nothing, and ``bad_nodes``: bit i set = joint i's.
     """
 
     k: int
@@ -48,6 +53,8 @@ class Sample:
     tau: Array | None = None
     temp: Array | None = None
     powered: bool = True
+    doubt: str = ""
+    bad_nodes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,57 +102,6 @@ class Verdict:
     room: Array | None = None
 
 
-@njit(cache=True)
-def _advance(
-    e: Array, w: Array, age: NDArray[np.int64], foreign: NDArray[np.bool_], Ad: Array, used: NDArray[np.int64],
-    residual: Array, dw: Array,
-    lo: Array, hi: Array, outside: bool, widen: bool, room: Array, row: NDArray[np.int64],
-) -> tuple[int, int]:  # fmt: skip
-    """One step of every prediction, and the measurement against its tube at its age; returns predictions alive, oldest age.
-
-    ``used`` (2n, k): columns of ``Ad`` that hold numbers, row by row (shorter rows are filled up with columns of zeros);
-    ``room`` (2n,): least distance to a bound over the half width; ``row`` (2, 2n): the prediction contradicted worst, above
-    and below, -1 if none.
-    """
-    m, n2 = e.shape
-    live, oldest = 0, 0
-    new, worst = np.empty(n2), np.zeros((2, n2))
-    for p in range(m):
-        if age[p] < 0:
-            continue
-        age[p] += 1
-        if age[p] >= lo.shape[0]:
-            age[p] = -1
-            continue
-        live += 1
-        oldest = max(oldest, age[p])
-        foreign[p] |= outside
-        for i in range(n2):
-            new[i] = residual[i]
-            for k in range(used.shape[1]):
-                j = used[i, k]
-                new[i] += Ad[i, j] * e[p, j]
-        e[p] = new
-        if widen:
-            for i in range(n2):
-                new[i] = dw[i]
-                for k in range(used.shape[1]):
-                    j = used[i, k]
-                    new[i] += abs(Ad[i, j]) * w[p, j]
-            w[p] = new
-        for i in range(n2):
-            low, high = lo[age[p], i] - w[p, i], hi[age[p], i] + w[p, i]
-            width = high - low
-            over, under = e[p, i] - high, low - e[p, i]
-            if not (over <= 0.0 or np.isinf(high)) and not over / width <= worst[0, i]:
-                worst[0, i], row[0, i] = over / width, p
-            if not (under <= 0.0 or np.isinf(low)) and not under / width <= worst[1, i]:
-                worst[1, i], row[1, i] = under / width, p
-            if width > 0.0 and not np.isinf(width):
-                room[i] = min(room[i], -2.0 * max(over, under) / width)
-    return live, oldest
-
-
 @dataclass(slots=True)
 class Watch:
     """Holds an arm's samples against its model; give them one by one to `step`.
@@ -170,9 +126,12 @@ class Watch:
     _w: Array = field(init=False)  # (m, 2n) what bus rounding can have added to that along the way
     _age: NDArray[np.int64] = field(init=False)  # (m,) in steps, -1 where no prediction is
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
-    _used: NDArray[np.int64] = field(init=False)
     _room: Array = field(init=False)
     _row: NDArray[np.int64] = field(init=False)
+    _widen: bool = False  # the widths ``_w`` change from step to step
+    _predictions: Any = field(init=False)  # the C struct of the above
+    _held: Any = field(init=False)  # what it points at
+    _oldest: Any = field(init=False)
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
@@ -202,12 +161,15 @@ class Watch:
         rows = steps // self.stride + 1
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
-        filled = np.argsort(self._Ad == 0.0, axis=1, kind="stable")
-        self._used = np.ascontiguousarray(filled[:, : int((self._Ad != 0.0).sum(axis=1).max())])
         self._room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
-        # load the compiled code before the first cycle needs it
-        self._u, self._age[0] = (np.zeros(n), np.zeros(n)), 0
-        self._compare(np.zeros(2 * n), Sample(0, 0.0, np.zeros(n), np.zeros(n)), ())
+        self._widen = not self._inputs.plain
+        kept = Kept([])
+        self._predictions = ffi.new("StopsetPredictions *", (
+            2 * n, rows, len(tube.ages), view(self._e), view(self._w), kept.shared(self._age),
+            kept.shared(self._foreign), kept.array(self._Ad), kept.array(self._Bd), view(self._lo),
+            view(self._hi), view(self._room), kept.shared(self._row),
+        ))  # fmt: skip
+        self._held, self._oldest = kept, ffi.new("int64_t *")
         self._forget()
 
     @property
@@ -217,6 +179,7 @@ class Watch:
 
     def _forget(self) -> None:
         self._age[:] = -1
+        self._widen = not self._inputs.plain
         self._u = None
         self._since = self._next = 0
         self._inputs.forget()
@@ -235,7 +198,8 @@ class Watch:
         reason = self._no_verdict(s, x)
         gap = self._last is not None and s.k != self._last.k + 1
         before, self._last = self._last, s
-        if reason or gap or before is None:
+        led = gap and not reason and self._lead_across(s.k - before.k)  # type: ignore[union-attr]
+        if reason or before is None or (gap and not led):
             self._forget()
         if reason:
             self._last = None
@@ -243,19 +207,49 @@ class Watch:
         assert s.tau is not None
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         outside = self._outside(s, u, du)
-        verdict = self._compare(x, before, outside)
+        if gap and before is not None:
+            verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
+        else:
+            verdict = self._compare(x, before, outside)
         self._launch(bool(outside))
         self._u = (u, du)
-        if gap and before is not None:
-            return Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         return verdict
+
+    def _lead_across(self, steps: int) -> bool:
+        """Take every prediction over ``steps`` cycles whose readings were lost; False if that is not possible.
+
+        Whatever torque acted then, it took the arm from the reading before to the reading after, both true to within ``X0``
+        and the reading's noise. So what a prediction has gathered before goes on, as if the disturbance had been in the middle
+        of ``U`` meanwhile, and it is wider by what both readings may be wrong by: nothing that was seen before is forgotten.
+        """
+        sets = self.model.powered
+        if not 1 < steps <= BRIDGE or sets.conform != "all" or sets.windows != "sliding":
+            return False
+        power, shift = np.eye(len(self._Ad)), np.zeros(len(self._Ad))
+        middle = sets.U.centre if sets.zonotope is None else sets.zonotope.centre
+        for _ in range(steps):
+            shift = self._Ad @ shift + self._Bd @ middle
+            power = self._Ad @ power
+        q = self.quantum
+        assert q is not None
+        ends = (sets.X0.lo, sets.X0.hi, sets.V.lo, sets.V.hi)
+        wrong = np.max(np.abs(ends), axis=0) + np.concatenate([q.q, q.dq])
+        alive = self._age >= 0
+        self._age[alive] += steps
+        self._age[self._age >= len(self.ages)] = -1
+        self._e[alive] = self._e[alive] @ power.T + shift
+        self._w[alive] = (self._w[alive] + wrong) @ np.abs(power).T + wrong
+        self._widen = True
+        self._inputs.forget()
+        return True
 
     def _no_verdict(self, s: Sample, x: Array) -> str:
         if not s.powered:
             return "the drives are not in powered operation"
         if s.tau is None:
             return "no torque in the signals"
-        if not (np.all(np.isfinite(x)) and np.all(np.isfinite(s.tau))):
+        readings = (x, s.tau) if s.temp is None else (x, s.tau, s.temp)
+        if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
             return "a reading is not a number"
         lo, hi = self.model.domain.payload
         if not lo <= self.payload <= hi:
@@ -279,14 +273,14 @@ class Watch:
         if self._u is None or before is None or not self._age.max(initial=-1) >= 0:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
-        residual = x - np.concatenate([before.q, before.dq]) @ self._Ad.T - self._Bd @ u
         n2 = len(x)
-        self._room[:] = np.inf
-        self._row[:] = -1
-        live, oldest = _advance(
-            self._e, self._w, self._age, self._foreign, self._Ad, self._used, residual, np.abs(self._Bd) @ du,
-            self._lo, self._hi, bool(outside), not self._inputs.plain, self._room, self._row,
+        # what rounding of the torque adds stands in the tube's limits already where inputs are plain
+        added = np.zeros(len(u)) if self._inputs.plain else du
+        live = lib.stopset_advance(
+            self._predictions, view(x), view(np.concatenate([before.q, before.dq])), view(u), view(added), bool(outside),
+            self._widen, self._oldest,
         )  # fmt: skip
+        oldest = self._oldest[0]
         if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
         found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0]

@@ -73,7 +73,8 @@ class _CanListener:
         if m.is_error_frame:
             raise BusError("error frame on the bus; check termination and bit rate")
         now = time.time()
-        t = now if self._own_clock or abs(m.timestamp - now) > 60 else m.timestamp
+        # nor is a stamp that is not a number within a minute of now
+        t = m.timestamp if not self._own_clock and abs(m.timestamp - now) <= 60 else now
         return Frame(m.arbitration_id, m.data, t)
 
     def close(self) -> None:

@@ -16,6 +16,7 @@ from canopen.objectdictionary import ObjectDictionaryError, datatypes
 from numpy.typing import NDArray
 
 from stopset.errors import BusError
+from stopset.monitor.nodes import HEARTBEAT, OPERATIONAL, Nodes
 from stopset.monitor.profile import SIGNALS, Profile
 
 Array = NDArray[np.float64]
@@ -92,14 +93,14 @@ class Decoder:
     """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
 
     A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
-    serves to find the rhythm again and is not given out.
+    serves to find the rhythm again and is not given out.  What the drives say besides goes to ``nodes``.
     """
 
     profile: Profile
     maps: dict[int, FrameMap] = field(init=False)
+    nodes: Nodes = field(init=False)
     incomplete: int = 0
     unknown: int = 0
-    emergencies: list[tuple[int, bytes]] = field(default_factory=list)
     _scale: Array = field(init=False)
     _raw: Array = field(init=False)
     _seen: set[int] = field(init=False)
@@ -108,6 +109,7 @@ class Decoder:
 
     def __post_init__(self) -> None:
         self.maps = frame_maps(self.profile)
+        self.nodes = Nodes(self.profile.nodes, self.profile.heartbeat_s)
         n = len(self.profile.nodes)
         self._scale = np.ones((len(SIGNALS), n))
         for name, s in self.profile.signals.items():
@@ -127,8 +129,7 @@ class Decoder:
         frame = self.maps.get(cob_id)
         if frame is None:
             self.unknown += 1
-            if 0x81 <= cob_id <= 0xFF and len(self.emergencies) < 64:
-                self.emergencies.append((cob_id - 0x80, bytes(data)))
+            self.nodes.frame(cob_id, data, t)
             return None
         if self._sync is None:  # heard before any SYNC: the next cycle may hold a late one of these
             self._doubtful = True
@@ -152,11 +153,12 @@ class Decoder:
 
 @dataclass(slots=True)
 class Encoder:
-    """One sample to the frames a bus with this profile would show: SYNC first, then every PDO."""
+    """One sample to the frames a bus with this profile would show: SYNC first, then every PDO, and heartbeats when due."""
 
     profile: Profile
     maps: dict[int, FrameMap] = field(init=False)
     _count: int = 0
+    _beats: int = 0  # heartbeat periods that have gone by
 
     def __post_init__(self) -> None:
         self.maps = frame_maps(self.profile)
@@ -179,6 +181,11 @@ class Encoder:
                 x = 0.0 if target is None else float(counts[target])
                 out.append(x if code in "fd" else self._whole(x, code, target))
             yield m.cob_id, m.layout.pack(*out)
+        period = self.profile.heartbeat_s
+        beats = int(self._count * self.profile.cycle_s / period + 1e-9) if period else 0
+        if beats > self._beats:
+            self._beats = beats
+            yield from ((HEARTBEAT + node, bytes([OPERATIONAL])) for node in self.profile.nodes.values())
 
     def _whole(self, x: float, code: str, target: tuple[int, int] | None) -> int:
         bits = 8 * struct.calcsize("<" + code)

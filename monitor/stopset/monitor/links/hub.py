@@ -26,6 +26,7 @@ class Frame(NamedTuple):
 
 # python-can's client expects the last answer of the greeting alone in one read
 _QUIET_AFTER_GREETING = 0.2
+LONGEST = 4096  # bytes without an end: not this protocol
 
 
 @dataclass(slots=True)
@@ -107,15 +108,20 @@ class Hub:
                 self._drop(c)
             return
         c.text += data
+        if b">" not in c.text and len(c.text) > LONGEST:
+            c.text = b""
         while b">" in c.text:
             command, c.text = c.text.split(b">", 1)
             self._command(c, command.decode("ascii", "replace").strip("< ").split())
 
     def _command(self, c: _Client, words: list[str]) -> None:
         if words[:1] == ["send"] and len(words) >= 3:
+            try:
+                cob_id, payload = int(words[1], 16), bytes(int(b, 16) for b in words[3:])
+            except ValueError:
+                return  # no frame: a bus would not have carried it either
             self.client_frames += 1
-            payload = bytes(int(b, 16) for b in words[3:])
-            self._broadcast(f"< frame {words[1]} {time.time():.6f} {payload.hex()} >".encode(), c)
+            self._broadcast(f"< frame {cob_id:03X} {time.time():.6f} {payload.hex()} >".encode(), c)
         else:
             c.socket.sendall(b"< ok >")
             if words == ["rawmode"]:
@@ -133,6 +139,14 @@ class Hub:
         self._server.close()
 
 
+def _frame(words: list[bytes]) -> Frame:
+    payload = bytes.fromhex(words[4].decode("ascii")) if len(words) > 4 else b""
+    cob_id, t = int(words[2], 16), float(words[3])
+    if not 0 <= cob_id <= 0x7FF or len(payload) > 8:
+        raise ValueError("not a classic CAN frame")
+    return Frame(cob_id, payload, t)
+
+
 class HubClient:
     """Listens on a hub; raises `BusError` when the hub is gone, so silence and absence are told apart."""
 
@@ -147,6 +161,7 @@ class HubClient:
                     raise OSError("closed during the greeting")
         except OSError as e:
             raise BusError(f"no hub at {host}:{port} ({e}); start the replay that serves it") from e
+        self.garbled = 0
         self._text = b""
         self._ready: list[Frame] = []
         self._next = 0
@@ -164,12 +179,16 @@ class HubClient:
         if not data:
             raise BusError("the hub has closed; nobody is on the bus any more")
         *whole, self._text = (self._text + data).split(b">")
+        if len(self._text) > LONGEST:
+            self._text, self.garbled = b"", self.garbled + 1
         self._ready, self._next = [], 0
         for text in whole:
             words = text.split()
             if len(words) >= 4 and words[1] == b"frame":
-                payload = bytes.fromhex(words[4].decode()) if len(words) > 4 else b""
-                self._ready.append(Frame(int(words[2], 16), payload, float(words[3])))
+                try:
+                    self._ready.append(_frame(words))
+                except ValueError:
+                    self.garbled += 1
         return self.recv(0.0) if self._ready else None
 
     def close(self) -> None:

@@ -59,10 +59,10 @@ def abstracted(
 
 def _half(found: Survey) -> Held | None:
     """Which trials judge: every other motion, or every other repetition of a single motion; None: there is one trial."""
-    numbers = sorted({found.motion[r.motion] for r in found.sample})
+    numbers = sorted({found.motion[r.suite_key] for r in found.sample})
     if len(numbers) > 1:
         judges = frozenset(numbers[1::2])
-        return lambda r: r.phase == found.phase and found.motion.get(r.motion) in judges
+        return lambda r: r.phase == found.phase and found.motion.get(r.suite_key) in judges
     places = frozenset(r.place for r in found.sample[1::2])
     return (lambda r: r.phase == found.phase and r.place in places) if places else None
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
-from stopset.offline.campaign.independence import Suite, independent_motions
+from stopset.offline.campaign.independence import Ends, independent_motions
+from stopset.offline.campaign.session import POWERED, Session
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.reading_error import ReadingError
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -22,9 +23,6 @@ Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every cal
 JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even
 DRIFT = 0.5  # steps: a clock that has run off the grid by more is resampled, however even its stamps are
 KEEP = 256  # trials kept for fits that need them in memory
-REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
-# which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
-POWERED = ("open_loop", "closed_loop")
 STOPS = ("stop0", "stop1")
 
 
@@ -37,8 +35,8 @@ class Survey:
     trials: int
     samples: int
     longest: float  # [s]
-    places: int  # trials of the whole campaign, all phases: what `warm` is counted in
-    motion: dict[Suite, int]
+    places: int  # trials of the whole campaign, all phases
+    motion: dict[SuiteKey, int]
     readings: ReadingError
     late: Array  # (n,) [s] by which velocities come after the slope of their positions
     q: Box
@@ -47,10 +45,8 @@ class Survey:
     temp: Box | None
     sample: tuple[Recording, ...]
     irregular: bool
-    repeats: int  # most trials of one suite
-    # of a nominal model that is given, not fitted: suites it was fitted to, and the repeats and places it counts warming in
-    learnt: frozenset[Suite] = frozenset()
-    session: tuple[int, int] | None = None
+    session: Session  # what warming is counted in: that of the nominal model where one is given
+    learnt: frozenset[SuiteKey] = frozenset()  # suites that a nominal model that is given was fitted to
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
 
     @property
@@ -59,19 +55,13 @@ class Survey:
         return frozenset(self.motion[s] for s in self.learnt if s in self.motion)
 
     @property
-    def held_out(self) -> frozenset[Suite]:
+    def held_out(self) -> frozenset[SuiteKey]:
         """Suites of the motions that nothing is fitted to: on them the sets are judged."""
         return _held(self.motion, self.learnt)
 
     def warm(self, r: Recording) -> float:
-        """How long the drives have been running, 0 to 1: the variable of warming where no temperature is recorded.
-
-        The repetition within a suite where suites are repeated (each starts anew), else the place in the session.
-        """
-        repeats, places = self.session or (self.repeats, self.places)
-        if repeats >= REPEATED:
-            return min(r.trial / (repeats - 1), 1.0)
-        return min(r.place / max(places - 1, 1), 1.0)
+        """How long the drives have been running, 0 to 1 (see `Session`)."""
+        return self.session.warm(r)
 
 
 def on_grid(r: Recording, dt: float) -> Recording:
@@ -89,7 +79,7 @@ def on_grid(r: Recording, dt: float) -> Recording:
     return replace(r, t=t, q=q, dq=dq, tau=tau, temp=sampled(r.temp), current=sampled(r.current), stop_trigger=trigger)
 
 
-def _held(motion: dict[Suite, int], learnt: frozenset[Suite]) -> frozenset[Suite]:
+def _held(motion: dict[SuiteKey, int], learnt: frozenset[SuiteKey]) -> frozenset[SuiteKey]:
     fitted = {motion[s] for s in learnt if s in motion}
     held = split(sorted(set(motion.values()))).held
     return frozenset(s for s, m in motion.items() if m in held and m not in fitted)
@@ -100,8 +90,9 @@ class Tally:
     """What a survey counts, fed trial by trial in campaign order; later recordings can be added to it."""
 
     phase: str
-    torques: dict[Suite, Array] = field(default_factory=dict)  # of one trial of each suite
-    repeats: dict[Suite, int] = field(default_factory=dict)
+    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each suite
+    ends: dict[SuiteKey, Ends] = field(default_factory=dict)
+    repeats: dict[SuiteKey, int] = field(default_factory=dict)
     steps: list[float] = field(default_factory=list)  # median step of each trial [s]
     means: list[Array] = field(default_factory=list)
     hulls: dict[str, Box] = field(default_factory=dict)
@@ -128,8 +119,10 @@ class Tally:
                 self.hulls[name] = self.hulls[name] | Box.hull(x) if name in self.hulls else Box.hull(x)
         if r.temp is not None:
             self.means.append(r.temp.mean(axis=0))
-        self.torques.setdefault(r.motion, r.tau)
-        self.repeats[r.motion] = self.repeats.get(r.motion, 0) + 1
+        self.torques.setdefault(r.suite_key, r.tau)
+        ends = Ends.of(r)
+        self.ends[r.suite_key] = self.ends[r.suite_key].until(ends) if r.suite_key in self.ends else ends
+        self.repeats[r.suite_key] = self.repeats.get(r.suite_key, 0) + 1
         if (len(self.steps) - 1) % self.stride == 0:
             self.kept.append(r)
             if len(self.kept) > KEEP:
@@ -138,7 +131,7 @@ class Tally:
         self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
 
     def survey(
-        self, learnt: frozenset[Suite] = frozenset(), session: tuple[int, int] | None = None, dt: float | None = None
+        self, learnt: frozenset[SuiteKey] = frozenset(), session: Session | None = None, dt: float | None = None
     ) -> Survey:
         """What was found; the arguments come with a nominal model that is given, see `Survey`.
 
@@ -146,14 +139,14 @@ class Tally:
         """
         if not self.steps:
             raise RecordingError("no trial has three samples of powered motion; expected phase open_loop or closed_loop")
-        motion = independent_motions(self.torques)
+        motion = independent_motions(self.torques, self.ends)
         held = _held(motion, learnt)
         return Survey(
             phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
             samples=self.samples, longest=self.longest, places=self.places, motion=motion,
             readings=self.noise.error(held), late=self.noise.late(held), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
-            temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular, repeats=max(self.repeats.values()),
-            learnt=learnt, session=session, means=np.array(self.means) if self.means else None,
+            temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular,
+            session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
         )  # fmt: skip
 
 

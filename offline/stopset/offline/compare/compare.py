@@ -83,7 +83,7 @@ def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) 
     for r in _on_grid(paths, model, found, dt / every):
         u = model.input(r.q, r.dq, r.tau, r.temp, found.warm(r), r.t)
         g, u = (r, u) if every == 1 else thinned(r, u, every)
-        yield found.motion[r.motion], g, u
+        yield found.motion[r.suite_key], g, u
 
 
 def _every(model: Model, found: Survey, dt: float) -> int:

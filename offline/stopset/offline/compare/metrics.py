@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction
 from stopset.offline.nominal.open_loop import RollOut
 from stopset.reach.flowpipe import predict
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
-AVERAGING = 0.2  # [s] torque errors are averages over such windows, a stop's length: momentum balance, no differentiation
+AVERAGING = (
+    0.2  # [s] torque errors and deviations are averages over such windows, a stop's length: momentum balance, no differentiation
+)
 KINDS = ("torque", "velocity", "position")
 TOGETHER = 128  # trials simulated side by side
 LONGEST = 5.0  # [s] open-loop predictions are compared up to here
@@ -46,7 +48,7 @@ class Figures:
     def __init__(self, abstraction: Abstraction, dt: float, roll: RollOut | None = None) -> None:
         self._abstraction, self._dt, self._roll = abstraction, dt, roll
         self._rows: list[tuple[int, Array]] = []  # (place, sums of squares and counts of one trial)
-        self._repeats: dict[tuple[str, int], list[tuple[int, Array]]] = {}
+        self._repeats: dict[SuiteKey, list[tuple[int, Array]]] = {}
         self._waiting: list[Recording] = []
         self.u: Box | None = None  # hull of the inputs seen
 
@@ -56,7 +58,7 @@ class Figures:
         e = torque_error(self._abstraction, self._dt, r.q, r.dq, u)
         self._put(r.place, "torque", e)
         if r.phase == "open_loop":
-            self._repeats.setdefault(r.motion, []).append((r.place, e))
+            self._repeats.setdefault(r.suite_key, []).append((r.place, e))
         last = min(len(r.t), round(LONGEST / self._dt) + 1)
         if self._roll is None:
             x = predict(self._abstraction, self._dt, np.concatenate([r.q[0], r.dq[0]]), u[:last])
@@ -78,7 +80,7 @@ class Figures:
         out.u = self.u | other.u if self.u is not None and other.u is not None else self.u or other.u
         return out
 
-    def rows(self) -> tuple[list[tuple[int, Array]], dict[tuple[str, int], list[tuple[int, Array]]], Box | None]:
+    def rows(self) -> tuple[list[tuple[int, Array]], dict[SuiteKey, list[tuple[int, Array]]], Box | None]:
         """All that was taken in: sums by place and kind, window errors by suite and place, hull of the inputs."""
         self._flush()
         return self._rows, self._repeats, self.u
@@ -86,7 +88,7 @@ class Figures:
     @classmethod
     def of(
         cls, abstraction: Abstraction, dt: float, rows: list[tuple[int, Array]],
-        repeats: dict[tuple[str, int], list[tuple[int, Array]]], u: Box | None,
+        repeats: dict[SuiteKey, list[tuple[int, Array]]], u: Box | None,
     ) -> Figures:  # fmt: skip
         """What `rows` gave, to merge with figures of later trials."""
         out = cls(abstraction, dt)

@@ -14,11 +14,12 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import explained, partial_residual
+from stopset.offline.compare.verdict import verdict
 from stopset.offline.conform.bands import narrower
 from stopset.offline.report.page import COLOURS, Page
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -31,13 +32,8 @@ SCALE = "RdYlBu_r"  # blue: first or cold, red: last or hot
 def page(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Page:
     """The report of ``stopset compare``."""
     out = Page(f"{model.robot.name}: model and measurements")
-    count = len(found.violations)
-    if count:
-        out.verdict(f"Not conformant: {count} of {len(found.rows)} recordings leave the predicted sets.", "bad")
-    else:
-        out.verdict(f"Conformant: all {len(found.rows)} recordings stay inside the predicted sets.", "good")
-    if found.outside_domain:
-        out.verdict(f"{found.outside_domain} recordings leave the model's domain; there the model promises nothing.", "bad")
+    said = verdict(found)
+    out.verdict(said.text, said.kind)
     out.text(model.guarantee.text)
     _errors(out, found)
     _tubes(out, model, found, paths)
@@ -60,20 +56,20 @@ def _errors(out: Page, found: Comparison) -> None:
     )
 
 
-def _chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> dict[tuple[str, int], list[tuple[Recording, Array]]]:
+def _chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> dict[SuiteKey, list[tuple[Recording, Array]]]:
     """The longest suites of each motion, at most `SUITES`, at most `TRIALS` trials each."""
-    groups: dict[tuple[str, int], list[tuple[Recording, Array]]] = {}
+    groups: dict[SuiteKey, list[tuple[Recording, Array]]] = {}
     for r in found.survey.sample:
-        groups.setdefault(r.motion, [])
-    longest = {key: max(len(r.t) for r in found.survey.sample if r.motion == key) for key in groups}
-    best: dict[int, tuple[str, int]] = {}
+        groups.setdefault(r.suite_key, [])
+    longest = {key: max(len(r.t) for r in found.survey.sample if r.suite_key == key) for key in groups}
+    best: dict[int, SuiteKey] = {}
     for key in sorted(groups, key=lambda k: -longest[k]):
         best.setdefault(found.survey.motion[key], key)
     wanted = sorted(best.values(), key=lambda k: -longest[k])[:SUITES]
-    out: dict[tuple[str, int], list[tuple[Recording, Array]]] = {k: [] for k in wanted}
+    out: dict[SuiteKey, list[tuple[Recording, Array]]] = {k: [] for k in wanted}
     for _, r, u in inputs(model, paths, found.survey, model.powered.dt):
-        if r.motion in out and len(out[r.motion]) < TRIALS:
-            out[r.motion].append((r, u))
+        if r.suite_key in out and len(out[r.suite_key]) < TRIALS:
+            out[r.suite_key].append((r, u))
     return out
 
 
@@ -85,7 +81,7 @@ def _tubes(out: Page, model: Model, found: Comparison, paths: Sequence[str | Pat
             by = "temperature" if trials[0][0].temp is not None else "order of the trials"
             count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
             caption = (
-                f"{first.phase} suite {first.suite}, {count}, coloured by {by} (blue first or cold, red last or hot). "
+                f"{suite_label(first.suite_key)}, {count}, coloured by {by} (blue first or cold, red last or hot). "
                 "Grey: all states conformant; dark: position only. Crosses: where a recording leaves the sets most, of a prediction "
                 "that may have started later."
             )

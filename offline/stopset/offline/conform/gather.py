@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.campaign.independence import Suite
 from stopset.offline.campaign.map_reduce import Progress, Range, in_parts, within
+from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Source, Survey, Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
@@ -18,7 +18,7 @@ from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
 from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart, pairs_of, roller
-from stopset.recording import Meta, Recording
+from stopset.recording import Meta, Recording, SuiteKey
 
 Array = NDArray[np.float64]
 
@@ -43,19 +43,19 @@ class Kept:
     sums: Sums
     nominal: NominalPart
     meta: Meta
-    learnt: frozenset[Suite]  # suites the nominal model was fitted to
-    session: tuple[int, int]  # most repeats and trials: what it counts warming in
+    learnt: frozenset[SuiteKey]  # suites the nominal model was fitted to
+    session: Session  # what it counts warming in
     dt: float  # [s] the sets' grid
     bands: Bands | None
     template: Template | None  # of zonotopes
-    motion: dict[Suite, int]
+    motion: dict[SuiteKey, int]
     fitted_files: int  # how many of the files the nominal model was fitted to
     stops: tuple[Recording, ...] = ()  # brakes and ramps do not fold: their recordings, which are short, are kept whole
 
 
 def template_of(found: Survey, nominal: NominalPart, effort: str) -> Template:
     """What a zonotope is made of, from the trials in memory that judge nothing."""
-    sample = [r for r in found.sample if r.motion not in found.held_out]
+    sample = [r for r in found.sample if r.suite_key not in found.held_out]
     trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: sample, found, nominal, effort)()]
     return template(trials, nominal.abstraction, nominal.robot, found.dt)
 

@@ -118,7 +118,7 @@ def gather(
     out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
         from_start.add(out.start, r, u)
-        into = [out.halves[r.trial % 2]] if few_motions else []
+        into = [out.halves[r.repetition % 2]] if few_motions else []
         for parts in (out.parts, *(out.bands.setdefault(k, {}) for k in (() if bands is None else bands(r)))):
             into.append(parts.setdefault(motion, main.empty()))
         main.add_to(into, r, u)

@@ -17,13 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
 from stopset.offline.conform.linear_program import Fit
-from stopset.offline.conform.program import STOP_TIME, age_weights
+from stopset.offline.conform.program import STOP_TIME, age_weights, solved
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
@@ -58,13 +57,8 @@ def _program(problem: JointProblem, rows: list[Array], rhs: list[float]) -> Arra
     G, h = np.array(rows).reshape(-1, 8), np.array(rhs)
     scale = np.maximum(np.abs(G).max(axis=1, initial=0.0), 1e-12)
     A = np.vstack([-G / scale[:, None], np.array(limits)])
-    result = linprog(cost, A_ub=A, b_ub=np.concatenate([-h / scale, np.zeros(len(limits))]), bounds=bounds, method="highs-ds")
-    if result.status != 0:
-        raise NotConformant(
-            f"no sets make joint {problem.name} conformant ({result.message.splitlines()[0].strip()}); expected a friction "
-            "curve that holds at the recorded speeds: identify it again or take the linear model (--order 1)"
-        )
-    return np.asarray(result.x)
+    none = "expected a friction curve that holds at the recorded speeds: identify it again or take the linear model (--order 1)"
+    return solved(cost, A, np.concatenate([-h / scale, np.zeros(len(limits))]), bounds, f"joint {problem.name}", none)
 
 
 def search(problem: JointProblem) -> Array:

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.offline.conform.reading_error import Apart, ReadingError, apart
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-Suite = tuple[str, int]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
@@ -69,10 +68,10 @@ class Kept:
     """What the estimate holds of each suite: spreads (2n,) of its trials, quantum (2n,), largest distance (2n,) of its powered
     readings from smooth motion, and sums (2, n) of their lateness."""
 
-    spread: dict[Suite, list[Array]]
-    quantum: dict[Suite, Array]
-    reach: dict[Suite, Array]
-    late: dict[Suite, Array]
+    spread: dict[SuiteKey, list[Array]]
+    quantum: dict[SuiteKey, Array]
+    reach: dict[SuiteKey, Array]
+    late: dict[SuiteKey, Array]
 
 
 class NoiseEstimate:
@@ -92,23 +91,23 @@ class NoiseEstimate:
         x = np.hstack([r.q, r.dq])
         quantum = resolution(x)
         if len(x) >= WINDOW:
-            self._spread.setdefault(r.motion, []).append(spread(x))
-            self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
+            self._spread.setdefault(r.suite_key, []).append(spread(x))
+            self._quantum[r.suite_key] = _finest(self._quantum.get(r.suite_key, quantum), quantum)
         if dt > 0.0:
-            self._powered(r.motion, apart(r.q, r.dq, dt))
+            self._powered(r.suite_key, apart(r.q, r.dq, dt))
 
-    def _powered(self, suite: Suite, seen: Apart) -> None:
+    def _powered(self, suite: SuiteKey, seen: Apart) -> None:
         reach, late = self.kept.reach, self.kept.late
         reach[suite] = np.maximum(reach.get(suite, seen.reach), seen.reach)
         late[suite] = late.get(suite, 0.0) + seen.late
 
-    def late(self, without: Collection[Suite] = ()) -> Array:
+    def late(self, without: Collection[SuiteKey] = ()) -> Array:
         """(n,) time [s] by which velocities come after the slope of their positions; 0 where nothing moves."""
         late = [x for s, x in self.kept.late.items() if s not in without]
         above, below = np.sum(late, axis=0) if late else np.zeros((2, 1))
         return np.divide(above, below, out=np.zeros_like(above), where=below > 0.0)
 
-    def error(self, without: Collection[Suite] = ()) -> ReadingError:
+    def error(self, without: Collection[SuiteKey] = ()) -> ReadingError:
         """(2n,) symmetric bounds of ``V``, ``without`` some suites: noise at least, what was seen in motion at most.
 
         The noise is max(quantum / 2, `COVERAGE` robust standard deviations).  Raises `RecordingError` if no trial is long
@@ -119,7 +118,7 @@ class NoiseEstimate:
         most = np.maximum(least, np.max(reach, axis=0)) if reach else least
         return ReadingError(Box.symmetric(least), Box.symmetric(most))
 
-    def _noise(self, without: Collection[Suite]) -> Array:
+    def _noise(self, without: Collection[SuiteKey]) -> Array:
         suites = [s for s in self._spread if s not in without]
         if not suites:
             raise RecordingError(f"no trial has {WINDOW} samples, so the noise is unknown; expected longer trials: record again")

@@ -7,6 +7,7 @@ P1).  Solved by constraint generation on HiGHS; callers re-check in floating poi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,16 @@ FIRST, MORE = 600, 300  # rows to begin with, and added in one round
 STOP_TIME = 0.2  # [s]
 # a vanishing charge on every width keeps directions that cost nothing from wandering off
 CHARGE = 1e-9
+# what a solver's status means to whoever reads it; 2, that no sets exist, is said by who asked
+BEYOND = (
+    "expected deviations, inertias and dampings of one order of magnitude: look for a joint that the data hardly move or whose inertia "
+    "comes out next to nothing (`stopset inspect --robot`), and state its rotor inertia in robot.json"
+)
+UNSOLVED = {
+    1: f"the search for them did not end; {BEYOND}",
+    3: f"nothing in the data bounds their width; {BEYOND}",
+    4: f"the numbers of the model lie too far apart in size to be computed with; {BEYOND}",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +141,20 @@ def age_weights(last: int, dt: float) -> Array:
     return np.asarray(w / w.sum())
 
 
+def solved(c: Array, A: Array, b: Array, limits: Sequence[tuple[float | None, float | None]], who: str, none: str) -> Array:
+    """The ``z`` of least ``c z`` with ``A z <= b`` and within ``limits``; ``none``: what it means that there is none.
+
+    Raises `NotConformant`, in our words, when none is found.
+    """
+    status = 4
+    if np.isfinite(A).all() and np.isfinite(b).all() and np.isfinite(c).all():
+        result = linprog(c, A_ub=A, b_ub=b, bounds=limits, method="highs-ds")
+        status = int(result.status)
+        if status == 0:
+            return np.asarray(result.x)
+    raise NotConformant(f"no sets make {who} conformant: {none if status == 2 else UNSOLVED[status]}")
+
+
 def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array:
     """The ``z`` of least ``cost`` with ``G z >= h`` and within ``bounds``, up to the solver's tolerance; ``who``: of whom.
 
@@ -145,19 +170,20 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
     for _ in range(ROUNDS):
         A = np.vstack([-unit[chosen], limits])
         b = np.concatenate([-need[chosen], np.zeros(len(limits))])
-        result = linprog(c, A_ub=A, b_ub=b, bounds=bounds.limits(), method="highs-ds")
-        if result.status != 0:
-            raise NotConformant(
-                f"no sets make {who} conformant ({result.message.splitlines()[0].strip()}); the data jump within one sample by "
-                "more than the noise allows: check the velocity signal"
-            )
-        z = np.asarray(result.x)
+        z = solved(
+            c, A, b, bounds.limits(), who,
+            "the data jump within one sample by more than the noise allows; expected a model whose error torques explain: "
+            "check the velocity signal with `stopset inspect`, and what was held at a limit",
+        )  # fmt: skip
         short = need - unit @ z
         new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
         if not len(new):
             break
         chosen = np.union1d(chosen, new[np.argsort(-short[new])[:MORE]])
     return z
+
+
+# a solver's status in words that are the user's
 
 
 def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:

@@ -3,7 +3,8 @@
 Such recordings hold ``u`` of eq. (11); there is no rigid body to regress, and torque error alone misleads (a term can lower
 it while the simulation diverges).  Joint by joint, every effect of the catalogue that these signals carry is added to the
 model, fitted by output error on the even repetitions and simulated on the odd ones.  The best one is claimed while it lowers
-the held-out error by at least `CLAIM`, and in each half of the held-out trials by `BOTH`; then the next one is looked for.
+the held-out error by at least `OPEN_LOOP_CLAIM`, and in each half of the held-out trials by `OPEN_LOOP_HALVES`; then the next
+one is looked for.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from stopset.effects import Effect, catalogue, get
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import on_grid, survey
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.diagnose import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
@@ -29,10 +31,6 @@ from stopset.recording import Recording, Recordings
 
 Array = NDArray[np.float64]
 
-CLAIM = 0.10  # least fall of the held-out RMS error, a tenth: between repetitions it scatters by some percent
-BOTH = 0.05  # least fall in each interleaved half of the held-out trials: no handful of them may carry a claim alone
-RIVAL = 0.03  # an effect whose error is within this share of the best one's is shown as its rival
-CLAIMS = 3  # per joint
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders
 CONTENDERS = 3  # that are fitted to the end
@@ -54,8 +52,8 @@ def diagnose_open_loop(model: Model, recordings: Recordings, names: Sequence[str
     """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
     found = survey(lambda: recordings.trials)
     trials = [r for r in recordings if r.phase == found.phase and len(r.t) >= 3]
-    even = [r for r in trials if r.trial % 2 == 0]
-    odd = [r for r in trials if r.trial % 2 == 1]
+    even = [r for r in trials if r.repetition % 2 == 0]
+    odd = [r for r in trials if r.repetition % 2 == 1]
     if len(even) < 3 or len(odd) < 3:
         raise RecordingError(
             f"{len(trials)} trials, {len(odd)} of them odd repetitions; expected suites repeated at least six times: an effect "
@@ -155,19 +153,19 @@ def _joint(
     p = gauss_newton(train, terms, p) if terms else p
     error, by_trial = _held_out(held, terms, p)
     claims: list[tuple[Ranked, tuple[str, ...]]] = []
-    for _ in range(CLAIMS):
+    for _ in range(limit.OPEN_LOOP_CLAIMS):
         taken = {t.effect.name for t in terms}
         tried = [_try(train, held, terms, t, p, SCREENING, by_trial) for t in pool if t.effect.name not in taken]
         tried = sorted(tried, key=lambda t: t.error)[:CONTENDERS]
         best = sorted((_try(train, held, terms, t.term, t.p, None, by_trial) for t in tried), key=lambda t: t.error)
-        if not best or best[0].error > (1 - CLAIM) * error or best[0].fall < BOTH:
+        if not best or best[0].error > (1 - limit.OPEN_LOOP_CLAIM) * error or best[0].fall < limit.OPEN_LOOP_HALVES:
             break
         top = best[0]
         rivals = tuple(
             dict.fromkeys(
                 f"{t.term.effect.name}:{joint}"
                 for t in best[1:]
-                if t.error < (1 + RIVAL) * top.error and t.term.effect.name != top.term.effect.name
+                if t.error < (1 + limit.OPEN_LOOP_RIVAL) * top.error and t.term.effect.name != top.term.effect.name
             )
         )
         terms = [*terms, top.term]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,11 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
-from stopset.offline.diagnose.evidence.baseline import baseline
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper, Known, Scored, Tolerance
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
+from stopset.offline.diagnose.explain.doubt import doubt, within
 from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
@@ -21,19 +23,13 @@ from stopset.offline.diagnose.explain.residual import Dependence, dependences, s
 from stopset.offline.diagnose.explain.uncertainty import deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import SENSORS, THRESHOLD, Claim, Found, search
+from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
-QUIET = 2.5  # the same where friction also wanders within a trial, as real drives do: healthy simulated arms reach 1.7
-WANDER = 2.5  # variance of the leftover's half-second sums over noise; healthy arms 0.6 to 1.6, a wander as large as the noise 3
-PATTERN = 100.0  # gain in 2 log likelihood of a step function of one variable on held-out motions; healthy: below 25
-PATTERN_SHARE = 0.2  # of the claims' own score: a true law leaves below 1 %, an impostor a quarter and more
-TELLING = 0.5  # share of a joint's leftover one claim must explain; true causes 0.57 and more, causes outside the catalogue 0.47 and less
 MOVE = "Move every joint through its range at several speeds."
 TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
-STANDING = 0.02  # [rad] a trial in which no joint leaves this range stands still
-RESTLESS = 0.06  # friction that differs more than this from trial to trial, 3 times what is usual, has a cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +55,8 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    doubt: str = ""  # why it is no finding after all
+    in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
     def label(self) -> str:
@@ -70,6 +68,17 @@ class Ranked:
         values = {k: p.value for k, p in self.parameters.items()}
         std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
         return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are in
+    doubt, with the reason of each."""
+
+    joint: str
+    size: float
+    depends_on: tuple[str, ...]
+    resembles: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +96,8 @@ class Diagnosis:
     trials: int = 0
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    notes: tuple[str, ...] = ()  # on what the recordings were measured against
+    unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""
@@ -103,6 +114,7 @@ class Diagnosis:
                     "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
                     "look_at": r.look_at,
                     "says": r.says,
+                    "in_model": r.in_model,
                 }
                 for r in self.ranked
             ],
@@ -112,13 +124,61 @@ class Diagnosis:
                 {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
                 for b in self.not_identifiable
             ],
+            "unexplained": [
+                {
+                    "joint": u.joint,
+                    "size": u.size,
+                    "unit": "N m",
+                    "depends_on": list(u.depends_on),
+                    "resembles": list(u.resembles),
+                }
+                for u in self.unexplained
+            ],
             "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
             "excess": self.excess,
             "friction_scatter": self.friction_scatter,
-            "threshold": THRESHOLD,
+            "threshold": limit.THRESHOLD,
             "trials": self.trials,
             "rows": self.rows,
         }
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """The search over recordings that move, and what it left: all that answers, judgements and estimates are taken from."""
+
+    engine: Engine
+    found: Found
+    already: tuple[Candidate, ...]  # effects that the model has
+    left: _Left
+    ranked: tuple[Ranked, ...]
+
+    def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
+        """Which claims are of an effect, at these joints (None: wherever it acts)."""
+        wanted = None if joints is None else set(joints)
+        return tuple(
+            k
+            for k, r in enumerate(self.ranked)
+            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+        )
+
+    def errors(self, claims: Sequence[int]) -> list[Array]:
+        """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
+        return _errors(self.engine, self.found, self.already, [self.found.claims[k] for k in claims])
+
+
+def examine(
+    robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None, known: Known | None = None,
+) -> Examination:  # fmt: skip
+    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its."""
+    engine = Engine.build(robot, recordings, tolerance, known)
+    _include(engine, fitted)
+    already = tuple(engine.active)
+    found = search(engine, names)
+    left = _left(found, engine)
+    return Examination(engine, found, already, left, _ranked(engine, found, already, left))
 
 
 def diagnose(
@@ -135,21 +195,25 @@ def diagnose(
     nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
     Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
     """
-    if not any(_moves(r) for r in recordings):
+    if not any(moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
-    engine = Engine.build(robot, recordings, tolerance, known)
-    _include(engine, fitted)
-    already = list(engine.active)
-    found = search(engine, names)
-    left = _left(found, engine)
+    return answered(examine(robot, recordings, fitted, tolerance, names, known), names)
+
+
+def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
+    """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
+    engine, found, left = x.engine, x.found, x.left
+    ranked = tuple(r for r in x.ranked if not r.doubt and (names is None or r.effect in names))
+    claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = _verdict(found, left)
+    if verdict == "missing" and not ranked:
+        verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
     blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
-    ranked = _ranked(engine, found, already, left)
-    rivals = _rivals(engine, found.claims) if verdict == "missing" else ()
+    rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
-        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], PATTERN)
+        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
         "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
         "missing": lambda: advice.to_decide(rivals),
@@ -163,6 +227,7 @@ def diagnose(
         depends_on=_depends(verdict, worst, shown, joints),
         not_identifiable=blind,
         next_experiment=next_experiment,
+        unexplained=_unexplained(x),
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -171,17 +236,30 @@ def diagnose(
 
 
 def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
-    """`diagnose` for a model file; also says what the recordings were measured against."""
+    """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
+
+    The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
+    """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
-    robot, known, against = baseline(model, recordings)
-    return diagnose(robot, recordings, model.effects, names=names, known=known), against
+    base = baseline(model, recordings)
+    fitted = settled(model)
+    if not any(moves(r) for r in recordings):
+        return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
+    found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
+    chosen = {f.label for f in model.effects} - {f.label for f in fitted}
+
+    def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
+        return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
+
+    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes), base.against
 
 
-def _moves(r: Recording) -> bool:
-    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > STANDING)
+def moves(r: Recording) -> bool:
+    """Whether a trial is one in which some joint moves."""
+    return r.phase != "static" and bool(np.max(np.ptp(r.q, axis=0)) > limit.STANDING)
 
 
 def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
@@ -227,24 +305,40 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             engine.active.append(candidate)
 
 
-def _ranked(engine: Engine, found: Found, known: list[Any], left: _Left) -> tuple[Ranked, ...]:
-    out, before = [], found.before
-    active = list(engine.active)
-    joints = engine.data.joints
+def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: Sequence[Claim]) -> list[Array]:
+    """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
+    if not claims:
+        return [found.before]
+    active, out = list(engine.active), [found.before]
+    for k in range(len(claims)):
+        engine.active = [*already, *(c.scored.candidate for c in claims[: k + 1])]
+        out.append(held_out(engine, found.hyper))
+    engine.active = active
+    return out
+
+
+def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _Left) -> tuple[Ranked, ...]:
+    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+    joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    doubts = []
+    for claim, mine in zip(found.claims, numbers, strict=True):
+        values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
+        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
+    errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
+    out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
-        c = claim.scored.candidate
-        engine.active = known + [x.scored.candidate for x in found.claims[: k + 1]]
-        after = held_out(engine, found.hyper)
+        c, after = claim.scored.candidate, errors.get(k, before)
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
-        engine.active = active
-        told = parameters(claim.scored, deviation[k])
-        points = partial(engine, left.hyper, left.theta, c, worst)
+        given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                told, c.effect.look_at, _says(c.effect, told), points=points,
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
+                c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
         before = after
@@ -305,15 +399,15 @@ def _left(found: Found, engine: Engine) -> _Left:
         if len(engine.rows[j].take) < 100:
             continue
         ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
-        if slow_excess(engine, p.theta, hyper, j) > WANDER:
+        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
-        if ranked[0].gain > PATTERN:
+        if ranked[0].gain > limit.PATTERN:
             depends[j] = ranked
-            if claimed and ranked[0].gain > PATTERN_SHARE * claimed:
+            if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > QUIET)]))
-    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > RESTLESS)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
     return _Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
 
 
@@ -332,7 +426,7 @@ def _telling(claims: Sequence[Claim]) -> bool:
     """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
     for c in claims:
         for before, after in zip(c.excess_before, c.excess_after, strict=True):
-            if before > SENSORS and before - after > TELLING * (before - 1.0):
+            if before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0):
                 return True
     return False
 
@@ -342,6 +436,19 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
     if shown is not None:
         return shown.variables
     return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
+
+
+def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
+    """What is left at each joint that holds more than its sensors' noise, or a claim in doubt."""
+    sound = [k for k, r in enumerate(x.ranked) if not r.doubt]
+    error = x.errors(sound)[-1]
+    out = []
+    for j, joint in enumerate(x.engine.data.joints):
+        doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or doubted:
+            names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
+            out.append(Unexplained(joint, float(error[j]), names, doubted))
+    return tuple(out)
 
 
 def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:

@@ -20,6 +20,7 @@ from stopset.offline.conform.linear_sets import Conformance, Options, conform, f
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.identify.absurd import absurd
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
@@ -71,10 +72,9 @@ def concluded(
         return out
     # what may judge the model later must stay what it was when the nominal model was fitted
     fitted = found.learnt or frozenset(found.motion) - found.held_out
-    session = found.session or (found.repeats, found.places)
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, session, found.dt, bands, zonotope, found.motion, files)
+    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, bands, zonotope, found.motion, files)
     return replace(out, kept=kept)
 
 
@@ -103,7 +103,7 @@ def packed(
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
-        provenance=_provenance(meta, found, settings), revisions=(Revision(0, "", {}, total),),
+        provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *tightness.words(robot.joints), *odd),
     )  # fmt: skip
     return Identification(model, result, found, settings, tightness, tuple(odd))
@@ -132,11 +132,11 @@ def _sources(meta: Meta) -> dict[str, str]:
     return out
 
 
-def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]:
+def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
-        "settings_sha256": settings.sha256,
+        "settings_sha256": settings_sha256(settings),
         # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
         "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
         "data": _sources(meta),
@@ -146,5 +146,6 @@ def _provenance(meta: Meta, found: Survey, settings: Settings) -> dict[str, Any]
         "motions": len(set(found.motion.values())),
         "session_trials": found.places,
         "velocity": meta.velocity,
+        "chosen": [g.name for g in nominal.chosen],
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
-from stopset.errors import NotCovered
+from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
@@ -64,10 +64,10 @@ def identified(
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
-    learnt = replace(found, sample=tuple(r for r in found.sample if r.motion not in held))
+    learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
 
     def learning() -> Iterator[Recording]:
-        return (r for r in source() if r.motion not in held)
+        return (r for r in source() if r.suite_key not in held)
 
     numbers = known_effects(robot, meta, learning, chosen, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
@@ -82,7 +82,11 @@ def identified(
             f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; keep "
             "signals, or take the linear model (--model 1 --order 1)"
         )
-    out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+    try:
+        out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+    except NotConformant as e:
+        limited = [note for note in nominal.notes if note.startswith("held at")]
+        raise NotConformant("; ".join([str(e), *limited])) from e
     out = stopped(out, stops, tell)
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.artifact.inputs import GAIN, IN_ABSTRACTION, LEFT_TO_U, effect_torques
+from stopset.artifact.inputs import effect_torques
 from stopset.effects.base import Fitted
+from stopset.effects.registry import get
 from stopset.recording import Recording
 from stopset.robot import Robot
 
@@ -36,12 +37,13 @@ def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> R
         return r
     tau = r.tau.copy()
     for f in known:
-        if f.effect == "delay" and f.joint is not None:
+        effect = get(f.effect)
+        if effect.enters == "input_delay" and f.joint is not None:
             j = robot.joints.index(f.joint)
-            tau[:, j] = np.interp(r.t + f.values["d"], r.t, tau[:, j])
-        elif f.effect == GAIN and f.joint is not None:
-            tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values["e"]
-    torques = [f for f in known if f.effect not in IN_ABSTRACTION | LEFT_TO_U]
+            tau[:, j] = np.interp(r.t + f.values[effect.terms[0].symbol], r.t, tau[:, j])
+        elif effect.enters == "input_gain" and f.joint is not None:
+            tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values[effect.terms[0].symbol]
+    torques = [f for f in known if get(f.effect).compensated()]
     if torques:
         tau -= effect_torques(robot, torques, r.q, r.dq, temp=r.temp, warm=warm, t=r.t)
     return replace(r, tau=tau)

@@ -14,9 +14,10 @@ from stopset.effects.base import Effect, Fitted
 from stopset.errors import EffectError
 from stopset.offline.campaign.survey import Source, Survey, on_grid
 from stopset.offline.conform.linear_sets import Pairs
-from stopset.offline.effect_names import find, matches, parse_effect
+from stopset.offline.effect_names import matches, parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
+from stopset.offline.nominal.friction_choice import BASE, Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
@@ -45,6 +46,7 @@ class NominalPart:
     notes: tuple[str, ...]
     data: NormalEquations | None = None
     doubt: Array = field(default_factory=lambda: np.zeros(1))
+    chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
 
 
 def fit_nominal(
@@ -66,17 +68,20 @@ def known_effects(
     """
     if meta.effort == "compensated_torque":
         return ()  # fitted with everything else, by output error
-    out = list(known)
-    for name in settings.effects:
-        effect, _ = parse_effect(name, robot)
-        if regressed(effect) or any(matches(f, name) for f in out):
-            continue
-        trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
-        found = find(robot, trials, tuple(out), effect.name, name.partition(":")[2] or None)
-        if found is None:
+    wanted = [
+        name for name in settings.effects
+        if not regressed(parse_effect(name, robot)[0]) and not any(matches(f, name) for f in known)
+    ]  # fmt: skip
+    if not wanted:
+        return tuple(known)
+    from stopset.offline.diagnose.estimate import estimates
+
+    trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
+    found = estimates(robot, trials, wanted, known).found
+    for name in wanted:
+        if not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
-        out.append(found)
-    return tuple(out)
+    return (*known, *(e.fitted for e in found))
 
 
 def regressed(effect: Effect) -> bool:
@@ -117,12 +122,15 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
 
     cad = described(robot, known)
     asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
-    friction = dict.fromkeys(("coulomb", "viscous", *asked))
 
     def trials() -> Iterator[Recording]:
         return (plain(r, cad, known, found.warm(r)) for r in source())
 
-    nominal = identify_nominal(cad, trials, tuple(friction))
+    chosen: tuple[Gain, ...] = ()
+    if settings.friction == "evidence":
+        barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
+        chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
+    nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*BASE, *asked, *(g.name for g in chosen)))))
     check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
@@ -136,9 +144,9 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
-    notes = (*nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    notes = (*(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     doubt = of_regression(cad, nominal, found.sample)
-    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt)
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen)
 
 
 def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
@@ -163,7 +171,7 @@ def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -
                 g = on_grid(r, found.dt)
                 if len(g.t) < 3:  # samples closer than the grid
                     continue
-                yield found.motion[r.motion], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+                yield found.motion[r.suite_key], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
 
     return pairs
 

@@ -14,6 +14,7 @@ from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
+from stopset.offline.nominal.floor import floor_of
 from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
@@ -58,6 +59,7 @@ class Nominal:
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
     data: NormalEquations
+    prior: Prior  # as it counted: a description that the recordings contradict counts for less
 
     @property
     def theta(self) -> Array:
@@ -136,10 +138,10 @@ def solve_nominal(
             f"no usable sample: {data.recordings} moving trials, {data.poses} poses, left out {data.skipped or 'none'}; "
             "expected motor torque over at least one motion of a second, or poses approached from both sides"
         )
-    prior = prior_of(robot, tolerance or Tolerance())
+    prior = prior_of(robot, tolerance)
     lag, applied, notes = _delay(data, prior, delay)
     moving, still = _at_lag(data, applied)
-    result = fit(data, moving, still, prior, robot.pi)
+    result = fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)
     heldout, covariance = leave_out(data, moving, still, prior, result)
     result = replace(result, covariance=covariance)
     return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
@@ -219,6 +221,7 @@ def _nominal(
         undetermined=undetermined(robot, data, prior, result),
         notes=(*notes, *skipped),
         data=data,
+        prior=replace(prior, precision=prior.precision / result.prior_scale**2),
     )
 
 

@@ -29,6 +29,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 
 GROUPS = 32
+TOGETHER = 10.0  # rows whose errors count as one where nothing tells it: half a second, at 20 rows per second
 DELAYS: Array = 0.006 * np.arange(-10, 11, dtype=np.float64)  # [s] torque is kept at these lags; 6 ms resolves 15 Hz to 0.3 %
 STILL_PHASES = ("static",)
 BRAKED_PHASES = ("stop0", "stop1")  # the brake's torque is not in tau
@@ -168,12 +169,12 @@ def _hull(a: Array, b: Array) -> Array:
 
 
 def group_of(r: Recording) -> int:
-    """The group of a trial's motion, the same in every run and on every machine.
+    """The group of a trial's motion, the same in every run and on every machine, whatever numbers the recorder gave.
 
     Open-loop trials of a suite repeat one motion; elsewhere every trial is a motion of its own.
     """
-    name = f"{r.phase}:{r.suite}" if r.phase == "open_loop" else f"{r.phase}:{r.suite}:{r.trial}"
-    return zlib.crc32(name.encode()) % GROUPS
+    name = f"{r.phase}:{r.begun}" if r.phase == "open_loop" else f"{r.phase}:{r.begun}:{r.repetition}"
+    return zlib.crc32(name.encode(), r.file) % GROUPS
 
 
 def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Array, compensated: bool) -> NormalEquations:
@@ -209,7 +210,7 @@ def accumulate(
             out.skipped[r.phase] = out.skipped.get(r.phase, 0) + 1
             continue
         if r.phase in STILL_PHASES:
-            if pending and pending[0].motion != r.motion:
+            if pending and pending[0].suite_key != r.suite_key:
                 _add_pose(out, view, pending)
                 pending = []
             pending.append(r)

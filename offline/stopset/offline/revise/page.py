@@ -7,7 +7,8 @@ import plotly.graph_objects as go
 
 from stopset.artifact import Model
 from stopset.offline.report.page import COLOURS, Page
-from stopset.offline.revise.revise import Judged, Revised
+from stopset.offline.revise.judge import Judged
+from stopset.offline.revise.revise import Revised
 
 FIGURES = (
     ("held_out_torque_rmse", "torque error on held-out data [N m]"),

@@ -1,14 +1,13 @@
 """Add effects to a model: a new revision that re-identifies everything, judged on data the fit has not seen.
 
-The judgement comes first and is cheap: the nominal model with and without the effect is fitted on one half of the motions
-(or of the repetitions, where there are few motions) and simulated on the other.  Several effects are judged one after
-another, each beside those that were taken before it.  Only then is the whole model identified again, once.  An effect that
-does not help is refused, with the numbers, unless forced.
+The judgement comes first and is cheap (`stopset.offline.revise.judge`).  Several effects are judged one after another, each beside
+those that were taken before it.  Only then is the whole model identified again, once.  An effect that does not help is refused,
+with the numbers, unless forced; so is a revision whose torque sets are wider than before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -17,16 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stopset.artifact import Model, Revision
-from stopset.artifact.inputs import entry
-from stopset.effects import get
-from stopset.effects.base import Fitted
-from stopset.errors import EffectError, ModelFileError
+from stopset.errors import EffectError, ModelFileError, NotCovered
+from stopset.offline.campaign.hold_out import hold_out
+from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
-from stopset.offline.effect_names import find, parse_effect
+from stopset.offline.effect_names import parse_effect
 from stopset.offline.identify.pipeline import Keep, Settings, identify
-from stopset.offline.revise.held_out import nominal_figures
+from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
 from stopset.reach.stops import stop
-from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
+from stopset.recording import read_meta
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 
@@ -36,23 +34,7 @@ if TYPE_CHECKING:
 
 Tell = Callable[[str], None]
 
-# an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
-# (a single joint's error scatters more), while none rises by as much
-HELPS, HELPS_THERE = 0.02, 0.05
-HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
-SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken."""
-
-    name: str
-    before: dict[str, float]
-    after: dict[str, float]
-    helps: bool
-    enters: str  # where it goes in the model
-    why: str = ""
+WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,72 +66,44 @@ def add(
     """
     robot, settings = description(model), settings_of(model)
     names = _names(effect, joint, robot, settings)
-    held, judged_on = _halves(robot, paths)
-    judge = _Judge(robot, model.effort, paths, held, tell)
-    known, judged = _known(model), []
-    first = errors = _judged_before(model, paths) or judge.errors(settings, known)
-    for name in names:
-        found = judge.estimate(name, known)
-        if found is None:
-            # no trace in the data, so there are no numbers to add, even if forced
-            judged.append(Judged(name, errors, errors, False, "", "the data show no trace of it, so there are no numbers to add"))
-            continue
-        tell(f"judging {name} on held-out data")
-        more, with_it = replace(settings, effects=(*settings.effects, name)), (*known, *found)
-        after = judge.errors(more, with_it)
-        kind = get(name.partition(":")[0])
-        joints = parse_effect(name, robot)[1]
-        helps = _helps(errors, after, joints, kind.enters in SHIFTS)
-        why = "" if helps or force else "it does not lower the error on held-out data"
-        judged.append(Judged(name, errors, after, helps, entry(kind), why))
-        if not why:
-            settings, known, errors = more, with_it, after
-    taken = [j for j in judged if not j.why]
+    campaign = campaign_of(robot, paths)
+    surveyed = survey(campaign.trials)
+    judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, tell)
+    first = _judged_before(model, paths)
+    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
+    taken = [j for j in verdict.judged if not j.why]
     if not taken:
-        return Revised(None, first, judged[-1].after, tuple(judged), judged_on)
+        return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     tell("identifying the new revision")
-    identified = identify(robot, paths, settings, tell, known=known, keep=keep)
+    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep)
     fresh = identified.model
     tell("bounding stops before and after")
-    before = (dict(model.revisions[-1].after) if model.revisions else {}) | first | stop_figures(model, model)
-    after = errors | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
+    before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
+    after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
+    after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
+    refused = "" if force else widened(before, after)
+    if refused:
+        judged = tuple(replace(j, helps=False, why=j.why or refused) for j in verdict.judged)
+        return Revised(None, before, after, judged, verdict.words)
     number = model.revisions[-1].number + 1 if model.revisions else 1
-    revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, judged_on))
+    revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
-    return Revised(revised, before, after, tuple(judged), judged_on, identified.kept)
+    return Revised(revised, before, after, verdict.judged, verdict.words, identified.kept)
 
 
-@dataclass(frozen=True, slots=True)
-class _Judge:
-    """Fits nominal models on one half of the data and holds them against the other."""
+def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """Why a revision whose torque sets grew is refused; empty where they did not.
 
-    robot: Robot
-    effort: str
-    paths: Sequence[str | Path]
-    held: Callable[[Recording], bool]
-    tell: Tell
-
-    def errors(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
-        """Held-out RMS errors over the joints."""
-        figures = nominal_figures(self.robot, self.paths, settings, lambda r: not self.held(r), self.held, known)
-        return _flat(figures)
-
-    def estimate(self, name: str, known: tuple[Fitted, ...]) -> tuple[Fitted, ...] | None:
-        """Numbers of an effect in motor torque, None where there is no trace of it.
-
-        In compensated torque none are needed: they are fitted with everything else.
-        """
-        if self.effort == "compensated_torque":
-            return ()
-        self.tell(f"estimating {name}")
-        effect, _, joint = name.partition(":")
-        everything = read_recordings(self.paths, self.robot)
-        if get(effect).enters not in SHIFTS:
-            # a shifted parameter is weighed against the description, for which all data count; others must prove themselves
-            half = tuple(r for r in everything if r.phase == "static" or not self.held(r))
-            everything = replace(everything, trials=half)
-        found = find(self.robot, everything, known, effect, joint or None)
-        return None if found is None else (found,)
+    The rule: an effect that is truly there takes uncertainty away, so the widths of U, summed over the joints and before any
+    margin, may not grow by more than `WIDER`.  They do where recordings of different conditions are identified as one.
+    """
+    a, b = (x.get("sum_U_width_without_margin") for x in (before, after))
+    if a is None or b is None or b <= (1.0 + WIDER) * a:
+        return ""
+    return (
+        f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {WIDER:.0%}, for what is known of an "
+        "arm cannot make it less certain: are these recordings all of one condition (payload, tool, day)? give the others apart"
+    )
 
 
 def _names(effect: str | Sequence[str], joint: str | None, robot: Robot, settings: Settings) -> tuple[str, ...]:
@@ -190,30 +144,28 @@ def description(model: Model) -> Robot:
 
 
 def stop_figures(model: Model, seen: Model) -> dict[str, float]:
-    """``stop0_angle``: mean STOP 0 angle bound [rad] over single-axis stops from the largest speed and mid pose that ``seen``
-    saw; empty where not every one of them can be proved."""
-    angles = []
-    for joint in range(model.n):
+    """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that ``seen`` saw: ``stop0_angle``
+    the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved, as with an effect that no stop
+    is bounded with."""
+    angles = {}
+    for joint, name in enumerate(model.joints):
         speed = np.zeros(model.n)
-        speed[joint] = np.abs([seen.domain.dq.lo[joint], seen.domain.dq.hi[joint]]).max()
-        bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        speed[joint] = max(seen.domain.dq.lo[joint], seen.domain.dq.hi[joint], key=abs)
+        try:
+            bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        except NotCovered:
+            return {}
         if bound is None:
             return {}
-        angles.append(float(bound[joint]))
-    return {"stop0_angle": float(np.mean(angles))}
-
-
-def _known(model: Model) -> tuple[Fitted, ...]:
-    """Effects beyond base friction with the numbers the model holds; none where they are refitted with everything else."""
-    if model.effort == "compensated_torque":
-        return ()
-    return tuple(f for f in model.effects if not get(f.effect).base)
+        angles[f"stop0_angle:{name}"] = float(bound[joint])
+    return {"stop0_angle": float(np.mean(list(angles.values())))} | angles
 
 
 def settings_of(model: Model) -> Settings:
     """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
     kept = dict(model.provenance.get("settings", {}))
     kept["effects"] = tuple(kept.get("effects", ()))
+    kept.setdefault("friction", "plain")  # models older than the choice had none
     try:
         return Settings(**kept)
     except TypeError as e:
@@ -222,44 +174,3 @@ def settings_of(model: Model) -> Settings:
             f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
             "identify again"
         ) from e
-
-
-def _halves(robot: Robot, paths: Sequence[str | Path]) -> tuple[Callable[[Recording], bool], str]:
-    """What is held out: every other motion where there are at least four, else every other repetition.
-
-    A suite may be a later start of another suite's motion (trap P8): motions are told apart by their torques.
-    """
-    motion = survey(lambda: stream_recordings(paths, robot)).motion
-    if len(set(motion.values())) >= 4:
-        return (lambda r: motion.get(r.motion, r.suite) % 2 == 1), "every other motion"
-    return (lambda r: r.trial % 2 == 1), "every other repetition"
-
-
-def _flat(figures: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Torque [N m], velocity [rad/s] and position [rad]: RMS over the joints, and of each joint after a colon."""
-    out: dict[str, float] = {}
-    for key in HELD_OUT:
-        each = {j: float(row[key.removeprefix("held_out_")]) for j, row in figures.items()}
-        out |= {key: _rms(each.values())} | {f"{key}:{j}": e for j, e in each.items()}
-    return out
-
-
-def _rms(errors: Iterable[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(list(errors)))))
-
-
-def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
-    """Whether held-out errors fall, over the arm or at the effect's own ``joints``; a ``shift`` need only not raise them.
-
-    A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:
-    the evidence for it is the description it contradicts, which the diagnosis has weighed before it gave any numbers.
-    """
-    everywhere, there = [], []
-    for key in ("held_out_torque_rmse", "held_out_position_rmse"):
-        everywhere.append(after[key] / before[key] - 1.0)
-        own = [_rms(errors[f"{key}:{j}"] for j in joints) for errors in (before, after)]
-        there.append(own[1] / own[0] - 1.0)
-    falls = min(everywhere) <= -HELPS or min(there) <= -HELPS_THERE
-    # at its own joint one error may rise if the other falls by more: warming of a joint that gravity is not yet right for
-    rises = max(everywhere) >= HELPS or max(there) >= max(HELPS_THERE, -min(there))
-    return not rises and (shift or falls)

@@ -15,7 +15,8 @@ from numba import njit
 
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
-from stopset.robot.rigid import Array, link_frames, mass_matrix
+from stopset.robot.jit import link_frames, mass_matrix
+from stopset.robot.rigid import Array
 from stopset.simulation.stop import simulate_stop
 
 DT = 0.5e-3  # [s] between checks, and the step of the simulation

@@ -23,7 +23,7 @@ from stopset.effects.base import Fitted
 from stopset.errors import ModelFileError
 from stopset.files import replacing
 from stopset.offline.campaign.source import Campaign
-from stopset.recording import Meta, Recording
+from stopset.recording import Meta, Recording, counted
 
 FORMAT = "stopset signals"
 SCHEMA = 1
@@ -86,7 +86,7 @@ def load_signals(path: str | Path, model: Model) -> Signals:
         raise ModelFileError(
             f"{path} is damaged or no kept state ({type(e).__name__}); expected what `stopset identify --keep` wrote: identify again"
         ) from e
-    return Signals(Campaign(meta, lambda: _trials(path, model.joints)), places, known)
+    return Signals(Campaign(meta, lambda: counted(_trials(path, model.joints))), places, known)
 
 
 def meta_of(m: Mapping[str, Any]) -> Meta:

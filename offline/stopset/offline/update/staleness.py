@@ -34,7 +34,7 @@ def folded(data: NormalEquations, robot: Robot, model: Model, new: Iterable[Reco
     known = _known(data, model)
     cad = described(robot, known)
     held = found.held_out
-    trials = (plain(r, cad, known, found.warm(r)) for r in new if r.motion not in held)
+    trials = (plain(r, cad, known, found.warm(r)) for r in new if r.suite_key not in held)
     return data + accumulate(cad, trials, data.layout.effects, data.settings, data.reference, data.compensated)
 
 

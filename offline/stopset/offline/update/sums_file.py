@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import ModelFileError
 from stopset.files import write_bytes
-from stopset.offline.campaign.independence import Suite
+from stopset.offline.campaign.independence import Ends
+from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
@@ -29,18 +30,19 @@ from stopset.offline.conform.linear_sets import Gathered
 from stopset.offline.conform.noise import Kept as KeptNoise
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
 from stopset.offline.revise.revise import description, settings_of
 from stopset.offline.update.signals_file import meta_of
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey, counted
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
-SCHEMA = 3
+SCHEMA = 5
 SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
@@ -52,13 +54,13 @@ def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
         "format": FORMAT,
         "schema": SCHEMA,
         "model_sha256": model.sha256,
-        "settings_sha256": settings_of(model).sha256,
+        "settings_sha256": settings_sha256(settings_of(model)),
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
         "doubt": kept.nominal.doubt.tolist(),
         "learnt": sorted(kept.learnt),
         "fitted_files": kept.fitted_files,
-        "session": list(kept.session),
+        "session": asdict(kept.session),
         "dt": kept.dt,
         "bands": None if kept.bands is None else list(kept.bands.inner),
         "motion": [[*s, m] for s, m in kept.motion.items()],
@@ -104,7 +106,7 @@ def load_sums(path: str | Path, model: Model) -> Kept:
             f"{path} belongs to the model {str(head.get('model_sha256'))[:16]}..., not to {model.sha256[:16]}...; give the model it was "
             "kept with"
         )
-    if head.get("settings_sha256") != settings_of(model).sha256:
+    if head.get("settings_sha256") != settings_sha256(settings_of(model)):
         raise ModelFileError(
             f"{path} was kept under other settings than the model's, or by a stopset whose algorithm has other constants; identify "
             "again with --keep"
@@ -124,13 +126,12 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
     dt = float(head["dt"])
     steps = round(settings_of(model).horizon / dt)
     bands = None if head["bands"] is None else Bands(_box(arrays["reference"]), tuple(head["bands"]))
-    repeats, places = head["session"]
     zonotope = Template(arrays["generators"], arrays["directions"]) if "generators" in arrays else None
     return Kept(
         tally=_tally(head["tally"], arrays), sums=_sums(head["sums"], arrays, nominal, dt, steps, zonotope), nominal=nominal,
-        meta=meta, learnt=frozenset((p, s) for p, s in head["learnt"]), session=(repeats, places), dt=dt, bands=bands,
+        meta=meta, learnt=frozenset(_key(*s) for s in head["learnt"]), session=Session(**head["session"]), dt=dt, bands=bands,
         template=zonotope,
-        motion={(p, s): number for p, s, number in head["motion"]}, fitted_files=int(head["fitted_files"]),
+        motion={_key(*s): number for *s, number in head["motion"]}, fitted_files=int(head["fitted_files"]),
         stops=_stops(head["stops"], arrays),
     )  # fmt: skip
 
@@ -143,10 +144,15 @@ def _pack_stop(r: Recording, name: str, arrays: Arrays) -> list[Any]:
 
 
 def _stops(head: list[list[Any]], arrays: Arrays) -> tuple[Recording, ...]:
-    return tuple(
-        Recording(phase, suite, trial, place, file=file, **{field: arrays[f"stop_{k}_{field}"] for field in given})
-        for k, (phase, suite, trial, place, file, given) in enumerate(head)
-    )
+    def stop(k: int, phase: str, suite: int, trial: int, place: int, file: int, given: list[str]) -> Recording:
+        signals: dict[str, Any] = {field: arrays[f"stop_{k}_{field}"] for field in given}
+        return Recording(phase, suite, trial, place, file=file, **signals)
+
+    return tuple(counted(stop(k, *row) for k, row in enumerate(head)))
+
+
+def _key(file: int, phase: str, suite: int) -> SuiteKey:
+    return (file, phase, suite)
 
 
 def _edges(box: Box) -> Array:
@@ -179,6 +185,7 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
     return {
         "phase": tally.phase,
         "suites": [[*s, len(x), tally.repeats[s]] for s, x in tally.torques.items()],
+        "ends": [[e.t.tolist(), e.q.tolist(), e.dq.tolist()] for e in tally.ends.values()],
         "noise": [[*s, len(rows)] for s, rows in noise.spread.items()],
         "powered": [list(s) for s in noise.reach],
         "hulls": list(tally.hulls),
@@ -190,14 +197,15 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
 
 
 def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
-    suites: list[Suite] = [(p, s) for p, s, _, _ in head["suites"]]
-    torques = _pieces(arrays["torques"], [length for _, _, length, _ in head["suites"]])
-    noisy: list[Suite] = [(p, s) for p, s, _ in head["noise"]]
-    powered: list[Suite] = [(p, s) for p, s in head["powered"]]
-    spread = _pieces(arrays["noise_spread"], [count for _, _, count in head["noise"]])
+    suites = [_key(*s) for *s, _, _ in head["suites"]]
+    torques = _pieces(arrays["torques"], [length for *_, length, _ in head["suites"]])
+    noisy = [_key(*s) for *s, _ in head["noise"]]
+    powered = [_key(*s) for s in head["powered"]]
+    spread = _pieces(arrays["noise_spread"], [count for *_, count in head["noise"]])
     return Tally(
         phase=head["phase"], torques=dict(zip(suites, torques, strict=True)),
-        repeats={(p, s): count for p, s, _, count in head["suites"]}, steps=arrays["steps"].tolist(),
+        ends={s: Ends(*map(np.array, e)) for s, e in zip(suites, head["ends"], strict=True)},
+        repeats={_key(*s): count for *s, _, count in head["suites"]}, steps=arrays["steps"].tolist(),
         means=list(arrays["means"]) if "means" in arrays else [],
         hulls={name: _box(arrays[f"hull_{name}"]) for name in head["hulls"]},
         noise=NoiseEstimate(
@@ -266,5 +274,5 @@ def _sums(
     )  # fmt: skip
     rows = list(zip(head["figures"], arrays["figure_rows"], strict=True))
     pieces = iter(_pieces(arrays["repeats"], [length for *_, trials in head["repeats"] for _, length in trials]))
-    repeats = {(p, s): [(place, next(pieces)) for place, _ in trials] for p, s, trials in head["repeats"]}
+    repeats = {_key(*s): [(place, next(pieces)) for place, _ in trials] for *s, trials in head["repeats"]}
     return Sums(gathered, Figures.of(nominal.abstraction, dt, rows, repeats, _box(arrays["hull_u"])))

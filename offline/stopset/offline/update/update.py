@@ -22,8 +22,9 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
-from stopset.offline.campaign.survey import POWERED, STOPS, Survey, Tally
+from stopset.offline.campaign.survey import STOPS, Survey, Tally
 from stopset.offline.conform.gather import Kept, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
@@ -32,7 +33,7 @@ from stopset.offline.revise.revise import description, settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
-from stopset.recording import Recording
+from stopset.recording import Recording, suite_label
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
@@ -177,7 +178,7 @@ def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
     for suite, number in kept.motion.items():
         if out.setdefault(number, found.motion[suite]) != found.motion[suite]:
             raise ModelFileError(
-                f"motion {number} of the kept state falls apart ({suite[0]} suite {suite[1]}); expected motions to be told apart as "
+                f"motion {number} of the kept state falls apart ({suite_label(suite)}); expected motions to be told apart as "
                 "before: identify again from all recordings"
             )
     return out

@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.motion import bent_torques
 from stopset.offline.diagnose.rows.prepare import Array, Mask
 from stopset.offline.diagnose.rows.smooth import calm
+from stopset.robot.rigid import bent_torques
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
@@ -27,6 +27,8 @@ def swing(source: Source, joint: int, shapes: Mapping[str, float]) -> dict[int, 
     the link torque is calmed unless ``exact``, see `calm`; ``begun``: a trial may begin in the middle of a swing, see `_begun`.
     """
     d, g, K, D = source.data, source.stiff(joint, False), shapes["K"], shapes["D"]
+    if not np.all(source.mass[:, joint, joint] > 0):  # described without inertia: a link that cannot swing leaves no trace
+        return {i: (np.zeros((len(d.q), 1)), np.zeros((len(d.q_still), 1))) for i in range(d.n)}
     if "exact" in shapes:
         moving = _true_swing(source, joint, K, D, "begun" in shapes)
     else:

@@ -10,10 +10,10 @@ import numpy as np
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
 from stopset.offline.diagnose.evidence.priors import DRIVES
 from stopset.offline.diagnose.levers import Levers, levers
-from stopset.offline.diagnose.motion import link_torques, mass_matrices, regressors
 from stopset.offline.diagnose.rows.prepare import CREEP, Array, Mask, Prepared
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.robot import Robot
+from stopset.robot.rigid import mass_matrices, regressors, torques
 
 
 @dataclass(slots=True)
@@ -104,7 +104,7 @@ class Source:
     def swift(self) -> Array:
         """(N, n) gravity and speed-dependent torque of the rows [N m]."""
         d = self.data
-        return self._get("c", lambda: link_torques(self.robot.chain, self.robot.pi, d.q, d.dq, np.zeros_like(d.q)))
+        return self._get("c", lambda: torques(self.robot.chain, self.robot.pi, d.q, d.dq, np.zeros_like(d.q)))
 
     @property
     def first(self) -> Mask:

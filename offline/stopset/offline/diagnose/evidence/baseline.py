@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.offline.diagnose.evidence.priors import DRIVES, Known, Tolerance
+from stopset.effects import Fitted
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.priors import DRIVES, Known
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
@@ -18,8 +21,18 @@ POSES = 500  # at which gravity torques are compared
 LOADED = 1e-3  # of the most loaded joint: joints that gravity loads less say nothing
 
 
-def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None, str]:
-    """The robot to measure these recordings against, what else is known of it, and where that comes from.
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """The robot to measure recordings against, what else is known of it, where that comes from, and what is to be told of it."""
+
+    robot: Robot
+    known: Known | None
+    against: str
+    notes: tuple[str, ...] = ()
+
+
+def baseline(model: Model, recordings: Recordings) -> Baseline:
+    """What these recordings are measured against.
 
     Recordings that the model was identified from can't show a shifted mass against it: the fit has absorbed that.  They are
     measured against the robot description and data sheet.  Other recordings are measured against the model.
@@ -27,7 +40,7 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
     described = robot_from_text(model.robot.urdf, model.robot.datasheet)
     own = set(dict(model.provenance.get("data", {})).values())
     if own & {digest for _, digest in recordings.meta.sources}:
-        return described, None, "robot description and data sheet"
+        return Baseline(described, None, "robot description and data sheet")
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction = np.zeros((model.n, 2))
     for f in model.effects:
@@ -35,11 +48,18 @@ def baseline(model: Model, recordings: Recordings) -> tuple[Robot, Known | None,
             if f.effect == effect and f.joint in model.joints:
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
-    return robot, Known(friction, *drive_gain(described, robot, model.domain.q)), "identified model"
+    gain, std, notes = drive_gain(described, robot, model.domain.q)
+    return Baseline(robot, Known(friction, gain, std), "identified model", notes)
 
 
-def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, float]:
-    """Recorded over true torque and its standard deviation, from identified over described gravity torques at angles in ``reach``.
+def settled(model: Model) -> tuple[Fitted, ...]:
+    """The effects that are no longer in question: those that were asked for or added, not those that `identify` chose itself."""
+    chosen = set(model.provenance.get("chosen", ()))
+    return tuple(f for f in model.effects if f.label not in chosen)
+
+
+def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, float, tuple[str, ...]]:
+    """Recorded over true torque, its standard deviation and notes, from gravity torques, identified and described, over ``reach``.
 
     A torque constant that is off scales every identified mass, and every new load with them; but so does a description whose
     masses are off, and recordings of one arm cannot tell the two apart.  How far the ratio differs from joint to joint says how
@@ -49,11 +69,18 @@ def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, 
     ours, theirs = (gravity_torques(r.chain, r.pi, q) for r in (identified, described))
     weight, product = (theirs**2).sum(axis=0), (ours * theirs).sum(axis=0)
     total = float(weight.sum())
+    if total == 0.0:
+        return 1.0, DRIVES, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
+    ratio, (least, most) = float(product.sum()) / total, limit.GAIN
+    if not least < ratio < most:
+        note = (
+            f"the identified gravity torque is {ratio:.2g} times what the robot description says; expected {least:g} to {most:g}, which a "
+            "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded "
+            "torque as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)"
+        )
+        return 1.0, DRIVES, (note,)
     loaded = weight > LOADED * weight.max()
-    if total <= 0.0 or not 0.5 < product.sum() / total < 2.0:
-        return 1.0, DRIVES
-    ratio = float(product.sum()) / total
     spread = float(weight[loaded] @ (product[loaded] / weight[loaded] - ratio) ** 2) / total
     masses = Tolerance().mass ** 2 + spread * float(weight @ weight) / total**2
     share = DRIVES**2 / (DRIVES**2 + masses)
-    return 1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses))
+    return 1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses)), ()

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.evidence import gain
 from stopset.offline.diagnose.rows.prepare import Array, Index
 
 HELD = 1e12  # prior precision of a term held at zero
 MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
-LAG_PRICE = 2 * float(np.log(40.0))  # of a lag: half a millisecond found among 20
-SWING_PRICE = 2 * float(np.log(1000.0))  # of a stiffness found to a per cent and a damping to a tenth
 SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a group, in units of its terms' prior deviations; each is charged for the choice
 
 
@@ -42,8 +41,8 @@ class Candidate:
     def price(self) -> float:
         """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
         if self.given is not None:
-            return (self.given / float(self.sd[0])) ** 2 + LAG_PRICE
-        return SWING_PRICE if self.effect.name == "elasticity" else 0.0
+            return (self.given / float(self.sd[0])) ** 2 + limit.LAG_PRICE
+        return limit.SWING_PRICE if self.effect.name == "elasticity" else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,21 +9,23 @@ from typing import Any
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.campaign.independence import Ends, uncut
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, Projection, project
-from stopset.offline.diagnose.evidence.priors import ROTOR_SCALES, ROTOR_SHIFT, SCALES, Known, Tolerance, link_tolerance
+from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
 from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
-__all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored", "Tolerance"]
+__all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 
 FOLDS = 6
-PRIOR_SHARE = 0.3  # prior deviation of an effect's torque, as a share of the joint's friction: neither tiny nor dominant
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
 
@@ -56,8 +58,8 @@ class Engine:
     rotors: Index  # and those whose prior is the data sheet
     stamps: Index  # and those of the stamps, by joint
     size: int  # columns in all; column 0 is y
-    scales: tuple[float, ...] = SCALES
-    rotor_scales: tuple[float, ...] = ROTOR_SCALES
+    scales: tuple[float, ...] = limit.SCALES
+    rotor_scales: tuple[float, ...] = limit.ROTOR_SCALES
     active: list[Candidate] = field(default_factory=list)
     held: tuple[int, ...] = ()  # base columns held at zero
     _level: dict[int, float] = field(default_factory=dict)
@@ -72,11 +74,11 @@ class Engine:
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
         source, n = Source(robot, data, compensated), robot.n
-        units = list(dict.fromkeys(t.unit for t in data.trials))
-        folds = np.array([units.index(t.unit) % FOLDS for t in data.trials], dtype=np.intp)
+        motion = _motions(data)
+        folds = np.array([motion[t.unit] % FOLDS for t in data.trials], dtype=np.intp)
         if known:
             source.gain, source.gain_std = known.gain, known.gain_std
-        scales = known.scales if known else SCALES
+        scales = known.scales if known else limit.SCALES
         rows = all_rows(source)
         base = 1 + np.arange(10 * n)
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
@@ -111,7 +113,7 @@ class Engine:
             own[:, 4].astype(np.intp),
             1 + 15 * n,
             scales,
-            (1.0,) if known else ROTOR_SCALES,
+            (1.0,) if known else limit.ROTOR_SCALES,
         )
 
     def add(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> Candidate | None:
@@ -151,11 +153,11 @@ class Engine:
         rms = np.sqrt(power / max(count, 1))
         if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < 1e-9:
             return None
-        sd = PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
+        sd = limit.PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])
         sd = np.where(np.isfinite(typical), typical, sd)
         if effect.name == "rotor_inertia" and self.robot.rotor[joints[0]] > 0:
-            sd = np.minimum(sd, ROTOR_SHIFT * self.robot.rotor[joints[0]])
+            sd = np.minimum(sd, limit.ROTOR_SHIFT * self.robot.rotor[joints[0]])
         span = np.array([t.hi - t.lo for t in effect.terms])
         sd = np.where(np.isfinite(span), np.minimum(sd, span / 2), sd)
         return Candidate(effect, joints, dict(shapes), np.arange(self.size, self.size + k), sd), parts
@@ -313,6 +315,17 @@ class Engine:
         G, _ = gram.at(sigma, kappa)
         v = full[gram.index]
         return float(v @ G @ v * kappa) / max(1, self.rows[joint].size)
+
+
+def _motions(data: Prepared) -> dict[Any, int]:
+    """Number of the motion of each unit that is held out together: into how many pieces a recording was cut says nothing."""
+    ends: dict[Any, Ends] = {}
+    for trial in data.trials:
+        at = [trial.fine.start, trial.fine.stop - 1]
+        own = Ends(data.t_fine[at], data.q_fine[at], data.dq_fine[at])
+        ends[trial.unit] = ends[trial.unit].until(own) if trial.unit in ends else own
+    recordings = uncut(list(ends.values()))
+    return {unit: list(dict.fromkeys(recordings)).index(r) for unit, r in zip(ends, recordings, strict=True)}
 
 
 def _put(values: tuple[float, ...], j: int, value: float) -> tuple[float, ...]:

@@ -7,26 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
 
-SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # how far the CAD may be off, in units of its tolerance; found by evidence
-ROTOR_SCALES = (0.3, 0.6, 1.0)  # likewise of data-sheet inertias, but not beyond: more than the tolerance is a finding
-
-
-DRIVES = (
-    0.058  # of recorded over true torque, all drives alike: data sheets state torque constants to 10 %, 5.8 % in the mean square
-)
-ROTOR_SHIFT = 0.3  # prior deviation of an inertia that is not the data sheet's, as a share of the one stated
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerance:
-    """How well the robot description is known, one standard deviation each."""
-
-    mass: float = 0.036  # of each link's mass: masses 2 to 5 % off are 3.6 % off in the mean square
-    centre: float = 0.0018  # [m] of each link's centre of mass along each axis: 3 mm in all
-    inertia: float = 0.10  # of each link's inertia
-    rotor: float = 0.03  # of each reflected rotor inertia: data sheets 4 % off at most are 2.3 % off in the mean square
+# standard deviation of recorded over true torque, all drives alike: data sheets state torque constants to 10 %
+DRIVES = 0.058
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +19,8 @@ class Known:
     """What a model from other recordings adds to the description: then only what has *changed* is asked for.
 
     ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
-    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as `SCALES`.
+    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as
+    `SCALES` of the thresholds.
     """
 
     friction: Array

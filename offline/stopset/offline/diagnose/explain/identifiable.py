@@ -13,17 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.effects import Effect, catalogue
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import Projection, gain, project
-from stopset.offline.diagnose.search.search import THRESHOLD
 
-TAKEN_UP = 0.9  # share of an effect's torque that the base model's own parameters can imitate, from which on they hide it
-FLAT = 0.05  # change of the gravity torque, as a share of the joint's friction, below which a joint counts as not loaded
 LOADS = frozenset({"load", "stiff", "tilt"})
-WARMER = 3.0  # [K] of change from which on a temperature can tell something
 
 UNRECORDED = "no temperature is recorded"
-EVEN = f"the temperature varies by less than {WARMER:g} K"
+EVEN = f"the temperature varies by less than {limit.WARMER:g} K"
 STILL = "the joint hardly moves"
 UNLOADED = "gravity does not load the joint in these motions"
 TRACELESS = "it leaves no trace in these motions"
@@ -98,7 +95,7 @@ def _whole(engine: Engine, effect: Effect) -> str | None:
     if "temp" in effect.needs:
         if temp is None:
             return UNRECORDED
-        if float(np.ptp(temp, axis=0).max()) < WARMER:
+        if float(np.ptp(temp, axis=0).max()) < limit.WARMER:
             return EVEN
     if effect.instead_of == "temp" and temp is not None:
         return ""  # the recorded temperature tells it better
@@ -137,7 +134,7 @@ def _expected(p: Projection, ix: np.ndarray, c: Candidate) -> float:
 
 
 def _unloaded(engine: Engine, place: tuple[int, ...]) -> bool:
-    return all(float(np.ptp(engine.source.gravity[:, j])) < FLAT * engine.level(j) for j in place)
+    return all(float(np.ptp(engine.source.gravity[:, j])) < limit.FLAT * engine.level(j) for j in place)
 
 
 def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, needs: frozenset[str]) -> str:
@@ -147,8 +144,8 @@ def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] |
     if shown is None:
         return UNLOADED if needs & LOADS and _unloaded(engine, place) else TRACELESS
     evidence, taken = shown
-    if evidence >= THRESHOLD:
+    if evidence >= limit.THRESHOLD:
         return ""
-    if taken > TAKEN_UP:
+    if taken > limit.TAKEN_UP:
         return IMITATED
     return NOISE

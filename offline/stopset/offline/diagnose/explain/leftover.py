@@ -8,11 +8,10 @@ from itertools import product
 
 import numpy as np
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, predicted, whitened
 from stopset.offline.diagnose.rows.prepare import Array
-
-TOGETHER = 1.5  # two variables are named together where their product explains so much more than either alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +30,7 @@ def pattern(engine: Engine, theta: Array, hyper: Hyper, joint: int, alone: Seque
     """
     best = alone[0] if alone else None
     pair = _best_product(engine, theta, hyper, joint)
-    if pair is not None and pair.gain > max(least, TOGETHER * (best.gain if best else 0.0)):
+    if pair is not None and pair.gain > max(least, limit.TOGETHER * (best.gain if best else 0.0)):
         return Pattern(tuple(pair.variable.split(" * ")), pair.share, True)
     if best is None or best.gain <= least:
         return None

@@ -6,7 +6,6 @@ column of a law passes through the same kernel as the torque, so that smoothing 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,7 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
-from stopset.recording import Recording, Recordings
+from stopset.offline.campaign.session import Session
+from stopset.recording import Recording, Recordings, SuiteKey
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,9 +25,6 @@ KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 10
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
 CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
-
-
-REPEATED = 6  # repetitions of a suite from which on the repetition, not the place in the session, is the time of warming
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +64,14 @@ class Kernel:
 class Trial:
     """Where one moving trial lies: ``fine`` samples at the recording's rate, ``rows`` after thinning."""
 
-    key: tuple[str, int, int]
-    place: int
+    key: tuple[int, str, int, int]
     fine: slice
     rows: slice
 
     @property
-    def unit(self) -> tuple[str, int] | tuple[str, int, int]:
+    def unit(self) -> SuiteKey | tuple[int, str, int, int]:
         """What is held out together: repetitions of one open-loop suite, else the trial."""
-        return self.key[:2] if self.key[0] == "open_loop" else self.key
+        return self.key[:3] if self.key[1] == "open_loop" else self.key
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +166,7 @@ def prepare(recordings: Recordings) -> Prepared:
     grids = [(r, g) for r, g in grids if len(g["t"]) > 2 * kernel.half + step]
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
-    repeated = _repetitions([r for r, _ in grids])
-    last = repeated - 1 if repeated >= REPEATED else max(1, max(r.place for r, _ in grids))
+    session = Session.of(recordings)
     fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
     temps: list[Array] = []
     trials, centres, offset, rows = [], [], 0, 0
@@ -185,11 +180,11 @@ def prepare(recordings: Recordings) -> Prepared:
         fine_parts["dq"].append(_at(padded, inside, light.h1))
         fine_parts["tau"].append(g["tau"])
         fine_parts["t"].append(g["t"])
-        fine_parts["warm"].append(np.full(m, min(1.0, (r.trial if repeated >= REPEATED else r.place) / last)))
+        fine_parts["warm"].append(np.full(m, session.warm(r)))
         if "temp" in g:
             temps.append(g["temp"])
         centre = np.arange(kernel.half, m - kernel.half, step) + offset
-        trials.append(Trial(r.key, r.place, slice(offset, offset + m), slice(rows, rows + len(centre))))
+        trials.append(Trial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
         centres.append(centre)
         offset, rows = offset + m, rows + len(centre)
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
@@ -210,12 +205,6 @@ def prepare(recordings: Recordings) -> Prepared:
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
     )  # fmt: skip
-
-
-def _repetitions(moving: Sequence[Recording]) -> int:
-    """Most repetitions of one suite, in the phase that `survey` looks at: both must count warming alike."""
-    repeated = [r for r in moving if r.phase == "open_loop"] or [r for r in moving if r.phase == "closed_loop"]
-    return max(Counter(r.suite for r in repeated).values(), default=0)
 
 
 def _before_brake(r: Recording) -> Recording | None:
@@ -245,10 +234,10 @@ def _moving(dq_fine: Array, way: Array, centre: Index, kernel: Kernel) -> Mask:
 
 def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
     """One row per pose approached at least twice: friction is what the controller left, but its mean is small."""
-    poses: dict[int, list[Recording]] = {}
+    poses: dict[SuiteKey, list[Recording]] = {}
     for r in recordings:
         if r.phase == "static":
-            poses.setdefault(r.suite, []).append(r)
+            poses.setdefault(r.suite_key, []).append(r)
     kept: Sequence[list[Recording]] = [rs for rs in poses.values() if len(rs) > 1]
     n = len(recordings.meta.joints)
     if not kept:

@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
+from stopset.offline.campaign.hold_out import GUARD
 from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
 from stopset.offline.diagnose.rows.noise import coloured
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Array, Index, Mask
 
-BLOCK = 1.0  # [s] of one trial held out together where there are too few motions to hold out whole ones
+BLOCK = 2.0  # [s] of one trial held out together where there are too few motions to hold out whole ones
+WHOLE = "motions left out in turn"
+BLOCKS = f"every sixth {BLOCK:g} s in turn, {GUARD:g} s away from what was fitted: this speaks of the same motion only"
+
+
+def judged_on(engine: Engine) -> str:
+    """What held-out errors are taken on, in words."""
+    return BLOCKS if _few(engine) else WHOLE
+
+
+def _few(engine: Engine) -> bool:
+    return len(np.unique(engine.fold_of_trial)) < FOLDS
 
 
 def held_out(engine: Engine, hyper: Hyper) -> Array:
     """(n,) torque error [N m] of the current model, RMS over motions that the fit has not seen.
 
-    Where there are fewer motions than folds, every sixth second is held out in turn: a motion left out alone would then leave
-    nothing to fit.  Such errors speak of these motions only.
+    Where there are fewer motions than folds, blocks of time are held out in turn, with a guard interval at their ends: a motion
+    left out alone would then leave nothing to fit.  Such errors speak of these motions only.
     """
     view = engine.view()
     n = engine.data.n
-    few = len(np.unique(engine.fold_of_trial)) < FOLDS
+    few = _few(engine)
     folds = [_by_time(engine, j) if few else view.grams[j].row_fold for j in range(n)]
     square, count = np.zeros(n), np.zeros(n)
     for fold in range(FOLDS):
@@ -36,6 +48,8 @@ def held_out(engine: Engine, hyper: Hyper) -> Array:
             gram, k = view.grams[j], len(rows.take)
             e = coloured((gram.X @ theta[gram.index])[:k], rows.start, rows.a, rows.sd)
             here = folds[j][:k] == fold
+            if few:
+                here &= ~_guarded(engine, j)
             square[j] += float(np.sum(e[here] ** 2))
             count[j] += int(here.sum())
     out: Array = np.sqrt(square / np.maximum(count, 1))
@@ -47,6 +61,12 @@ def _by_time(engine: Engine, joint: int) -> Index:
     rows, d = engine.rows[joint], engine.data
     block = (d.t[rows.take] / BLOCK).astype(np.intp) + d.trial[rows.take]  # trials begin with different folds
     return np.concatenate([block % FOLDS, np.full(rows.size - len(rows.take), FOLDS, np.intp)])
+
+
+def _guarded(engine: Engine, joint: int) -> Mask:
+    """(K,) rows of a joint within the guard interval of a block's end."""
+    part = np.mod(engine.data.t[engine.rows[joint].take], BLOCK)
+    return np.asarray((part < GUARD) | (part > BLOCK - GUARD))
 
 
 def _sums(gram: JointGram, chosen: Array, kappa: float) -> Array:

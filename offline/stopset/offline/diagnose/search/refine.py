@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence.scores import score_new
 
-SHORTEST_LAG = 0.004  # [s] what stamps may differ by without anything being wrong: a sample of a slow bus
-BUILT_UP = 2.0  # Coulomb torques of the first fit, which hysteresis makes smaller, that may build up
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
 
 
@@ -29,7 +28,7 @@ def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scor
 def possible(engine: Engine, s: Scored) -> bool:
     """Within its range; friction that builds up after a reversal is part of its joint's own."""
     c = s.candidate
-    return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < BUILT_UP * engine.friction[c.joints[0], 0])
+    return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < limit.BUILT_UP * engine.friction[c.joints[0], 0])
 
 
 def _out_of_step(s: Scored) -> bool:
@@ -104,7 +103,7 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
 
     if "d0" in shapes:
         shapes = {"d0": _shifted(engine, scored, hyper)}
-        if abs(shapes["d0"]) < SHORTEST_LAG:
+        if abs(shapes["d0"]) < limit.SHORTEST_LAG:
             return replace(scored, score=0.0)
     elif effect.shapes:
         best_value = value(shapes)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.effects import catalogue
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
@@ -15,17 +16,10 @@ from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined, sharpened
-from stopset.offline.diagnose.search.wanted import LOUD, exact, wanted
+from stopset.offline.diagnose.search.wanted import exact, wanted
 
-THRESHOLD = 25.0  # twice the log Bayes factor; see docs/diagnosis.md for its calibration on healthy campaigns
-FORM_ERROR = 0.03  # share of a claim's evidence that its law's imperfect form may leave for others on the same rows
-TRUE_FORM = 0.003  # the same where only the sensors' noise is left of its joints
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
-SENSORS = 1.25  # leftover variance over the sensors' own noise; 0.7 to 1.0 where friction is smooth within a trial
-SIMPLER = 0.01  # share of its evidence for which a law that looks alike gives way to one of fewer parameters
-LOWERED = 0.02  # share by which a claim must lower a joint's torque error on motions not fitted; 1.4-fold ones lower it by 0.29
 SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model
-MAX_CLAIMS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +48,7 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = THRESHOLD) -> Found:
+def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD) -> Found:
     """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless."""
     candidates = engine.add_all(wanted(engine, names))
     ripple = catalogue().get("torque_ripple") if names is None or "torque_ripple" in names else None
@@ -66,11 +60,11 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
     left: list[Scored] = []
     first = before = held_out(engine, hyper)
     refused = set[tuple[str, tuple[int, ...]]]()
-    for _ in range(MAX_CLAIMS):
+    for _ in range(limit.MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
-        fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > LOUD]
+        fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > limit.LOUD]
         left = scores(engine, fit, hyper)
         taken = {c.key for c in engine.active}
         best = refined(engine, [s for s in left if s.candidate.key not in taken | refused], hyper)
@@ -158,13 +152,13 @@ def _stands(engine: Engine, s: Scored, claims: Sequence[Claim], excess: Sequence
 def _form_error(claim: Claim, excess: Sequence[float]) -> float:
     """Evidence that a claim's imperfect law may have left over at its joints."""
     left = max(excess[j] for j in claim.joints or range(len(excess)))
-    return claim.score * (FORM_ERROR if left > SENSORS else TRUE_FORM)
+    return claim.score * (limit.FORM_ERROR if left > limit.SENSORS else limit.TRUE_FORM)
 
 
 def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
     """Whether a law foretells motions that it was not fitted to; what a free base model takes up can't show there."""
     where = list(candidate.joints) or list(range(len(before)))
-    return candidate.effect.name in SHIFTS or bool(np.max(1.0 - after[where] / before[where]) > LOWERED)
+    return candidate.effect.name in SHIFTS or bool(np.max(1.0 - after[where] / before[where]) > limit.LOWERED)
 
 
 Settled = tuple[float, Scored, Candidate, Hyper, Projection]
@@ -183,7 +177,7 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
         settled.append((engine.evidence(h), s, candidate, h, p))
         engine.active.pop()
     best = max(settled, key=lambda x: x[0])
-    simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - SIMPLER * best[1].score]
+    simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - limit.SIMPLER * best[1].score]
     return max(simpler, key=lambda x: x[0], default=best)[1:]
 
 

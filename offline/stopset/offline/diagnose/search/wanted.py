@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stopset.effects import Effect, catalogue
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 
-LOUD = 2.0  # residual variance over the sensors' noise from which on that noise can't pass for an effect
 LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
 
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
@@ -49,7 +49,7 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
 
     There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
     """
-    loudest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > LOUD), key=lambda j: -hyper.kappa[j])[:3]
+    loudest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > limit.LOUD), key=lambda j: -hyper.kappa[j])[:3]
     out: list[Wanted] = []
     for effect in catalogue().values():
         if names is not None and effect.name not in names:
@@ -65,4 +65,4 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
 def _swings(engine: Engine, joint: int, K: float) -> bool:
     """Whether a stiffness gives a period that rows can show: 0.1 to 1.5 s."""
     M = float(np.median(engine.source.mass[:, joint, joint]))
-    return bool(4.0 < np.sqrt(K / M) < 70.0)
+    return bool(4.0**2 * M < K < 70.0**2 * M)  # a link described without inertia swings at no frequency

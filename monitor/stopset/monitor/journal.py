@@ -1,0 +1,173 @@
+"""What must survive a restart: one small record on disk, replaced in place, so that it needs no free space when it counts.
+
+The file has two slots of fixed size, written in turn: a write that power loss tears leaves the other slot whole. A slot
+carries a running number and a digest. The file is born complete, so whatever is not two whole slots is damage, and damage is
+`Unreadable`: the reader of it must assume the worst.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import struct
+import threading
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from stopset.errors import OutputError
+
+SLOT = 16384
+_HEAD = struct.Struct("<8sQI")  # mark, number, length of the record
+_MARK = b"STPSLTCH"
+_DIGEST = 16
+
+
+class Store(Protocol):
+    """Where the two slots lie; may raise `OSError`. ``flush`` starts making what was written last, and need not wait."""
+
+    def read(self) -> bytes: ...
+    def write(self, offset: int, data: bytes) -> None: ...
+    def flush(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class Unreadable(Exception):
+    """The journal holds damage, in words."""
+
+
+def _slot(number: int, record: Any) -> bytes:
+    body = msgspec.json.encode(record)
+    head = _HEAD.pack(_MARK, number, len(body))
+    whole = head + body + hashlib.blake2b(head + body, digest_size=_DIGEST).digest()
+    if len(whole) > SLOT:
+        raise ValueError(f"the record has {len(whole)} bytes, a slot {SLOT}")
+    return whole.ljust(SLOT, b"\0")
+
+
+def _read_slot(data: bytes) -> tuple[int, Any] | None:
+    mark, number, length = _HEAD.unpack_from(data)
+    end = _HEAD.size + length
+    if mark != _MARK or end + _DIGEST > SLOT:
+        return None
+    if hashlib.blake2b(data[:end], digest_size=_DIGEST).digest() != data[end : end + _DIGEST]:
+        return None
+    return number, msgspec.json.decode(data[_HEAD.size : end])
+
+
+def blank(record: Any) -> bytes:
+    """A whole journal that holds ``record``."""
+    return _slot(0, record) + _slot(1, record)
+
+
+class Journal:
+    """The record, read once with `read`, replaced with `write`. ``trouble``: words of the last failure, empty if none."""
+
+    def __init__(self, store: Store) -> None:
+        self.trouble = ""
+        self._store, self._number = store, 1
+
+    def read(self) -> Any:
+        """The record written last; raises `Unreadable` for a damaged, foreign or torn journal."""
+        try:
+            data = self._store.read()
+            slots = [_read_slot(data[at : at + SLOT]) for at in (0, SLOT)] if len(data) == 2 * SLOT else [None]
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
+            raise Unreadable(f"the journal of the latch cannot be read ({e})") from e
+        whole = [s for s in slots if s is not None]
+        self._number = max((n for n, _ in whole), default=1)
+        if len(whole) < len(slots) or len(data) != 2 * SLOT:
+            raise Unreadable("the journal of the latch is damaged, or its last write was torn")
+        return max(whole, key=lambda s: s[0])[1]
+
+    def write(self, record: Any) -> None:
+        """Replace the record: it survives this process at once, and a loss of power when the disk has taken it."""
+        try:
+            self._number += 1
+            self._store.write(SLOT * (self._number % 2), _slot(self._number, record))
+            self._store.flush()
+            self.trouble = ""
+        except (OSError, ValueError, msgspec.MsgspecError) as e:
+            self.trouble = f"the journal of the latch cannot be written ({e}); a restart would not know of what came last"
+
+    def renew(self, record: Any) -> None:
+        """Write both slots: after damage one alone would leave the other torn."""
+        self.write(record)
+        self.write(record)
+
+    def close(self) -> None:
+        self._store.close()
+
+
+class FileStore:
+    """Two slots in a file, made if it is not there, locked against a second daemon. Raises `OutputError`.
+
+    A thread waits for the disk, so that the loop does not; ``trouble`` holds the disk's last complaint.
+    """
+
+    def __init__(self, path: Path, first: Any) -> None:
+        try:
+            if not path.exists():
+                _make(path, blank(first))
+            self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except OSError as e:
+            raise OutputError(
+                f"the journal of the latch {path} cannot be written ({e.strerror}); without it a restart would forget a "
+                "violation: name a writable place with journal = in the configuration"
+            ) from e
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as e:
+            os.close(self._fd)
+            raise OutputError(
+                f"another monitor holds the journal {path}; expected one monitor per arm: stop the other, or give this arm "
+                "a journal of its own"
+            ) from e
+        self._wake, self._closing = threading.Event(), False
+        self._thread = threading.Thread(target=self._sync, daemon=True, name="journal")
+        self._thread.start()
+
+    def read(self) -> bytes:
+        return os.pread(self._fd, 2 * SLOT + 1, 0)
+
+    def write(self, offset: int, data: bytes) -> None:
+        if os.pwrite(self._fd, data, offset) != len(data):
+            raise OSError("only a part was written")
+
+    def flush(self) -> None:
+        self._wake.set()
+
+    def _sync(self) -> None:
+        while not self._closing:
+            self._wake.wait()
+            self._wake.clear()
+            with contextlib.suppress(OSError):  # the next write meets the same disk and says so
+                os.fdatasync(self._fd)
+
+    def close(self) -> None:
+        self._closing = True
+        self._wake.set()
+        self._thread.join(timeout=1.0)
+        with contextlib.suppress(OSError):
+            os.fdatasync(self._fd)
+        os.close(self._fd)
+
+
+def _make(path: Path, data: bytes) -> None:
+    """The file is there whole, also after a loss of power, or not at all."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    try:
+        os.write(fd, data)
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+    part.rename(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,92 @@
+"""What the drives say of themselves on CANopen: heartbeat, NMT state, emergencies. OK needs all of them good.
+
+Source: CANopen services of CiA 301: NMT 0x000, EMCY 0x080 + node, heartbeat 0x700 + node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+NMT, EMCY, HEARTBEAT = 0x000, 0x080, 0x700
+BOOT, STOPPED, OPERATIONAL, PREOPERATIONAL = 0x00, 0x04, 0x05, 0x7F
+NAMES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOPERATIONAL: "pre-operational"}
+# what a master's command makes of a node; resets (0x81, 0x82) start it anew
+COMMANDS = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PREOPERATIONAL, 0x81: BOOT, 0x82: BOOT}
+PATIENCE = 3.0  # heartbeats that may be missed
+MAX_SAID = 64  # emergencies kept for telling
+
+
+@dataclass(slots=True)
+class Node:
+    """The state last heard, when [s], and the emergency in force, 0 none."""
+
+    state: int | None = None
+    heard: float = float("-inf")
+    emergency: int = 0
+
+
+@dataclass(slots=True)
+class Nodes:
+    """Follows the drives of ``joints`` (node id by joint). ``heartbeat_s``: their period; 0 = they send none.
+
+    Without heartbeats a node counts as operational until a command or an emergency says otherwise: its PDOs show that it lives.
+    """
+
+    joints: Mapping[str, int]
+    heartbeat_s: float
+    emergencies: list[tuple[int, bytes]] = field(default_factory=list)
+    _nodes: dict[int, Node] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._nodes = {node: Node() for node in self.joints.values()}
+
+    def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> None:
+        """Take a frame received at ``t`` [s]; others than the three services are passed over."""
+        if cob_id == NMT:
+            if len(data) == 2 and data[0] in COMMANDS:
+                for node_id in self._nodes if data[1] == 0 else (data[1],):
+                    if (node := self._nodes.get(node_id)) is not None:
+                        self._becomes(node, COMMANDS[data[0]])
+        elif EMCY < cob_id < EMCY + 0x80:
+            self._emergency(cob_id - EMCY, bytes(data))
+        elif HEARTBEAT < cob_id < HEARTBEAT + 0x80 and len(data) == 1:
+            node = self._nodes.get(cob_id - HEARTBEAT)
+            if node is not None:
+                node.heard = t
+                self._becomes(node, data[0] & 0x7F)
+
+    def _becomes(self, node: Node, state: int) -> None:
+        node.state = state
+        if state == BOOT:
+            node.emergency = 0
+
+    def _emergency(self, node_id: int, data: bytes) -> None:
+        if len(self.emergencies) < MAX_SAID:
+            self.emergencies.append((node_id, data))
+        node = self._nodes.get(node_id)
+        if node is not None:
+            # a message that cannot be read is no all-clear; code 0x00xx says that the error is gone
+            node.emergency = int.from_bytes(data[:2], "little") if len(data) >= 2 else 0xFFFF
+            if node.emergency >> 8 == 0:
+                node.emergency = 0
+
+    def bad(self, now: float) -> tuple[int, str]:
+        """Bit i set = the drive of joint i is not good at ``now`` [s]; and a sentence on the first of them, empty if none."""
+        bits, words = 0, ""
+        for i, (joint, node_id) in enumerate(self.joints.items()):
+            why = self._why(self._nodes[node_id], now)
+            if why:
+                bits |= 1 << i
+                words = words or f"the drive of {joint} (node {node_id}) {why}"
+        return bits, words
+
+    def _why(self, node: Node, now: float) -> str:
+        if node.emergency:
+            return f"reports the emergency 0x{node.emergency:04X}"
+        if node.state not in (None, OPERATIONAL):
+            assert node.state is not None
+            return f"is {NAMES.get(node.state, f'in the unknown state 0x{node.state:02X}')}"
+        if self.heartbeat_s and not now - node.heard <= PATIENCE * self.heartbeat_s:
+            return f"has sent no heartbeat for {PATIENCE * self.heartbeat_s:g} s"
+        return ""

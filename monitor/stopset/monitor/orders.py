@@ -1,0 +1,63 @@
+"""What others ask of the daemon, held at the door: sizes, kinds and numbers are limited here, and nothing here can raise."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import msgspec
+
+MAX_NONCE = 64  # bytes of a challenge; more are cut off
+MAX_RESET = 4096
+CHALLENGES, RESETS = 16, 4  # that may wait; of more the oldest are dropped
+A_TURN = 4  # challenges answered in one turn of the loop
+
+_Text = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
+class Reset(msgspec.Struct, frozen=True):
+    """Who clears the latch, and why."""
+
+    name: _Text
+    reason: _Text
+
+
+_decode = msgspec.json.Decoder(Reset).decode
+
+
+def parse_reset(data: bytes) -> Reset | None:
+    """The order in ``data``; None for anything that is not one."""
+    try:
+        r = _decode(data)
+        r = Reset(r.name.strip(), r.reason.strip())
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return r if r.name and r.reason else None
+
+
+@dataclass(slots=True)
+class Orders:
+    """Waiting challenges and resets; `take` is called from zenoh's threads, the rest from the loop."""
+
+    dropped: int = 0
+    _challenges: deque[bytes] = field(default_factory=lambda: deque(maxlen=CHALLENGES))
+    _resets: deque[bytes] = field(default_factory=lambda: deque(maxlen=RESETS))
+
+    def take(self, key: str, data: bytes) -> None:
+        """Nothing but the queue."""
+        reset = key.rsplit("/", 1)[-1] == "reset"
+        waiting = self._resets if reset else self._challenges
+        self.dropped += len(waiting) == waiting.maxlen
+        waiting.append(data[: MAX_RESET + 1 if reset else MAX_NONCE])
+
+    def challenges(self) -> list[bytes]:
+        """Some of the waiting nonces, oldest first."""
+        return [self._challenges.popleft() for _ in range(min(A_TURN, len(self._challenges)))]
+
+    def reset(self) -> tuple[Reset | None] | None:
+        """The next order to clear the latch (None inside: one that is not to be understood); None when there is none."""
+        if not self._resets:
+            return None
+        data = self._resets.popleft()
+        return (parse_reset(data) if len(data) <= MAX_RESET else None,)

@@ -1,0 +1,102 @@
+"""The state in words, for people: what ``state/json`` and ``health`` say."""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stopset.monitor.layout import Flag, State
+from stopset.monitor.stopdesk import Numbers
+from stopset.monitor.watch import Conformance
+
+if TYPE_CHECKING:
+    from stopset.monitor.daemon import Daemon
+
+NOTICE = "Monitoring aid, not a safety function: bounds hold only for the identified model; stop distances for the risk "
+NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What one turn of the loop has come to."""
+
+    state: State
+    flags: Flag
+    why: str
+    numbers: dict[str, Numbers]
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts since start, and the loop's timing since the last health message [s]."""
+
+    samples: int = 0
+    verdicts: dict[str, int] = field(default_factory=lambda: {c.value: 0 for c in Conformance})
+    outside_domain: int = 0
+    gaps: int = 0
+    faults: int = 0
+    late: int = 0
+    delays: list[float] = field(default_factory=list)
+    busy: list[float] = field(default_factory=list)
+
+
+def finite(x: float) -> float | None:
+    """JSON has no infinity: what is not a number is null."""
+    return float(x) if math.isfinite(x) else None
+
+
+def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        c: {
+            "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
+            "certified": bool(x.provable.all()), "why": x.why,
+            "joints": {
+                j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
+                for i, j in enumerate(joints)
+            },
+        }
+        for c, x in numbers.items()
+    }  # fmt: skip
+
+
+def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
+    """The binary message in words, with names."""
+    v, s, joints, n = d.verdict, d.sample, d.model.joints, d.model.n
+    room = None if v is None or v.room is None else {j: float(min(v.room[i], v.room[n + i])) for i, j in enumerate(joints)}
+    return {
+        "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f in turn.flags],
+        "conformance": v.conformance.value if v else "UNKNOWN", "conformance_why": v.why if v else "",
+        "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
+        "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
+        "outside_domain": list(v.outside) if v else [],
+        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "gaps": d.tally.gaps,
+        "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
+        "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
+        "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
+        "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
+        "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
+        "guarantee": d.model.guarantee.text, "notice": NOTICE,
+    }  # fmt: skip
+
+
+def health(d: Daemon) -> dict[str, Any]:
+    """The loop, the bus, the process. Resets the timing window."""
+    t = d.tally
+    delays, busy = np.array(t.delays or [0.0]), np.array(t.busy or [0.0])
+    out = {
+        "t_ns": d.clock.time_ns(), "samples": t.samples, "gaps": t.gaps, "late": t.late, "faults": t.faults,
+        "outside_domain": t.outside_domain, "cycles_in_window": len(t.busy),
+        "sync_to_publish_ms": {"median": 1e3 * float(np.median(delays)), "max": 1e3 * float(delays.max())},
+        "loop_busy_ms": {"median": 1e3 * float(np.median(busy)), "max": 1e3 * float(busy.max())},
+        "bus": d.source.counters(), "stop_bound_ms": 1e3 * d.desk.answer.took if d.desk.answer else None,
+        "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
+        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
+    }  # fmt: skip
+    t.delays.clear()
+    t.busy.clear()
+    return out
