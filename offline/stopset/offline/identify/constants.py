@@ -21,7 +21,7 @@ from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
 from stopset.offline.campaign import hold_out, independence, session, survey
-from stopset.offline.compare import metrics
+from stopset.offline.compare import metrics, tightness
 from stopset.offline.conform import (
     bands,
     corners,
@@ -32,15 +32,17 @@ from stopset.offline.conform import (
     nonlinear,
     nonlinear_sets,
     program,
+    reading_error,
     zonotopes,
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
-from stopset.offline.diagnose.evidence import candidate, engine, evidence, priors
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
 from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
@@ -61,7 +63,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, energy, failed, moving, plant, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -103,6 +105,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
+    ("reading error", reading_error, "SMOOTH FEWEST"),
+    ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
+    ("absurd", absurd, "MOVES RANGES"),
+    ("drive gain", baseline, "POSES LOADED"),
+    ("what is known before", priors, "DRIVES"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
     ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
@@ -127,7 +134,6 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
-    ("stop plant", plant, "STANDSTILL"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
@@ -141,7 +147,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
     ("diagnosis engine", engine, "FOLDS GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS"),
-    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
+    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE"),
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
