@@ -11,7 +11,7 @@ from stopset.ring import sign
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
     """``J ddq_other + c dq_other + F sign(dq + dq_other)``, the same on both rows; each joint's own part is its own rotor and friction.
 
-    Source: Khalil & Dombre (2002), Modeling, Identification and Control of Robots, coupled axes.
+    Source: Khalil (2007).
     """
     return (s.ddq_other, s.dq_other, sign(s.dq + s.dq_other))
 

@@ -52,6 +52,7 @@ from stopset.offline.nominal import (
     normal_equations,
     open_loop,
     output_error,
+    pair_choice,
     parameter_uncertainty,
     physical,
     preprocess,
@@ -71,7 +72,7 @@ SCHEMA = 1  # of the hash: counted up when a name changes or the way values are 
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
-    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED"),
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
     ("robot", arm, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),
@@ -85,6 +86,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
     ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY FOLDS NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
