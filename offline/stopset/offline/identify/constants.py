@@ -88,7 +88,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("coupled pairs", pair_choice, "EFFECT TELLS LOOKED_AT"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
     ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
@@ -153,7 +153,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
-    ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )
 
