@@ -158,6 +158,9 @@ typedef struct {
 STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double *q, const double *dq, const double *tau,
                                      const double *temp, double *ends, double *u, double *du);
 
+/* How many of x (N,) lie outside [lo - slack, hi + slack]. */
+STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */
