@@ -9,7 +9,9 @@
 
 #include <stdint.h>
 
-#if defined(_WIN32)
+#if defined(STOPSET_API)
+/* said by whoever compiles it */
+#elif defined(_WIN32)
 #define STOPSET_API __declspec(dllexport)
 #elif defined(__GNUC__)
 #define STOPSET_API __attribute__((visibility("default")))
