@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stopset.offline.known import described
 
 import stopset.effects.registry as registry
 from stopset.artifact import Model, save_model
@@ -27,7 +26,8 @@ from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.watch import Quantum
-from stopset.offline.revise import stop_figures
+from stopset.offline.nominal.known_effects import described
+from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import torques_of
 from stopset.reach.stops.tubes import fastest, tube_of
@@ -65,7 +65,17 @@ def outside(name: str, law: object, count: int = 1) -> Effect:
     return Effect(name, "Somebody else's.", "q", terms, law, "compensation", "khalil2007", ("q", "dq", "load"))  # type: ignore[arg-type]
 
 
-OTHERS = (outside("wrapped", wrapped, 2), outside("of_acceleration", of_acceleration), outside("jumping", jumping))
+def driving(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """Damping of the wrong sign, if its size is below zero."""
+    return (s.dq,)
+
+
+OTHERS = (
+    outside("wrapped", wrapped, 2),
+    outside("driving", driving),
+    outside("of_acceleration", of_acceleration),
+    outside("jumping", jumping),
+)
 WRAPPED = (Fitted("wrapped", JOINTS[4], {"k0": 4.0, "k1": 0.5}, {"k0": 0.1, "k1": 0.01}),)
 
 
@@ -262,7 +272,7 @@ def test_a_tube_lies_inside_the_region_its_effects_were_evaluated_for(monkeypatc
 
 def test_an_added_payload_counts_once_for_everyone() -> None:
     """What an identified payload adds stands in the model's body, and nobody adds it again."""
-    plain, payload = hiding(()), CASES["payload"]
+    plain, payload = hiding(()), tuple(replace(f, std={}) for f in CASES["payload"])
     carried = np.array([payload[0].values[t.symbol] for t in get("payload").terms])
     told = hiding(payload)
     once = plain.robot.pi[-1] + carried
@@ -270,7 +280,7 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     assert np.array_equal(described(plain.robot, payload).pi[-1], once)  # what identification starts from
     same = replace(told, effects=plain.effects)  # the same arm, described with what it carries
     for load in ((0.0, 0.0), (0.2, 1.0)):
-        a, b = (StopBounds.of(m, load).setting for m in (told, same))
+        a, b = (StopBounds.of(m, load, payload_com=told.robot.tip).setting for m in (told, same))
         assert a is not None and b is not None
         for name in (f for f in a.plant._fields if f not in ("chain", "curvature")):
             assert np.array_equal(getattr(a.plant, name), getattr(b.plant, name)), name
@@ -278,12 +288,23 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     rows = np.array([Q, -Q]), np.array([DQ, 0.0 * DQ]), np.array([3.0 * DQ, DQ])
     assert np.array_equal(told.input(*rows), same.input(*rows))
     assert not np.allclose(told.input(*rows), plain.input(*rows))
+    doubtful = StopBounds.of(hiding(CASES["payload"]), (0.0, 0.0)).setting  # what it was weighed wrongly by, beside it
+    assert doubtful is not None and np.isclose(doubtful.plant.pi_half[-1, 0], SIGMAS * 0.04)
     assert told.domain.payload == plain.domain.payload
     texts = [sources(m, variables(m))[0]["model_data.c"] for m in (told, same)]
     pi = [next(line for line in t.splitlines() if line.startswith("    .pi = ")) for t in texts]
     assert pi[0] == pi[1]
     for name in (f.name for f in fields(StopData) if f.name != "refusal"):
         assert np.array_equal(getattr(stop_data(told), name), getattr(stop_data(same), name)), name
+
+
+def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was_asked_for(others: None) -> None:
+    model = hiding((Fitted("driving", JOINTS[0], {"k0": -9.0}),))
+    torques = torques_of(model)
+    assert not torques.settled and torques.speed[0] == pytest.approx(1.26)
+    q = Box.point(np.zeros(6))
+    push = [torques.over(q, np.full(6, v)).push.hi[0] for v in (1.0, 2.0)]
+    assert push[1] == pytest.approx(2.0 * push[0]) and push[0] >= 4.0
 
 
 def test_what_the_abstraction_damps_by_is_friction_where_no_effect_says_better() -> None:

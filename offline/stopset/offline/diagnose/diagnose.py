@@ -20,7 +20,7 @@ from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
-from stopset.offline.diagnose.explain.uncertainty import deviations
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -29,7 +29,6 @@ from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
 MOVE = "Move every joint through its range at several speeds."
-TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,8 +336,8 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
         why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                given, c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
+                c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
         before = after

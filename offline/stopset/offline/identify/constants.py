@@ -21,7 +21,7 @@ from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
 from stopset.offline.campaign import hold_out, independence, session, survey
-from stopset.offline.compare import metrics
+from stopset.offline.compare import metrics, tightness
 from stopset.offline.conform import (
     bands,
     corners,
@@ -42,6 +42,7 @@ from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
 from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
@@ -105,8 +106,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
-    ("error of readings", reading_error, "SMOOTH FEWEST"),
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
+    ("reading error", reading_error, "SMOOTH FEWEST"),
+    ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
+    ("absurd", absurd, "MOVES RANGES"),
+    ("drive gain", baseline, "POSES LOADED"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
     ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
@@ -141,11 +145,10 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
-    ("diagnosis baseline", baseline, "POSES LOADED"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
     ("diagnosis engine", engine, "GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS"),
-    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
+    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE"),
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),

@@ -22,9 +22,9 @@ def described(robot: Robot, known: Sequence[Fitted]) -> Robot:
     """The robot with known payloads and rotor inertias in its description."""
     pi, drives = robot.pi.copy(), list(robot.drives)
     for f in known:
-        if f.effect == "payload":
-            order = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-            pi[-1] += [f.values[k] for k in order]
+        effect = get(f.effect)
+        if effect.carried:
+            pi[-1] += [f.values[t.symbol] for t in effect.terms]
         elif f.effect == "rotor_inertia" and f.joint is not None:
             j = robot.joints.index(f.joint)
             drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + f.values["dJ"])
