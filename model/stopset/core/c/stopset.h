@@ -9,7 +9,9 @@
 
 #include <stdint.h>
 
-#if defined(_WIN32)
+#if defined(STOPSET_API)
+/* said by whoever compiles it */
+#elif defined(_WIN32)
 #define STOPSET_API __declspec(dllexport)
 #elif defined(__GNUC__)
 #define STOPSET_API __attribute__((visibility("default")))
@@ -157,6 +159,9 @@ typedef struct {
  * `ends` (states, 2): intervals of the states at this sample, then at the next. `temp` may be 0. */
 STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double *q, const double *dq, const double *tau,
                                      const double *temp, double *ends, double *u, double *du);
+
+/* How many of x (N,) lie outside [lo - slack, hi + slack]. */
+STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
