@@ -25,15 +25,15 @@ def _messages(path: Path, topic: str) -> Iterator[bytes]:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; expected an MCAP file or the .db3 of a ROS 2 bag")
     if path.suffix.lower() == ".mcap":
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
 
         try:
             with path.open("rb") as f:
                 for _, _, message in make_reader(f).iter_messages(topics=[topic]):
                     yield message.data
-        except (McapError, ValueError, EOFError, OSError) as e:
-            raise RecordingError(f"{path} is not a readable MCAP file ({e}); record or copy it again") from e
+        except Exception as e:
+            why = f"{type(e).__name__}: {str(e)[:200]}"
+            raise RecordingError(f"{path} is not a readable MCAP file ({why}); record or copy it again") from e
         return
     try:
         db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
@@ -42,10 +42,14 @@ def _messages(path: Path, topic: str) -> Iterator[bytes]:
                 "select m.data from messages m join topics t on m.topic_id = t.id where t.name = ? order by m.timestamp", (topic,)
             )
             for (data,) in rows:
-                yield bytes(data)
+                if not isinstance(data, bytes):
+                    raise RecordingError(
+                        f"{path} holds a message that is no bytes; expected a ROS 2 bag: record or copy it again"
+                    )
+                yield data
         finally:
             db.close()
-    except sqlite3.Error as e:
+    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as e:
         raise RecordingError(f"{path} is not a readable ROS 2 bag ({e}); give the .db3 file") from e
 
 

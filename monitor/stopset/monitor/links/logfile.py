@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,5 +26,6 @@ def read_log(path: str | Path) -> Iterator[Frame]:
             for m in reader:
                 if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
                     yield Frame(m.arbitration_id, m.data, m.timestamp)
-    except (can.CanError, ValueError, IndexError, OSError, KeyError, struct.error, zlib.error) as e:
-        raise RecordingError(f"{p} is not a readable {p.suffix} log ({type(e).__name__}: {e}); export it again") from e
+    except Exception as e:
+        why = f"{type(e).__name__}: {str(e)[:200]}"
+        raise RecordingError(f"{p} is not a readable {p.suffix} log ({why}); export it again") from e
