@@ -40,7 +40,7 @@ class Unreadable(Exception):
 
 
 def _slot(number: int, record: Any) -> bytes:
-    body = msgspec.json.encode(record)
+    body = msgspec.json.encode(record, enc_hook=float)
     head = _HEAD.pack(_MARK, number, len(body))
     whole = head + body + hashlib.blake2b(head + body, digest_size=_DIGEST).digest()
     if len(whole) > SLOT:
@@ -90,7 +90,7 @@ class Journal:
             self._store.write(SLOT * (self._number % 2), _slot(self._number, record))
             self._store.flush()
             self.trouble = ""
-        except (OSError, ValueError, msgspec.MsgspecError) as e:
+        except (OSError, ValueError, TypeError, msgspec.MsgspecError) as e:
             self.trouble = f"the journal of the latch cannot be written ({e}); a restart would not know of what came last"
 
     def renew(self, record: Any) -> None:
