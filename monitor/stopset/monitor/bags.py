@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sqlite3
+import tempfile
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +21,46 @@ Array = NDArray[np.float64]
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
 SHORTEST = 10
 GAP = 2.5  # periods without a message that end a trial
+
+
+def is_bag(path: Path) -> bool:
+    """An MCAP file, a ``.db3``, either compressed (``.zstd``), or the folder that ROS 2 writes them into."""
+    name = path.name.removesuffix(".zstd") if path.suffix == ".zstd" else path.name
+    return Path(name).suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def _parts(path: Path) -> list[Path]:
+    """The files of a bag, in the order in which they were written (ROS 2 numbers them)."""
+    if not path.is_dir():
+        return [path]
+
+    def number(p: Path) -> tuple[int, str]:
+        digits = re.search(r"_(\d+)\.", p.name)
+        return (int(digits[1]) if digits else 0, p.name)
+
+    parts = sorted((p for p in path.iterdir() if p.is_file() and is_bag(p)), key=number)
+    if not parts:
+        raise RecordingError(
+            f"{path} holds no .db3 or .mcap; expected the folder of a ROS 2 bag: give the folder with metadata.yaml"
+        )
+    return parts
+
+
+def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
+    for part in _parts(path):
+        if part.suffix != ".zstd":
+            yield from _messages(part, topic)
+            continue
+        import zstandard
+
+        with tempfile.TemporaryDirectory() as folder:
+            whole = Path(folder) / part.name.removesuffix(".zstd")
+            try:
+                with part.open("rb") as packed, whole.open("wb") as f:
+                    zstandard.ZstdDecompressor().copy_stream(packed, f)
+            except (zstandard.ZstdError, OSError) as e:
+                raise RecordingError(f"{part} cannot be unpacked ({e}); copy it again, or unpack it with zstd -d") from e
+            yield from _messages(whole, topic)
 
 
 def _messages(path: Path, topic: str) -> Iterator[bytes]:
@@ -58,7 +100,7 @@ def trials_of_bag(
 ) -> Iterator[tuple[Recording, tuple[str, ...]]]:
     """Unbroken runs of messages as trials, with the joints' names; time is the header stamp."""
     states: list[JointState] = []
-    for data in _messages(path, topic):
+    for data in _all_messages(path, topic):
         try:
             states.append(decode(data))
         except BusError as e:
