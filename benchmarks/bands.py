@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from stopset.offline.conform.bands import narrower
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.robot import load_robot
 
 BANDS = 3

@@ -77,8 +77,8 @@ def plain(robot: Any, recordings: Any) -> float:
     """Processor seconds of one least squares per joint on the base model and all start columns of the catalogue."""
     import numpy as np
 
-    from stopset.offline.diagnose.engine import Engine
-    from stopset.offline.diagnose.wanted import wanted
+    from stopset.offline.diagnose.evidence.engine import Engine
+    from stopset.offline.diagnose.search.wanted import wanted
 
     engine = Engine.build(robot, recordings)
     engine.add_all(wanted(engine))

@@ -29,8 +29,8 @@ from independent_sizing import RATIO, hide
 from scipy.stats import beta
 
 from stopset.offline.diagnose import diagnose
-from stopset.offline.diagnose.engine import Engine
-from stopset.offline.diagnose.residual import slow_excess
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.recording import read_recordings
 from stopset.robot import load_robot
 

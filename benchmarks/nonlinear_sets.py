@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Abstraction, Model
-from stopset.offline.compare import inputs
-from stopset.offline.conform import cooperative as co
+from stopset.offline.compare.compare import inputs
+from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform.nonlinear import leak
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal
 from stopset.robot import load_robot
 from stopset.sets import Box
@@ -73,7 +74,7 @@ def per_dimension() -> str:
         push = rng.choice(suffered, steps // 25 + 1).repeat(25)[:steps, None]
         x = nominal(model, np.zeros((1, 2)), (u + push)[None, :-1], dt)[0]
         trials.append((x + rng.uniform(-1, 1, x.shape) * noise, u))
-    problem = co.problems(trials, model, ("joint",), Box.symmetric(noise), dt, 100)[0]
+    problem = co.problems(trials, model, ("joint",), ReadingError.exact(Box.symmetric(noise)), dt, 100)[0]
     best, _ = co.verified(problem, co.search(problem))
     wide = co.scaled(problem, best, 2.0)
     torque_first = [co.U_LO, co.U_HI, co.Q_LO, co.Q_HI, co.V_LO, co.V_HI]

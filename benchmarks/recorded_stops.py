@@ -22,11 +22,11 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.offline.brakes import divide, judge_stop1
 from stopset.offline.brakes.controlled import KINDS, fit_all, ramp_from
+from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.brakes.judge import Verdict, first_outside, stop0_tubes, stop1_tube
 from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
 from stopset.offline.brakes.stops import rest_noise
-from stopset.offline.identify import identify
-from stopset.offline.sheet_brakes import assumed_brakes
+from stopset.offline.identify.pipeline import identify
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import setting_of
 from stopset.reach.stops.ramp import ramp_of

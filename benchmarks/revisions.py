@@ -10,8 +10,8 @@ import argparse
 
 from stopset.artifact import Model
 from stopset.offline.diagnose import diagnose_model
-from stopset.offline.identify import identify
-from stopset.offline.revise import add
+from stopset.offline.identify.pipeline import identify
+from stopset.offline.revise.revise import add
 from stopset.recording import read_recordings
 from stopset.robot import load_robot
 

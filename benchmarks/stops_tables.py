@@ -65,7 +65,7 @@ def table(payload: tuple[float, float], pieces: int = 64) -> dict[tuple[int, flo
     bounds = StopBounds.of(model, payload, pieces=pieces)
     s = bounds.setting
     assert s is not None
-    poses = Poses.of(model.robot, model.robot.tip)
+    poses = Poses.of(model.robot, model.robot.tip, model.domain.q)
     out = {}
     for joint in (0, 1, 2):
         q = poses.worst_for(joint, 1.0, s.plant.pi)

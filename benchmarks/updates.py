@@ -17,8 +17,8 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from stopset.artifact import Model, model_text, save_model
-from stopset.offline.adaptive import load_state, save_state, update
-from stopset.offline.identify import Keep, identify
+from stopset.offline.identify.pipeline import Keep, identify
+from stopset.offline.update.update import load_state, save_state, update
 from stopset.robot import Robot, load_robot
 
 KINDS: tuple[Keep, ...] = ("sums", "signals")

@@ -13,9 +13,9 @@ import sys
 
 import numpy as np
 
-from stopset.offline.conform.linear import Fit
-from stopset.offline.conform.sets import BOX
-from stopset.offline.identify import Settings, identify
+from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_sets import BOX
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.robot import load_robot
 
 FEW = 18  # generators; the volume is a sum over all choices of n among them

@@ -13,6 +13,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
+from stopset.core import build
+
+if not build.current():  # sources changed since the installation: the tests are about the sources
+    build.build()
+
 WORKERS = 2
 
 
@@ -47,7 +52,7 @@ def schunk_file(shared_data: Callable[[str], Path]) -> Path:
 @pytest.fixture(scope="session")
 def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The identification of the Schunk arm with the default settings, once per session."""
-    from stopset.offline.identify import identify
+    from stopset.offline.identify.pipeline import identify
     from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file])
@@ -56,7 +61,7 @@ def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="session")
 def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The same on the paper's definition: predictions from each trial's start, no margin."""
-    from stopset.offline.identify import Settings, identify
+    from stopset.offline.identify.pipeline import Settings, identify
     from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0))
@@ -66,7 +71,7 @@ def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
 def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
     """A known two-joint arm: folder with URDF, recording and model file; (folder, trials, Identification)."""
     from stopset.artifact import save_model
-    from stopset.offline.identify import identify
+    from stopset.offline.identify.pipeline import identify
     from synthetic import arm, names, recordings, save_trials, urdf
 
     folder = tmp_path_factory.mktemp("planar")

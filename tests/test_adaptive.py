@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,13 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
-from stopset.offline import drift
-from stopset.offline.adaptive import from_scratch, save_state, update
-from stopset.offline.adaptive_file import ENVELOPE
-from stopset.offline.adaptive_file import load_sums as load_state
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.conform.gather import Kept
+from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.nominal import identify_nominal, solve_nominal
-from stopset.offline.sums import Kept
+from stopset.offline.update import staleness
+from stopset.offline.update.sums_file import ENVELOPE
+from stopset.offline.update.sums_file import load_sums as load_state
+from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.recording import Recording, stream_recordings
 from synthetic import arm, names, recordings, save_trials
 
@@ -149,7 +150,7 @@ def test_what_shaped_the_nominal_model_never_judges_it(tmp_path: Path) -> None:
     added = check(c, [c.write("new.parquet", recordings(J, v, 6, seed=8))])
     assert added.model.guarantee.motions == 2
     held = added.survey.held_out
-    assert held and all(suite >= 2**32 for _, suite in held)
+    assert held and all(file >= 1 for file, *_ in held)
 
 
 def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> None:
@@ -231,11 +232,11 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     kept = motor.kept()
     assert kept.nominal.data is not None
     # of what was kept alone it is the model's own nominal model
-    assert np.all(drift.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
+    assert np.all(staleness.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
     added = update(motor.model, kept, [new])
     assert isinstance(added.kept, Kept) and added.kept.nominal.data is not None
     held = added.survey.held_out
-    read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.motion not in held]
+    read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.suite_key not in held]
     whole = identify_nominal(ROBOT, read)
     again = solve_nominal(ROBOT, added.kept.nominal.data)
     spread = np.sqrt(np.diag(whole.covariance))
@@ -249,7 +250,7 @@ def test_an_update_says_when_the_nominal_model_is_out_of_date(motor: Campaign, f
     new = save_trials(motor.folder / f"drift_{due}.parquet", trials, JOINTS, effort="motor_torque")
     note = update(motor.model, motor.kept(), [new]).model.revisions[-1].note
     assert "a nominal model of all recordings would differ by" in note
-    assert (drift.DUE in note) == due, note
+    assert (staleness.DUE in note) == due, note
 
 
 def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None:
@@ -257,7 +258,7 @@ def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None
         new = nine.write(f"drift_{due}.parquet", recordings(J, friction, 2, seed=84))
         note = update(nine.model, nine.kept(), [new]).model.revisions[-1].note
         assert "times that on the old ones" in note and "a nominal model of all" not in note
-        assert (drift.DUE in note) == due, note
+        assert (staleness.DUE in note) == due, note
 
 
 def test_the_command_keeps_updates_and_keeps_again(nine: Campaign, capsys: pytest.CaptureFixture[str]) -> None:
@@ -360,7 +361,9 @@ def test_a_foreign_damaged_or_hostile_state_is_refused(nine: Campaign, tmp_path:
         return written(head=np.frombuffer(json.dumps(head | more).encode(), np.uint8))
 
     flipped = bytearray(whole)
-    flipped[len(whole) // 2] ^= 0xFF
+    with zipfile.ZipFile(io.BytesIO(whole)) as packed:  # in the middle of what is stored, not of a name
+        largest = max(packed.infolist(), key=lambda member: member.compress_size)
+    flipped[largest.header_offset + largest.compress_size // 2 + 100] ^= 0xFF
     (tmp_path / "flipped").write_bytes(flipped)
     (tmp_path / "cut").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text").write_text("no zip")

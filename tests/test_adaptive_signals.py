@@ -14,10 +14,10 @@ from stopset.artifact import Model, load_model, model_text, save_model
 from stopset.cli.main import main
 from stopset.effects.base import Fitted
 from stopset.errors import ModelFileError, RecordingError
-from stopset.offline import signals_file
-from stopset.offline.adaptive import load_state, save_state, update
-from stopset.offline.identify import Settings, identify
-from stopset.offline.signals_file import Signals
+from stopset.offline.identify.pipeline import Settings, identify
+from stopset.offline.update import signals_file
+from stopset.offline.update.signals_file import Signals
+from stopset.offline.update.update import load_state, save_state, update
 from stopset.recording import Recording, stream_recordings, write_recordings
 from stopset.robot import Robot
 from stopset.simulation import prepare

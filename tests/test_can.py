@@ -358,7 +358,7 @@ def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.Capt
         assert word in capsys.readouterr().err
     assert not (tmp_path / "out.parquet").exists(), "nothing is written"
     r = motion(0, 20)
-    uneven = Recording(*r.key, 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
+    uneven = Recording(*r.key[1:], 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
     with pytest.raises(RecordingError, match="even cycle"):
         recorded([uneven])
     write_recordings(tmp_path / "r.parquet", meta(), [r])

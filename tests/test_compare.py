@@ -13,8 +13,9 @@ import pytest
 from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
-from stopset.offline.compare import answer, compare
-from stopset.offline.explained import Explained, partial_residual
+from stopset.offline.compare.compare import answer, compare
+from stopset.offline.compare.dependence import Explained, partial_residual
+from stopset.offline.compare.verdict import verdict
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Meta, read_recordings, write_recordings
 from synthetic import names, recordings, save_trials
@@ -92,7 +93,7 @@ def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, c
     page = (tmp_path / "a.html").read_text()
     # self-contained: no script, style, font or picture from elsewhere
     assert not re.search(r"""<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=\s*["'](?:https?:)?//""", page)
-    assert "Conformant" in page
+    assert "recordings stay inside the predicted sets" in page
     assert "not a" in page
     pushed = [dataclasses.replace(r, tau=1.5 * r.tau) for r in trials]
     bad = save_trials(tmp_path / "bad.parquet", pushed, JOINTS)
@@ -119,14 +120,16 @@ def test_another_sampling_rate_is_brought_to_the_models_grid(planar, tmp_path: P
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("joint", [1, 2])
-def test_one_joints_torque_off_by_half_is_found_on_the_real_arm(schunk, schunk_file, tmp_path: Path, joint: int) -> None:
-    """Joint 3 in most trials; joint 2, whose unknown torque is as wide as half its torque, in a few."""
+@pytest.mark.parametrize(("joint", "factor", "least"), [(0, 1.5, 30), (1, 2.2, 1), (2, 1.5, 50), (4, 1.5, 30)])
+def test_one_joints_torque_off_by_half_is_found_on_the_real_arm(
+    schunk, schunk_file, tmp_path: Path, joint: int, factor: float, least: int
+) -> None:
+    """But for joint 2: it brakes harder than its friction at the end of some trials, and that is in its unknown torque."""
     data = read_recordings(schunk_file)
-    scaled = [dataclasses.replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in data]
+    scaled = [dataclasses.replace(r, tau=r.tau * np.where(np.arange(6) == joint, factor, 1.0)) for r in data]
     write_recordings(tmp_path / "scaled.parquet", Meta(data.meta.joints, effort="compensated_torque"), scaled)
     result = compare(schunk.model, [tmp_path / "scaled.parquet"])
-    assert len(result.violations) >= (1 if joint == 1 else 50)
+    assert len(result.violations) >= least
     assert {v.state.removeprefix("d") for v in result.violations} == {f"q_arm_{joint + 1}_joint"}
     assert answer(schunk.model, result)["violations"] == len(result.violations)
 
@@ -137,3 +140,22 @@ def test_the_real_recordings_conform_to_their_own_model(schunk, schunk_file) -> 
     assert len(result.rows) == 100
     assert not result.violations
     assert result.outside_domain == 0
+
+
+def test_the_first_sentence_names_the_joint_that_fails_though_the_sets_hold(planar) -> None:  # type: ignore[no-untyped-def]
+    """Wide sets enclose what a model does not explain: that must not read as good."""
+    folder, _, _ = planar
+    found = compare(load_model(folder / "m.model.json"), [folder / "rec.parquet"])
+    assert not found.violations
+    figures = {
+        j: row | {"torque_rmse": (0.4 if k else 0.1), "torque_rmse_floor": 0.1}
+        for k, (j, row) in enumerate(found.figures.items())
+    }
+    said = verdict(dataclasses.replace(found, figures=figures))
+    assert said.kind == ""
+    assert JOINTS[1] in said.text and "4.0 times" in said.text and "diagnose" in said.text
+    explained = {j: row | {"torque_rmse": 0.11, "torque_rmse_floor": 0.1} for j, row in found.figures.items()}
+    assert verdict(dataclasses.replace(found, figures=explained)).kind == "good"
+    beyond = tuple(dataclasses.replace(r, inside_domain=False) for r in found.rows)
+    said = verdict(dataclasses.replace(found, figures=explained, rows=beyond))
+    assert said.kind == "bad" and said.text.startswith("Not covered")

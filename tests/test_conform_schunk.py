@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from stopset.artifact import Model
-from stopset.offline.identify import Identification
+from stopset.offline.identify.pipeline import Identification
 from synthetic import lag
 
 pytestmark = pytest.mark.shared

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
-from stopset.offline.diagnose import Diagnosis, diagnose, swing
-from stopset.offline.diagnose import search as search_module
-from stopset.offline.diagnose.candidate import Candidate
-from stopset.offline.diagnose.diagnosis import QUIET, WANDER
-from stopset.offline.diagnose.engine import Engine, _put
-from stopset.offline.diagnose.evidence import SIGMAS, JointGram, gain, project
-from stopset.offline.diagnose.noise import autocovariance, coloured, predictor, whiten
-from stopset.offline.diagnose.prepare import Kernel
-from stopset.offline.diagnose.residual import slow_excess
-from stopset.offline.diagnose.scores import scores
-from stopset.offline.diagnose.search import FORM_ERROR, SENSORS, THRESHOLD, Claim, _stands, foretells
-from stopset.offline.diagnose.wanted import LAGS
+from stopset.offline.diagnose import Diagnosis, diagnose
+from stopset.offline.diagnose.columns import elasticity as swing
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.engine import Engine, _put
+from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, gain, project
+from stopset.offline.diagnose.evidence.scores import scores
+from stopset.offline.diagnose.explain.residual import slow_excess
+from stopset.offline.diagnose.rows.noise import autocovariance, coloured, predictor, whiten
+from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.offline.diagnose.search import search as search_module
+from stopset.offline.diagnose.search.search import Claim, _stands, foretells
+from stopset.offline.diagnose.search.wanted import LAGS
+from stopset.offline.diagnose.thresholds import FORM_ERROR, QUIET, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recordings, read_recordings
 from stopset.robot import load_robot
 from stopset.robot.arm import robot_from_text

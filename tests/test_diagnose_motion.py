@@ -1,26 +1,18 @@
-"""The rows' own rigid-body kernels against `stopset.robot.rigid`, and the shortcuts of the diagnosis against plain sums."""
+"""The shortcuts of the diagnosis against plain sums."""
 
 import numpy as np
 import pytest
 
-from stopset.offline.diagnose.evidence import JointGram
+from stopset.offline.diagnose.columns.ripple import _power, _products
+from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.levers import levers
-from stopset.offline.diagnose.motion import bent_torques, link_torques, mass_matrices, regressors
-from stopset.offline.diagnose.noise import autocovariance, predictor, whiten, whiten_adjoint
-from stopset.offline.diagnose.prepare import Kernel
-from stopset.offline.diagnose.ripple import _power, _products
+from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten, whiten_adjoint
+from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.robot import load_robot, rigid
 
 RNG = np.random.default_rng(3)
 ARM = load_robot("lwa4p")
 Q, DQ, DDQ = RNG.normal(size=(3, 20, ARM.n))
-
-
-def test_rows_kernels_give_what_the_rigid_body_gives() -> None:
-    assert np.allclose(link_torques(ARM.chain, ARM.pi, Q, DQ, DDQ), rigid.torques(ARM.chain, ARM.pi, Q, DQ, DDQ), atol=1e-10)
-    assert np.allclose(regressors(ARM.chain, Q, DQ, DDQ), rigid.regressors(ARM.chain, Q, DQ, DDQ), atol=1e-10)
-    M = [rigid.mass_matrix(ARM.chain, ARM.pi, q) for q in Q]
-    assert np.allclose(mass_matrices(ARM.chain, ARM.pi, Q), M, atol=1e-10)
 
 
 @pytest.mark.parametrize("joint", [0, 2, 5])
@@ -29,7 +21,7 @@ def test_a_bent_joint_is_that_joint_elsewhere(joint: int) -> None:
     unit = np.eye(ARM.n)[joint]
     moved = [a + b[:, None] * unit for a, b in ((Q, x), (DQ, dx), (DDQ, ddx))]
     out = np.full_like(Q, 7.0)
-    bent_torques(ARM.chain, ARM.pi, Q, DQ, DDQ, joint, x, dx, ddx, joint, out)
+    rigid.bent_torques(ARM.chain, ARM.pi, Q, DQ, DDQ, joint, x, dx, ddx, joint, out)
     expected = rigid.torques(ARM.chain, ARM.pi, *moved)
     assert np.allclose(out[:, joint:], expected[:, joint:], atol=1e-10) and np.all(out[:, :joint] == 7.0)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stopset.offline.diagnose.diagnosis import diagnose_model
-from stopset.offline.identify import identify
+from stopset.offline.diagnose.diagnose import diagnose_model
+from stopset.offline.identify.pipeline import identify
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot import load_robot
 

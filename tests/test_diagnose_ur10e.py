@@ -9,7 +9,7 @@ import pytest
 from stopset.artifact import Model
 from stopset.effects import catalogue
 from stopset.offline.diagnose import Diagnosis, diagnose_model
-from stopset.offline.identify import identify
+from stopset.offline.identify.pipeline import identify
 from stopset.recording import read_recordings
 from stopset.robot import load_robot
 

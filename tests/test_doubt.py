@@ -10,9 +10,9 @@ import pytest
 from nominal_cases import F_C, F_V, JOINTS, Truth, arm, moving
 from stopset.artifact import TorqueZonotope, UncertaintySets, load_model, save_model
 from stopset.offline.conform.program import STOP_TIME
-from stopset.offline.doubt import STATES, of_regression, recombined, widened
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.offline.nominal import identify_nominal
+from stopset.offline.nominal.parameter_uncertainty import STATES, of_regression, recombined, widened
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot.rigid import regressors
 from stopset.sets import Box

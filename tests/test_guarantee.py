@@ -10,7 +10,7 @@ import pytest
 
 from stopset.artifact import Guarantee
 from stopset.offline.conform import guarantee as g
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify.pipeline import Settings, identify
 from synthetic import arm, names, recordings, save_trials
 
 SCOPE = "in position and velocity up to 5.00 s ahead of every sample"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,19 +12,20 @@ import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, Truth, moving
 from nominal_cases import arm as three_joints
+from stopset.cli.main import main
 from stopset.errors import EffectError
-from stopset.offline import order
 from stopset.offline.abstraction import build
-from stopset.offline.compare import answer, compare
+from stopset.offline.abstraction import order_selection as order
+from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.campaign.survey import on_grid, survey
+from stopset.offline.compare.compare import answer, compare
+from stopset.offline.compare.metrics import torque_error
 from stopset.offline.conform.guarantee import scenario_bound
-from stopset.offline.errors import torque_error
-from stopset.offline.identify import Identification, Settings, identify
-from stopset.offline.nominal_part import NominalPart, fit_nominal
-from stopset.offline.order import abstracted
-from stopset.offline.survey import on_grid, survey
+from stopset.offline.identify.pipeline import Identification, Settings, identify
+from stopset.offline.nominal.model import NominalPart, fit_nominal
 from stopset.reach.nonlinear import nominal
 from stopset.recording import Meta, Recording
-from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
+from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials, urdf
 from test_abstraction import ROTOR, VISCOUS, two_link
 
 J7, V7 = (3.0, 2.5, 2.0, 1.5, 0.6, 0.4, 0.2), (12.0, 11.0, 9.0, 7.0, 4.0, 3.0, 1.5)
@@ -228,7 +230,7 @@ def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path
     """Else the count of violations among them would prove nothing."""
     trials = recordings((2.0,), (4.0,), suites=8, trials=2, seconds=0.6)
     a = found(tmp_path, trials)
-    held = {suite for _, suite in a.survey.held_out}
+    held = {suite for _, _, suite in a.survey.held_out}
     assert len(held) == 2
     rng = np.random.default_rng(0)
     spoiled = [
@@ -237,7 +239,8 @@ def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path
     b = found(tmp_path, spoiled)
     np.testing.assert_array_equal(a.model.abstraction.Minv, b.model.abstraction.Minv)
     np.testing.assert_array_equal(a.model.abstraction.viscous, b.model.abstraction.viscous)
-    np.testing.assert_array_equal(a.survey.noise.hi, b.survey.noise.hi)
+    np.testing.assert_array_equal(a.survey.readings.least.hi, b.survey.readings.least.hi)
+    np.testing.assert_array_equal(a.survey.readings.most.hi, b.survey.readings.most.hi)
     assert b.model.guarantee.violated == 2
     assert b.model.guarantee.upper_bound == 1.0
     assert enclosed(b, tmp_path)  # and yet everything recorded is inside
@@ -328,7 +331,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
         return trials
 
     def fitted(*args: object) -> NominalPart:
-        seen.extend(r.motion for r in args[2]())  # type: ignore[operator]
+        seen.extend(r.suite_key for r in args[2]())  # type: ignore[operator]
         return fit_nominal(*args)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -336,10 +339,27 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
         abstracted(robot, head, source, found, settings, (), part)
     held = order._half(found)
     assert held is not None
-    assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.motion in seen)
+    assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.suite_key in seen)
 
 
 def test_friction_that_the_motions_do_not_show_is_refused() -> None:
     trials, robot = bent(3, np.zeros(3)), three_joints()
     with pytest.raises(EffectError, match="no trace"):
         fit_nominal(robot, Meta(joints=JOINTS), lambda: trials, survey(lambda: trials), Settings(effects=("load_coulomb:base",)))
+
+
+def test_answer_and_page_are_of_one_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Comparing reads every recording again: once is enough for both."""
+    module = sys.modules[compare.__module__]
+    counted: list[object] = []
+
+    def counting(*args: object) -> object:
+        counted.append(args)
+        return compare(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "compare", counting)
+    data = save_trials(tmp_path / "rec.parquet", recordings((2.0,), (4.0,), suites=2, trials=2), names(1))
+    (tmp_path / "robot.urdf").write_text(urdf(names(1)))
+    words = ["--robot", str(tmp_path / "robot.urdf"), "--data", str(data), "--out", str(tmp_path / "m.json")]
+    assert main(["identify", *words, "--json", str(tmp_path / "a.json"), "--report", str(tmp_path / "a.html")]) == 0
+    assert len(counted) == 1 and (tmp_path / "a.json").exists() and (tmp_path / "a.html").exists()

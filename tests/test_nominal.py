@@ -68,8 +68,10 @@ def test_wrong_cad_is_corrected_not_believed(found) -> None:  # type: ignore[no-
 
 def test_what_no_motion_tells_stays_at_the_cad_and_is_said(found) -> None:  # type: ignore[no-untyped-def]
     _, cad, _, nominal = found
-    # the mass of the first link, turning about the vertical, is in no joint's torque
-    assert nominal.pi[0, 0] == pytest.approx(cad.pi[0, 0], rel=1e-6)
+    # the mass of the first link, turning about the vertical, is in no joint's torque: it moves with its inertia's prior, by next to
+    # nothing of its own doubt
+    moved = abs(nominal.pi[0, 0] - cad.pi[0, 0])
+    assert moved < 1e-4 * nominal.std[f"{JOINTS[0]}.m"] and nominal.std[f"{JOINTS[0]}.m"] > 0.05 * cad.pi[0, 0]
     still = identify_nominal(cad, Recordings(Meta(joints=JOINTS), tuple(poses(Truth(arm()), 30, 5))))
     said = " ".join(still.undetermined)
     for joint in JOINTS:

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from stopset.offline.output_error import FEW, STARTS, _lag_misfit, fit_lag
-from stopset.offline.rollout import JointBatch
+from stopset.offline.nominal.open_loop import JointBatch
+from stopset.offline.nominal.output_error import FEW, STARTS, _lag_misfit, fit_lag
 
 DT, N = 0.01, 200
 

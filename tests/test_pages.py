@@ -12,7 +12,7 @@ from nominal_cases import arm
 from stopset.cli.main import main
 from stopset.offline.plan import Wishes, design
 from stopset.offline.plan.page import page as plan_page
-from stopset.offline.report import Page
+from stopset.offline.report.page import Page
 from synthetic import names, save_trials
 
 NARROW = 420  # [px] a telephone

@@ -11,7 +11,7 @@ import pytest
 
 from nominal_cases import JOINTS, Truth, arm, campaign
 from stopset.errors import RecordingError
-from stopset.offline.identify import Settings, identify
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.inspect.inertia import Momentum
 from stopset.recording import Meta, Recording, Recordings, write_recordings

@@ -10,7 +10,7 @@ import pytest
 
 from stopset.artifact import load_model
 from stopset.cli.main import main
-from stopset.offline.adaptive_file import load_sums
+from stopset.offline.update.sums_file import load_sums
 from synthetic import names, recordings, save_trials, urdf
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"
@@ -175,7 +175,7 @@ def test_unknown_effects_and_joints_are_one_sentence(tmp_path: Path, capsys: pyt
 )  # fmt: skip
 def test_what_counts_as_help(torque: tuple[float, float], position: tuple[float, float], helps: bool) -> None:
     """Each pair: change over the arm, change at the effect's own joint."""
-    from stopset.offline.revise import _helps
+    from stopset.offline.revise.judge import _helps
 
     keys = ("held_out_torque_rmse", "held_out_position_rmse")
     before = {k: 1.0 for key in keys for k in (key, f"{key}:a")}

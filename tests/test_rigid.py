@@ -1,4 +1,4 @@
-"""Our compiled rigid-body functions against pinocchio, on random arms poses and on URDFs with fixed side branches."""
+"""The core's rigid body against pinocchio, on random poses of arms, on URDFs with fixed side branches, and row by row."""
 
 from __future__ import annotations
 
@@ -7,8 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stopset.robot import Robot, load_robot
-from stopset.robot.rigid import gravity_torque, gravity_torques, link_frames, mass_matrix, regressor, torque
+from stopset.errors import StopsetError
+from stopset.robot import Robot, jit, load_robot
+from stopset.robot.rigid import (
+    Chain,
+    gravity_torque,
+    gravity_torques,
+    link_frames,
+    mass_matrices,
+    mass_matrix,
+    point_jacobian,
+    regressor,
+    regressors,
+    torque,
+    torques,
+)
 
 pin = pytest.importorskip("pinocchio")
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -60,3 +73,60 @@ def test_gravity_of_many_rows_agrees_with_pinocchio(where: str) -> None:
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (20, robot.n))
     theirs = [pin.computeGeneralizedGravity(model, data, x) for x in q]
     assert np.abs(gravity_torques(robot.chain, robot.pi, q) - theirs).max() < TOLERANCE
+
+
+def test_rows_are_what_each_row_is() -> None:
+    arm = load_robot("lwa4p")
+    c, pi = arm.chain, arm.pi
+    q, dq, ddq = np.random.default_rng(3).normal(size=(3, 7, arm.n))
+    assert np.array_equal(torques(c, pi, q, dq, ddq), [torque(c, pi, *x) for x in zip(q, dq, ddq, strict=True)])
+    assert np.array_equal(gravity_torques(c, pi, q), [gravity_torque(c, pi, x) for x in q])
+    assert np.array_equal(mass_matrices(c, pi, q), [mass_matrix(c, pi, x) for x in q])
+    assert np.array_equal(regressors(c, q, dq, ddq), [regressor(c, *x) for x in zip(q, dq, ddq, strict=True)])
+    R, o = link_frames(c, q)
+    for k in range(len(q)):
+        for ours, jitted in zip((R[k], o[k]), jit.link_frames(c, q[k]), strict=True):
+            assert np.array_equal(ours, jitted)
+        assert np.array_equal(mass_matrix(c, pi, q[k]), jit.mass_matrix(c, pi, q[k]))
+
+
+def test_a_points_jacobian_is_its_derivative() -> None:
+    arm = load_robot("lwa4p")
+    q, point, link = np.random.default_rng(4).normal(size=arm.n), np.array([0.1, -0.2, 0.3]), 3
+    p, J = point_jacobian(arm.chain, q, link, point)
+    R, o = link_frames(arm.chain, q)
+    assert np.allclose(p, o[link] + R[link] @ point, atol=1e-15)
+    step = 1e-6 * np.eye(arm.n)
+    by_difference = [
+        (point_jacobian(arm.chain, q + s, link, point)[0] - point_jacobian(arm.chain, q - s, link, point)[0]) / 2e-6 for s in step
+    ]
+    assert np.allclose(J, np.transpose(by_difference), atol=1e-9) and not J[:, link + 1 :].any()
+
+
+def test_parameters_written_into_are_seen_and_strided_ones_too() -> None:
+    """The call before is remembered by identity alone: whatever is in the arrays now decides."""
+    arm = load_robot("lwa4p")
+    q, pi = np.full(arm.n, 0.3), arm.pi.copy()
+    before = gravity_torque(arm.chain, pi, q)
+    pi *= 2.0
+    assert np.allclose(gravity_torque(arm.chain, pi, q), 2.0 * before, rtol=1e-14)
+    strided = np.repeat(pi, 2, axis=1)[:, ::2]
+    assert np.array_equal(gravity_torque(arm.chain, strided, q), gravity_torque(arm.chain, pi, q))
+    strided *= 2.0
+    assert np.allclose(gravity_torque(arm.chain, strided, q), 4.0 * before, rtol=1e-14)
+
+
+def test_wrong_shapes_and_too_many_joints_are_refused() -> None:
+    """The core reads as many numbers as it is told: nothing may reach it that holds fewer."""
+    arm = load_robot("lwa4p")
+    q = np.zeros((4, arm.n))
+    with pytest.raises(ValueError, match="rows of shapes"):
+        torques(arm.chain, arm.pi, q, q, q[:3])
+    with pytest.raises(ValueError, match="standard parameters"):
+        torques(arm.chain, arm.pi[:-1], q, q, q)
+    with pytest.raises(ValueError, match="chain of"):
+        gravity_torques(arm.chain._replace(gravity=np.zeros(2)), arm.pi, q)
+    n = 33
+    long = Chain(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.zeros(3))
+    with pytest.raises(StopsetError, match="too many joints"):
+        gravity_torque(long, np.zeros((n, 10)), np.zeros(n))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Brakes
+from stopset.effects import Fitted
 from stopset.errors import NotCovered
 from stopset.offline.stops.sampling import sample_stops, tightness, tube_at
 from stopset.reach.stops import Ramp, StopBounds, stop
@@ -252,6 +253,18 @@ def test_missing_brakes_give_no_number() -> None:
 def test_bad_input_is_refused(q: np.ndarray, dq: np.ndarray, payload: tuple[float, float] | None, word: str) -> None:
     with pytest.raises(NotCovered, match=word):
         StopBounds.of(prbt_like(), payload).bound(q, dq)
+
+
+def test_an_identified_payload_is_carried_once_and_its_doubt_is_in_the_bound() -> None:
+    """An identified model's robot holds the payload already; the effect beside it says how well it is known."""
+    model = prbt_like()
+    body = dict(zip(("m", "mx", "my", "mz"), (0.5, 0.01, 0.0, 0.06), strict=True))
+    carrying = replace(model, effects=(*model.effects, Fitted("payload", None, body, {"m": 0.03})))
+    s, without = setting((0.0, 0.0), carrying), setting((0.0, 0.0), model)
+    assert np.array_equal(s.plant.pi, without.plant.pi)
+    assert s.plant.pi_half[-1, 0] == pytest.approx(3 * 0.03) and without.plant.pi_half[-1, 0] == 0.0
+    assert np.allclose(s.payload_com, [0.02, 0.0, 0.12])
+    assert any("weighed" in a for a in s.assumptions)
 
 
 # ---- ramps -------------------------------------------------------------------------------------------------------------

@@ -15,21 +15,19 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.stats import binom
 
-import stopset.offline.abstraction.choose as choose
-import stopset.offline.algorithm as algorithm
-import stopset.offline.conform.linear as linear
-import stopset.offline.conform.noise as readings
+import stopset.offline.conform.linear_program as linear
 import stopset.offline.conform.program as program
-import stopset.offline.nominal.preprocess as preprocess
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
-from stopset.offline.compare import compare
+from stopset.offline.campaign.independence import independent_motions
+from stopset.offline.campaign.survey import on_grid
+from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
-from stopset.offline.conform.linear import Fit, fit_sets
-from stopset.offline.identify import Settings, identify
-from stopset.offline.motions import independent_motions
-from stopset.offline.survey import on_grid
+from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.identify.constants import settings_sha256
+from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.sets import Box
@@ -148,11 +146,11 @@ def standing(noise: float, seed: int = 3, seconds: float = 3.0) -> list[Recordin
 
 
 def test_p2_noise_without_a_set_of_its_own_becomes_torque_and_is_integrated() -> None:
-    trials, noise = standing(1e-5), Box.symmetric([1.01e-5, 5.05e-4])
+    trials, noise = standing(1e-5), ReadingError.exact(Box.symmetric([1.01e-5, 5.05e-4]))
     env = envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, env.steps)
     ours = fit_sets(env, R, noise, SINGLE, ("a",))
-    naive = fit_sets(env, R, Box.symmetric([NO_NOISE] * 2), SINGLE, ("a",), capped=False)
+    naive = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), SINGLE, ("a",), capped=False)
     assert leaves(ours, R, env) <= 0.0
 
     def width(fit: Fit) -> float:
@@ -246,7 +244,7 @@ def test_p5_data_may_sit_in_a_corner_of_the_box_that_the_exact_reachable_set_lac
     env.labels.append("corner")
     for a in range(steps + 1):
         env.hi[a], env.lo[a] = hi[a], lo[a]
-    fit = fit_sets(env, R, Box.symmetric([NO_NOISE] * 2), SINGLE, ("a",), capped=False)
+    fit = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), SINGLE, ("a",), capped=False)
     assert leaves(fit, R, env) <= 0.0  # conformance accepts it, so nothing smaller than the box may predict
 
 
@@ -264,7 +262,7 @@ def test_p6_going_through_a_state_space_set_and_the_pseudo_inverse_widens_the_to
         trials.append(recording(x, np.zeros((steps + 1, 2)), DT, k))
     env = envelope(COUPLED, trials)
     R = responses(COUPLED, DT, env.steps)
-    direct = fit_sets(env, R, Box.symmetric([NO_NOISE] * 4), COUPLED, ("a", "b"), capped=False).U.width.sum()
+    direct = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 4)), COUPLED, ("a", "b"), capped=False).U.width.sum()
     detour = _through_state_space(env, R)
     assert direct <= 4.0 * 1.01  # the truth is [-1, 1] for both
     assert detour > 1.2 * direct
@@ -293,7 +291,7 @@ def test_p7_a_constant_bias_stays_out_of_the_width() -> None:
     trials = recordings((2.0,), (4.0,), suites=2, trials=6, bias=2.0, spread=0.1, noise=(1e-9, 1e-9))
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    fit = fit_sets(env, R, Box.symmetric([1e-8] * 2), SINGLE, ("a",))
+    fit = fit_sets(env, R, ReadingError(Box.symmetric([1e-8] * 2), Box.symmetric([1e-6] * 2)), SINGLE, ("a",))
     assert leaves(fit, R, env) <= 0.0
     assert 1.85 < fit.U.lo[0] < fit.U.hi[0] < 2.15  # zero is not inside
     forced = max(fit.U.hi[0], 0.0) - min(fit.U.lo[0], 0.0)
@@ -343,7 +341,7 @@ def test_p8_four_starts_of_two_motions_are_two_motions(shared_data) -> None:
         first: dict[tuple[str, int], np.ndarray] = {}
         for r in stream_recordings(path):
             if r.phase == "open_loop":
-                first.setdefault(r.motion, r.tau)
+                first.setdefault(r.suite_key, r.tau)
         found = independent_motions(first)
         quads = [{found[k] for k in list(found)[i : i + 4]} for i in range(0, len(found), 4)]
         assert not set.intersection(quads[0], quads[1])
@@ -367,7 +365,7 @@ def test_p11_radians_and_radians_per_second_are_weighted_not_added() -> None:
     trials = recordings((2.0,), (4.0,), suites=1, trials=5, bias=0.0, spread=0.5)
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    noise = Box.symmetric([2e-5, 2e-3])
+    noise = ReadingError.exact(Box.symmetric([2e-5, 2e-3]))
     block = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1), True)
     naive = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1, capped=False), True)
     # columns: X0 lo (q, dq), X0 hi (q, dq), V lo, V hi, U lo, U hi; a velocity counts as its way within a stop
@@ -393,7 +391,7 @@ def test_p12_stiction_cannot_hide_in_the_start_speed() -> None:
         q, dq = np.zeros(N), np.zeros(N)
         q[hold:], dq[hold:] = lag(J, v, DT, 0.0, 0.0, u[hold:, 0])
         trials.append(recording(np.column_stack([q, dq]), u, DT, k))
-    noise = Box.symmetric([1e-4, 1e-3])
+    noise = ReadingError.exact(Box.symmetric([1e-4, 1e-3]))
     start, sliding = envelope(SINGLE, trials), envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, sliding.steps)
     for case in ("all", "position"):
@@ -422,7 +420,7 @@ def alternating() -> list[Recording]:
 
 def test_p15_conformance_from_the_start_does_not_survive_a_restart() -> None:
     trials = alternating()
-    noise = Box.symmetric([1e-7, 1e-6])
+    noise = ReadingError.exact(Box.symmetric([1e-7, 1e-6]))
     start, sliding = envelope(SINGLE, trials), envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, sliding.steps)
     naive = fit_sets(start, R, noise, SINGLE, ("a",))
@@ -456,7 +454,7 @@ def test_p16_each_bound_names_the_trial_that_fixes_it_and_moves_without_it() -> 
     trials = recordings((2.0,), (4.0,), suites=1, trials=5, bias=0.0, spread=0.3, noise=(1e-6, 1e-5))
     q, dq = lag(2.0, 4.0, DT, float(trials[2].q[0, 0]), 0.0, trials[2].tau[:, 0] + 1.5)
     trials[2] = dataclasses.replace(trials[2], q=q[:, None], dq=dq[:, None])
-    noise = Box.symmetric([1e-5, 1e-4])
+    noise = ReadingError.exact(Box.symmetric([1e-5, 1e-4]))
 
     def fitted(chosen: list[Recording]) -> Fit:
         env = envelope(SINGLE, chosen)
@@ -494,13 +492,13 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
 
     monkeypatch.setattr(program, "linprog", sloppy)
     monkeypatch.setattr(program, "ROUNDS", 3)
-    noise = Box.symmetric([2e-5, 2e-3])
+    noise = ReadingError.exact(Box.symmetric([2e-5, 2e-3]))
     fit = fit_sets(env, R, noise, SINGLE, ("a",))
     assert leaves(fit, R, env) <= 0.0
     assert _raw(env, R, noise) > 1e-6  # what believing the solver would have left outside
 
 
-def _raw(env: Envelope, R: Responses, noise: Box) -> float:
+def _raw(env: Envelope, R: Responses, noise: ReadingError) -> float:
     """Worst unmet row of the solver's own answer."""
     bounds = program.Bounds(noise, 1)
     block = linear._block(env, R, [0, 1], [0, 1], [0], bounds, True)
@@ -530,20 +528,8 @@ def test_p18_another_grid_is_another_tube_so_the_grid_is_in_the_file(planar) -> 
     Ad, _ = discretise(found.model.abstraction, sets.dt)
     Ad2, _ = discretise(found.model.abstraction, coarse.dt)
     assert not np.allclose(Ad, Ad2)
-    assert found.model.provenance["settings_sha256"] == found.settings.sha256
-    assert Settings(windows="start").sha256 != Settings().sha256
-
-
-def test_p18_the_hash_covers_the_constants_of_the_algorithm_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = Settings().sha256
-    assert algorithm.constants()["stopset.offline.conform.program.STOP_TIME"] == program.STOP_TIME
-    for module, name in ((program, "STOP_TIME"), (readings, "COVERAGE"), (preprocess, "CLEAR"), (choose, "TIE")):
-        with monkeypatch.context() as m:
-            m.setattr(module, name, 1.5 * getattr(module, name))
-            algorithm.constants.cache_clear()
-            assert Settings().sha256 != before, f"{module.__name__}.{name}"
-    algorithm.constants.cache_clear()
-    assert Settings().sha256 == before
+    assert found.model.provenance["settings_sha256"] == settings_sha256(found.settings)
+    assert settings_sha256(Settings(windows="start")) != settings_sha256(Settings())
 
 
 # ---- P24: kind and unit of the effort

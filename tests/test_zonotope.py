@@ -14,14 +14,15 @@ from hypothesis.extra import numpy as arrays
 
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
-from stopset.offline.adaptive import from_scratch, save_state, update
-from stopset.offline.adaptive_file import load_sums as load_state
-from stopset.offline.compare import compare
+from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
-from stopset.offline.conform.linear import Fit, fit_sets
-from stopset.offline.conform.sets import BOX, enclosing, seen_by
+from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.linear_sets import BOX, enclosing, seen_by
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
-from stopset.offline.identify import Identification, Settings, identify
+from stopset.offline.identify.pipeline import Identification, Settings, identify
+from stopset.offline.update.sums_file import load_sums as load_state
+from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.reach.flowpipe import along_joints, deviation_tube
 from stopset.recording import Recording, read_recordings
 from stopset.robot import load_robot
@@ -131,7 +132,7 @@ def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
     for name, G in shapes.items():
         T = Template(G, l)
         R = seen_by(model, DT, 60, T)
-        out[name] = enclosing(fit_sets(envelope, R, NOISE, model, ("a", "b"), template=T), R, envelope, False)
+        out[name] = enclosing(fit_sets(envelope, R, ReadingError.exact(NOISE), model, ("a", "b"), template=T), R, envelope, False)
     return out
 
 
@@ -197,7 +198,7 @@ def test_impossible_data_are_refused() -> None:
     broken = seen(trials(TOGETHER, 2), model, T.directions, 20)
     broken.hi[5] = np.nan
     with pytest.raises((NotConformant, ValueError)):
-        fit_sets(broken, seen_by(model, DT, 20, T), NOISE, model, ("a", "b"), template=T)
+        fit_sets(broken, seen_by(model, DT, 20, T), ReadingError.exact(NOISE), model, ("a", "b"), template=T)
 
 
 @pytest.fixture(scope="module")
@@ -303,7 +304,9 @@ def test_on_the_real_arm_a_zonotope_is_narrower_at_the_tool() -> None:
     envelope = deviations.empty()
     for r, u in coarse:
         deviations.add(envelope, r, u)
-    noise = Box.symmetric(np.repeat([1e-4, 5e-3], 6))  # about the encoder's resolution and the velocity's scatter
+    noise = ReadingError.exact(
+        Box.symmetric(np.repeat([1e-4, 5e-3], 6))
+    )  # about the encoder's resolution and the velocity's scatter
     got = {}
     for name, shape in (("box", Template(np.eye(6), T.directions)), ("zonotope", T)):
         R = seen_by(model, 0.02, 50, shape)

@@ -95,7 +95,7 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     numbers |= stop.arrays()
     whole = {
         "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",
-        "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None, "has_brakes": stop.brakes,
+        "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None, "has_brakes": not stop.refusal,
     }  # fmt: skip
     rows = [f"    .{k} = {_array(v)}," for k, v in numbers.items()]
     rows += [f"    .{k} = {int(v)}," for k, v in whole.items()]
@@ -110,9 +110,15 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     prelude = "\n".join(line for line in PRELUDE.splitlines() if _used(line, laws))
     return (
         f'{head}{prelude}\n#include "stopset_core.h"\n\n'
-        f'const char stopset_token[] = "{token}";\n\n{laws}\n'
+        f'const char stopset_token[] = "{token}";\nconst char stopset_refusal[] = {_quoted(stop.refusal)};\n\n{laws}\n'
         "const StopsetModel stopset_model = {\n" + "\n".join(rows) + "\n};\n"
     )
+
+
+def _quoted(text: str) -> str:
+    """A C string of printable ASCII."""
+    plain = text.encode("ascii", "replace").decode().replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{"".join(c if c.isprintable() else "?" for c in plain)}"'
 
 
 def _used(line: str, laws: str) -> bool:

@@ -13,13 +13,15 @@ Source: stop notes of the project; Berman & Plemmons (1994), ch. 6 (M-matrices);
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.reach.stops.plant import brakes_of, friction_of
+from stopset.errors import NotCovered
+from stopset.reach.stops.brakes import brakes_of
+from stopset.reach.stops.friction import BEYOND, Torques, misreading, torques_of
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix
 
@@ -30,7 +32,11 @@ DIFFERENCE = 1e-3  # [rad] of the slope of M; its error is below (8/6) 1e-6 of t
 
 @dataclass(frozen=True, slots=True)
 class StopData:
-    """What the bound needs beyond the rigid body, (n,) each; the names of the C fields."""
+    """What the bound needs beyond the rigid body, (n,) each; the names of the C fields.
+
+    ``stop_angle``, ``stop_speed``: what the effects give was computed for stops no longer and no faster than these.
+    ``refusal``: why no stop is bounded, empty where one may be.
+    """
 
     rotor: Array
     rotor_hi: Array
@@ -48,17 +54,44 @@ class StopData:
     brake_mid: Array
     brake_delay: Array
     brake_rise: Array
-    brakes: bool
+    stop_angle: Array
+    stop_speed: Array
+    refusal: str
 
     def arrays(self) -> dict[str, Array]:
         """The numbers by their C names."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "brakes"}
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "refusal"}
+
+
+NO_BRAKES = (
+    "a STOP 0 is asked for, but the model knows no brakes; give their torque, delay and rise in robot.json and identify again"
+)
+
+
+def stop_refusal(model: Model) -> str:
+    """Why this model's FMU bounds no stop, empty where it may."""
+    if brakes_of(model) is None:
+        return NO_BRAKES
+    try:
+        torques_of(model)
+    except NotCovered as e:
+        return str(e)
+    misread = misreading(model)
+    if misread:
+        return (
+            f"no stop is bounded with {', '.join(misread)}: an FMU takes positions as they are read; expected a model without "
+            "misread positions: correct the joint's zero, or use the bounds of stopset stops"
+        )
+    return ""
 
 
 def stop_data(model: Model) -> StopData:
     """Brakes, friction and disturbance of a model."""
     n = model.n
-    brakes, friction = brakes_of(model), friction_of(model)
+    refusal = stop_refusal(model)
+    # where no stop is bounded the numbers below are never used
+    brakes, torques = (None, torques_of(replace(model, effects=()))) if refusal else (brakes_of(model), torques_of(model))
+    friction = torques.everywhere
     sets = model.sets.get("stop0", model.powered)
     rotor = np.array(model.rotor, float)
     # the abstraction may have found more inertia than rigid body and rotor hold: it may be there, it may not
@@ -72,8 +105,14 @@ def stop_data(model: Model) -> StopData:
         brake_delay_lo=d.lo if d else none, brake_delay_hi=d.hi if d else none, brake_delay=d.centre if d else none,
         brake_rise_lo=r.lo if r else none, brake_rise_hi=r.hi if r else none, brake_rise=r.centre if r else none,
         dry_lo=friction.dry.lo, dry_hi=friction.dry.hi, viscous_hi=friction.viscous.hi,
-        stop_u_lo=sets.U.lo + friction.push.lo, stop_u_hi=sets.U.hi + friction.push.hi, brakes=brakes is not None,
+        stop_u_lo=sets.U.lo + friction.push.lo, stop_u_hi=sets.U.hi + friction.push.hi,
+        stop_angle=np.full(n, BEYOND if torques.roaming else np.inf), stop_speed=_known_speed(torques), refusal=refusal,
     )  # fmt: skip
+
+
+def _known_speed(torques: Torques) -> Array:
+    """(n,) [rad/s]: the effects were evaluated up to here; a pair's torque by the other joint's speed too."""
+    return torques.fastest if torques.roaming else torques.speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +165,9 @@ def _start(model: Model, robot: Robot, q: Array, dq: Array, rq: Array, rdq: Arra
         d[k] = DIFFERENCE
         change = mass_matrix(robot.chain, robot.pi, q + d) - mass_matrix(robot.chain, robot.pi, q - d)
         slope[:, :, k] = np.abs(change) / (2 * DIFFERENCE)
-    u = np.maximum(np.abs(data.stop_u_hi - model.input.offset), np.abs(data.stop_u_lo - model.input.offset))
+    # the constant torque of the powered data may belong to the drives or to the arm: with and without it
+    ends = [data.stop_u_lo, data.stop_u_hi, data.stop_u_lo - model.input.offset, data.stop_u_hi - model.input.offset]
+    u = np.abs(ends).max(axis=0)
     M = mass_matrix(robot.chain, robot.pi, q)
     return _Start(data, T, G, gravity_torque(robot.chain, robot.pi, q), M, slope, u, dq, rq, rdq)
 
@@ -228,9 +269,11 @@ def fmu_stop(model: Model, q: Array, dq: Array, q_radius: Array, dq_radius: Arra
 
     ``payload`` [kg] at the flange.
     """
+    if stop_refusal(model):
+        return None
     robot = model.robot.with_payload(payload, model.robot.tip)
     x = _start(model, robot, q, dq, q_radius, dq_radius)
-    if not x.data.brakes or np.any(x.data.rotor <= 0):
+    if np.any(x.data.rotor <= 0):
         return None
     found = [b for b in (by_accelerations(x), by_energy(x)) if b is not None]
     if not found:
@@ -238,6 +281,8 @@ def fmu_stop(model: Model, q: Array, dq: Array, q_radius: Array, dq_radius: Arra
     # a part in 1e9 covers the rounding of some thousand additions
     angle = np.min([b.angle for b in found], axis=0) * (1 + 1e-9)
     speed = np.min([b.speed for b in found], axis=0) * (1 + 1e-9)
+    if np.any(angle > x.data.stop_angle) or np.any(speed > x.data.stop_speed):
+        return None
     return FmuStop(min(b.time for b in found), angle, speed, _tcp(robot, q, q_radius, angle))
 
 

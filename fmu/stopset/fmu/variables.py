@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters, remembered
-from stopset.reach.stops.plant import brakes_of
+from stopset.reach.stops.brakes import brakes_of
 
 Kind = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["independent", "input", "output", "parameter", "local"]

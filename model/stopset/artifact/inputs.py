@@ -9,28 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
+from stopset.artifact.taped import taped
 from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.memory import along, coefficients, stepped
 from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
 from stopset.errors import EffectError
 from stopset.robot import Robot
-from stopset.robot.rigid import gravity_torques
 
 Array = NDArray[np.float64]
 Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
 
-# these enter the abstraction itself (its damping, its inertia) or the recorded torque's scale, not the compensation
-IN_ABSTRACTION = frozenset({"viscous", "rotor_inertia", "payload", "torque_gain"})
-# what no instantaneous compensation can take off stays in U: the link's swing, and a torque that is reported late
-LEFT_TO_U = frozenset({"elasticity", "delay"})
-GAIN = "torque_gain"
 ENTRIES = {
     "viscous": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
     "input_gain": "the scale of the measured torque",
@@ -39,19 +33,17 @@ ENTRIES = {
 
 def entry(effect: Effect) -> str:
     """Where an effect goes in the reachset model, in words, as `InputMap` and the abstraction do it."""
-    if effect.name in LEFT_TO_U:
-        return "the torque set U, which holds what it does: no torque of the measured state can take it off"
-    if effect.name in IN_ABSTRACTION:
+    if effect.enters in ENTRIES:
         return ENTRIES[effect.enters]
+    if not effect.compensated():
+        return "the torque set U, which holds what it does: no torque of the measured state can take it off"
     return "the compensation of eq. (11)" + (", with a state of its own along the motion" if effect.states else "")
 
 
 def compensated(effects: Sequence[Fitted], abstraction: Abstraction) -> tuple[Fitted, ...]:
     """The effects whose torque is taken off the measured one; the others are part of ``abstraction``, or left to ``U``."""
-    elsewhere = IN_ABSTRACTION | LEFT_TO_U
-    if np.any(abstraction.viscous[:, 2:3]):
-        elsewhere |= {"cubic_viscous"}
-    return tuple(f for f in effects if f.effect not in elsewhere)
+    degree = int(np.flatnonzero(np.any(abstraction.viscous != 0.0, axis=0)).max(initial=0)) + 1
+    return tuple(f for f in effects if get(f.effect).compensated(degree))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,24 +70,9 @@ class InputMap:
 
         Effects with memory need the times ``t`` (N,) [s], or their states ``memories`` where the caller carries these.
         """
-        u = tau / self.gain - self.offset
-        if self.effort != "compensated_torque":
-            u = u - gravity_torques(self.robot.chain, self.robot.pi, np.ascontiguousarray(q))
-        active = self.effects
-        if not active:
-            return np.asarray(u)
         if memories is None:
-            memories = memories_along(self.robot, active, q, dq, temp=temp, warm=warm, t=t)
-        more: dict[str, Any] = {"temp": temp, "warm": warm, "t": t, "memories": memories}
-        still = np.abs(dq) <= self.standstill
-        moving = u - effect_torques(self.robot, active, q, dq, **more)
-        if self.effort == "compensated_torque" or not still.any():
-            return np.asarray(moving)
-        rest = np.zeros_like(dq)
-        ahead = effect_torques(self.robot, active, q, rest, way=1.0, **more)
-        back = effect_torques(self.robot, active, q, rest, way=-1.0, **more)
-        held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
-        return np.where(still, u - held, moving)
+            memories = memories_along(self.robot, self.effects, q, dq, temp=temp, warm=warm, t=t)
+        return taped(self)(self, q, dq, tau, temp, warm, t, memories)
 
 
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
@@ -103,8 +80,9 @@ def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstractio
     none = np.zeros(robot.n)
     gain = np.ones(robot.n)
     for f in effects:
-        if f.effect == GAIN and f.joint is not None:
-            gain[robot.joints.index(f.joint)] += f.values["e"]
+        effect = get(f.effect)
+        if effect.enters == "input_gain" and f.joint is not None:
+            gain[robot.joints.index(f.joint)] += f.values[effect.terms[0].symbol]
     offset = abstraction.offset if abstraction.offset.size else none
     standstill = abstraction.standstill if abstraction.standstill.size else none
     return InputMap(robot, compensated(effects, abstraction), effort, gain, offset, standstill)
@@ -133,7 +111,7 @@ def effect_torques(
             for j in range(robot.n):
                 out[:, j] += effect.torque(signals[j], values)
         elif effect.scope == "pair":
-            i, j = _pair(robot, f.joint)
+            i, j = effect.acts_on(f.joint, robot.joints)
             a, b = paired(signals, i, j)
             out[:, i] += effect.torque(a, values)
             out[:, j] += effect.torque(b, values)
@@ -191,10 +169,3 @@ def law_signals(
     rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
     ddq = np.zeros_like(q) if ddq is None else ddq
     return arm_signals(robot, q, dq, ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"})
-
-
-def _pair(robot: Robot, joint: str) -> tuple[int, int]:
-    """Joint ``a`` (coupled to the next one), or ``a+b``."""
-    names = joint.split("+")
-    i = robot.joints.index(names[0])
-    return (i, robot.joints.index(names[1])) if len(names) > 1 else (i, min(i + 1, robot.n - 1))

@@ -19,7 +19,7 @@ from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
 
 Array = NDArray[np.float64]
-SCHEMA_VERSION = 2  # 2: torque sets as zonotopes
+SCHEMA_VERSION = 3  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +106,9 @@ class UncertaintySets:
 class Brakes:
     """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s].
 
-    ``apart`` [s]: within one stop every joint's delay lies at the same place of its interval, up to this much, as when one
-    power stage cuts all brakes; None where nothing is known of it.
+    ``apart`` [s]: the times at which the brakes of one stop engage, each less its joint's ``lag``, lie apart by no more than
+    this, as when one power stage cuts all brakes; None where nothing is known of it. ``lag``: (n,) [s] by how much a joint's
+    brake is always later; None: no brake is.
     """
 
     torque: Box
@@ -115,6 +116,7 @@ class Brakes:
     rise: Box
     source: str = "assumed"  # "assumed" | "data sheet" | "identified from ..."
     apart: float | None = None
+    lag: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ class Domain:
     dq: Box
     u: Box
     temp: Box | None = None
-    payload: tuple[float, float] = (0.0, 0.0)  # [kg] in addition to the robot's own
+    payload: tuple[float, float] = (0.0, 0.0)  # [kg] on top of what ``robot.pi`` holds
 
     def covers(self, q: Array, dq: Array, u: Array | None = None, temp: Array | None = None) -> NDArray[np.bool_]:
         """Row by row, whether samples (N, n) lie inside; shape (N,)."""
@@ -165,7 +167,9 @@ class Revision:
 class Model:
     """A reachset-conformant model of one arm.
 
-    ``robot`` carries the identified standard parameters and geometry; ``rotor``: (n,) identified reflected inertia [kg m^2];
+    ``robot`` carries the identified standard parameters and geometry: ``robot.pi`` holds what the arm carried when it was
+    recorded, a payload found as an effect included, and ``domain.payload`` comes on top of it; so nobody adds an effect of
+    role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2];
     ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
     (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
     """

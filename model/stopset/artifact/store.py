@@ -25,7 +25,7 @@ from stopset.robot.arm import robot_from_text
 from stopset.sets import Box
 
 FORMAT = "stopset model"
-FIRST_SCHEMA = 1  # before zonotopes
+FIRST_SCHEMA, ZONOTOPES, LAGS = 1, 2, 3  # before zonotopes; with them; brakes with lags
 
 
 def _plain(x: Any) -> Any:
@@ -74,16 +74,16 @@ def model_text(model: Model) -> str:
     It is of the oldest schema that can hold the model: a file without zonotopes, or brakes cut by one stage, is what it was
     before there were any.
     """
-    brakes = model.brakes
-    newer = any(s.zonotope is not None for s in model.sets.values()) or (brakes is not None and brakes.apart is not None)
-    schema = SCHEMA_VERSION if newer else FIRST_SCHEMA
+    together = model.brakes is not None and model.brakes.apart is not None
+    shaped = any(s.zonotope is not None for s in model.sets.values())
+    schema = SCHEMA_VERSION if together else ZONOTOPES if shaped else FIRST_SCHEMA
     body: dict[str, Any] = {"format": FORMAT, "schema": schema, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
     body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
     if schema == FIRST_SCHEMA:
         for sets in body["sets"].values():
             del sets["zonotope"]
-        if body["brakes"] is not None:
-            del body["brakes"]["apart"]
+    if not together and body["brakes"] is not None:
+        del body["brakes"]["apart"], body["brakes"]["lag"]
     body["sha256"] = _digest(body)
     return _text(body)
 
@@ -160,12 +160,21 @@ def load_model(path: str | Path) -> Model:
         raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
     content = {k: v for k, v in body.items() if k not in ("format", "schema", "units")}
     try:
+        if body["schema"] < LAGS:
+            _own_places(content.get("brakes"))
         model = _build(Model, content, "model")
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, RobotError) as e:
         raise ModelFileError(f"{p} cannot be used ({type(e).__name__}: {e}); identify again") from e
     assert isinstance(model, Model)
     _check_shapes(model, p)
     return model
+
+
+def _own_places(brakes: Any) -> None:
+    """Brakes of an older file: there a stop's delays lay at the same place of each joint's interval, give or take ``apart``."""
+    if brakes is not None and brakes.get("apart") is not None:
+        earliest = [float(lo) for lo, _ in brakes["delay"]]
+        brakes["lag"] = [lo - min(earliest) for lo in earliest]
 
 
 def _fits(sets: UncertaintySets, n: int) -> bool:
@@ -190,6 +199,7 @@ def _check_shapes(m: Model, path: Path) -> None:
             ("abstraction.offset", m.abstraction.offset.size in (0, n)),
             ("abstraction.standstill", m.abstraction.standstill.size in (0, n)),
             ("brakes", m.brakes is None or {m.brakes.torque.dim, m.brakes.delay.dim, m.brakes.rise.dim} == {n}),
+            ("brakes.lag", m.brakes is None or m.brakes.lag is None or m.brakes.lag.shape == (n,)),
             ("effects", all(f.joint is None or set(f.joint.split("+")) <= set(m.joints) for f in m.effects)),
             ("domain", m.domain.q.dim == n and m.domain.dq.dim == n and m.domain.u.dim == n),
             *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),

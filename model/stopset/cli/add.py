@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_condition_options, add_keep_options, add_output_options, check_outputs, say, write_json
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -21,8 +21,9 @@ SHOWN = (
     ("held_out_position_rmse", "open-loop position error, held out", "rad"),
     ("sum_U_width", "sum of U widths", "N m"),
     ("sum_U_width_without_margin", "  of it without margin", "N m"),
-    ("stop0_angle", "STOP 0 angle bound at full speed, mean of axes", "rad"),
+    ("stop0_angle", "STOP 0 angle bound at full speed", "rad"),
 )
+OWN = (("U_width", "width of U, the unexplained torque", "N m"),)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--joint", help="joint it acts at, for a single EFFECT (left out: every joint, or the whole arm)")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings to identify the revision from")
     parser.add_argument("--out", required=True, type=Path, metavar="M2", help="the new model file")
+    add_condition_options(parser)
     add_keep_options(parser)
     parser.add_argument("--force", action="store_true", help="add it even if it does not help on held-out data")
     add_output_options(parser)
@@ -42,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Add; exit code 1 when the effect does not help and is not forced."""
     from stopset.artifact import load_model, save_model
-    from stopset.offline.revise import add
+    from stopset.offline.revise.revise import add
 
     check_outputs(args.out, args.json, args.keep, args.report)
     model = load_model(args.model)
@@ -50,16 +52,21 @@ def run(args: argparse.Namespace) -> int:
     def tell(text: str) -> None:
         sys.stderr.write(f"{text}\n")
 
-    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None)
+    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None, args.condition)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:
-            for line in (*_changes(j.before, j.after), *_there(j.name.partition(":")[2], j.before, j.after)):
+            for line in (*_there(_joints(j.name), j.before, j.after), *_changes(j.before, j.after)):
                 say(f"  {line}")
     if done.model is not None:
         say(f"before -> after, errors judged on {done.judged_on}")
-        for line in (*_changes(done.before, done.after), *_widths(model, done.model)):
+        widths = {f"U_width:{j}": (a, b) for j, a, b in _widths(model, done.model)}
+        before, after = (dict(f) | {k: w[side] for k, w in widths.items()} for side, f in enumerate((done.before, done.after)))
+        own = dict.fromkeys(joint for j in done.judged if not j.why for joint in _joints(j.name))
+        for line in (*_there(own, before, after), "over the whole arm", *_changes(before, after)):
             say(line)
+        for key, (a, b) in widths.items():
+            say(_line(f"U width of {key.partition(':')[2]} [N m]", a, b))
         if "stop0_angle" not in done.after:
             say("STOP 0: not every axis' stop from full speed can be proved, so there is no mean to compare")
     if args.json:
@@ -69,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
                        for j in done.judged],
         })  # fmt: skip
     if args.report:
-        from stopset.offline.history_page import tried
+        from stopset.offline.revise.page import tried
 
         tried(done.model or model, done).save(args.report)
         say(f"report {args.report}")
@@ -78,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     saved = save_model(done.model, args.out)
     if args.keep and done.kept is not None:
-        from stopset.offline.adaptive import save_state
+        from stopset.offline.update.update import save_state
 
         save_state(args.keep, done.kept, saved)
         say(f"state {args.keep}: with it, identify --update {args.out} adds recordings without reading these again")
@@ -86,21 +93,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
-    """One line per figure that both sides have."""
-    return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in SHOWN if key in before and key in after]
+def _joints(name: str) -> list[str]:
+    """The joints an effect ``name[:joint[+joint]]`` acts at; none where it belongs to the whole arm."""
+    return [j for j in name.partition(":")[2].split("+") if j]
 
 
-def _there(joint: str, before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
-    """The position error at the effect's own joint: over the arm, worse joints may hide what it does there."""
-    key = f"held_out_position_rmse:{joint}"
-    return [_line(f"  of it at {joint} [rad]", before[key], after[key])] if key in before and key in after else []
+def _changes(before: Mapping[str, float], after: Mapping[str, float], joint: str = "") -> list[str]:
+    """One line per figure that both sides have: over the arm, or at one ``joint``."""
+    keys = [(f"{key}:{joint}" if joint else key, means, unit) for key, means, unit in (*SHOWN, *(OWN if joint else ()))]
+    return [_line(f"{means} [{unit}]", before[key], after[key]) for key, means, unit in keys if key in before and key in after]
 
 
-def _widths(before: Model, after: Model) -> list[str]:
-    """One line per joint: how wide its unknown torque is."""
-    pairs = zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True)
-    return [_line(f"U width of {joint} [N m]", a, b) for joint, a, b in pairs]
+def _there(joints: Iterable[str], before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """The figures at an effect's own joints come first: over the arm, other joints hide what it does there."""
+    return [line for j in joints for line in (f"at {j}", *_changes(before, after, j))]
+
+
+def _widths(before: Model, after: Model) -> list[tuple[str, float, float]]:
+    """Of each joint: how wide its unknown torque is [N m], before and after."""
+    return list(zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True))
 
 
 def _line(what: str, a: float, b: float) -> str:

@@ -22,6 +22,22 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
 
 
+def add_robot_options(parser: argparse.ArgumentParser) -> None:
+    """``--tip LINK`` and ``--lock J,K``: which chain of a URDF is the arm."""
+    parser.add_argument("--tip", metavar="LINK", help="last link of the chain, where the URDF branches")
+    parser.add_argument(
+        "--lock", metavar="J,K", type=lambda text: tuple(text.split(",")), default=(), help="joints that stand still at zero (fingers, a lift)"
+    )  # fmt: skip
+
+
+def add_condition_options(parser: argparse.ArgumentParser) -> None:
+    """``--condition KEY=VALUE@FILE``, as often as wanted."""
+    parser.add_argument(
+        "--condition", action="append", default=[], metavar="KEY=VALUE@FILE",
+        help="what holds for a recording (payload=2.8@a.parquet; without @FILE for all); several conditions are not taken as one",
+    )  # fmt: skip
+
+
 def add_keep_options(parser: argparse.ArgumentParser) -> None:
     """``--keep FILE.state`` and ``--keep-as``."""
     parser.add_argument(

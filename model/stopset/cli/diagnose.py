@@ -30,6 +30,8 @@ def run(args: argparse.Namespace) -> int:
     recordings = read_recordings(args.data, model.robot)
     found, against = diagnose_model(model, recordings, names)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
+    for note in found.notes:
+        say(f"note: {note}")
     for rank, r in enumerate(found.ranked, start=1):
         say(
             f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"
@@ -38,10 +40,16 @@ def run(args: argparse.Namespace) -> int:
             std = "" if p.std is None else f" +- {p.std:.2g}"
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")
         say(f"     look at: {r.look_at}")
+    for c in found.changed if found.verdict == "missing" else ():
+        say(f"also changed since identification: {c.says}")
     for group in found.rivals:
         say(f"these data hardly separate {' from '.join(group)}")
     if found.depends_on:
         say(f"what is left depends on: {', '.join(found.depends_on)}")
+    for u in found.unexplained:
+        of = f", depends on {', '.join(u.depends_on)}" if u.depends_on else ""
+        like = f"; it resembles {'; '.join(u.resembles)}" if u.resembles else ""
+        say(f"unexplained at {u.joint}: {u.size:.3g} N m{of}{like}")
     for line in found.not_identifiable:
         say(f"not identifiable: {line}")
     if found.next_experiment:

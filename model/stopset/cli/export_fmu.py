@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.errors import OutputError
     from stopset.fmu import export, reference_paths, write_reference
     from stopset.fmu.build import chosen
+    from stopset.fmu.stops import stop_refusal
 
     beside = [] if args.no_reference else list(reference_paths(args.out))
     check_outputs(args.out, args.json, args.report, *beside)
@@ -45,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
     say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB")
     for path in beside:
         say(f"{path}: reference")
+    refusal = stop_refusal(model)
+    if refusal:
+        say(f"STOP 0 in it: {refusal}")
     say("Bounds are covered while the output `covered` is true; they are a monitoring aid, not a safety function.")
     if args.json:
         write_json(
@@ -53,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.report:
         from stopset.fmu.variables import variables
-        from stopset.offline.report import Page
+        from stopset.offline.report.page import Page
 
         page = Page(f"{model.robot.name} as FMU")
         page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, for {', '.join(platforms)}.")

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         write_json(args.json, rows)
     if args.report:
-        from stopset.offline.history_page import page
+        from stopset.offline.revise.page import page
 
         page(model).save(args.report)
         say(f"report {args.report}")

@@ -9,12 +9,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
+from stopset.cli.common import (
+    add_condition_options,
+    add_keep_options,
+    add_output_options,
+    add_robot_options,
+    check_outputs,
+    say,
+    write_json,
+)
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
-    from stopset.offline.conform.linear import Fit
-    from stopset.offline.identify import Identification
+    from stopset.artifact import Model
+    from stopset.offline.conform.linear_program import Fit
+    from stopset.offline.identify.pipeline import Identification
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
 
@@ -51,11 +60,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", metavar="URDF", help="URDF (robot.json beside it is read), or a shipped arm: lwa4p; not with --update"
     )
+    add_robot_options(parser)
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    add_condition_options(parser)
+    parser.add_argument("--mixed", action="store_true", help="take recordings of several conditions as one")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
     parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
     parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
+    parser.add_argument(
+        "--friction", choices=("evidence", "plain"), default="evidence",
+        help="laws beside Coulomb and viscous friction: those that lower the held-out error (default), or only what --effects names",
+    )  # fmt: skip
     parser.add_argument(
         "--conform", choices=("all", "position"), default="all", help="states that must be enclosed (default all)"
     )
@@ -71,6 +87,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bands", type=bands, default=0, metavar="N", help="also sets for N temperature bands, where temperature is recorded"
     )
+    parser.add_argument(
+        "--accept-wide", action="store_true",
+        help="exit 0 even if the sets are too wide to say anything (more than 10 times the largest deviation after 0.1 s)",
+    )  # fmt: skip
     add_keep_options(parser)
     parser.add_argument(
         "--update",
@@ -98,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     found = _updated(args, tell) if args.update else _identified(args, tell)
     model = save_model(found.model, args.out)
     if args.keep:
-        from stopset.offline.adaptive import save_state
+        from stopset.offline.update.update import save_state
 
         assert found.kept is not None
         save_state(args.keep, found.kept, model)
@@ -106,45 +126,86 @@ def run(args: argparse.Namespace) -> int:
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
     if args.keep:
         say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
+    if args.json or args.report:
+        _compared(args, model)
+    return verdict(found, args.accept_wide)
+
+
+def _compared(args: argparse.Namespace, model: Model) -> None:
+    """The model against its own recordings, once for answer and page."""
+    from stopset.offline.compare.compare import answer, compare
+
+    comparison = compare(model, args.data)
     if args.json:
-        from stopset.offline.compare import answer, compare
-
-        write_json(args.json, answer(model, compare(model, args.data)))
+        write_json(args.json, answer(model, comparison))
     if args.report:
-        from stopset.offline.compare import compare
-        from stopset.offline.compare_page import page
+        from stopset.offline.compare.page import page
 
-        page(model, compare(model, args.data), args.data).save(args.report)
+        page(model, comparison, args.data).save(args.report)
         say(f"report {args.report}")
-    return 0
+
+
+def verdict(found: Identification, accepted: bool) -> int:
+    """Exit code: 1 for sets that enclose everything and say nothing, unless they are accepted."""
+    from stopset.offline.compare.tightness import LIMIT
+
+    if not (found.tightness.too_wide() or found.absurd):
+        return 0
+    why = "absurd (see the notes)" if found.absurd else f"too wide: more than {LIMIT:g} times what deviated after 0.1 s"
+    if accepted:
+        say(f"accepted as asked although the sets are {why}")
+        return 0
+    say(
+        f"not accepted: the sets are {why}. The model file is written, to find out what is missing (`stopset diagnose`); take it "
+        "as it is with --accept-wide"
+    )
+    return 1
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.offline.identify import Settings, identify
+    from stopset.offline.identify.pipeline import Settings, identify
     from stopset.robot import load_robot
 
     if args.robot is None:
         raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
     if args.state is not None:
         raise StopsetError(f"--state {args.state} is only read by --update; name the model it belongs to, or leave it out")
-    robot = load_robot(args.robot)
+    robot = load_robot(args.robot, tip=args.tip, lock=args.lock)
     settings = Settings(
         model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
-        shape=args.shape,
+        shape=args.shape, friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
-    return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
+    return identify(
+        robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None, conditions=args.condition
+    )
 
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
     from stopset.artifact import load_model
-    from stopset.offline.adaptive import load_state, update
+    from stopset.offline.update.update import load_state, update
 
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("robot", "model", "order", "effects", "conform", "windows", "margin", "bands", "shape", "keep_as")
+        for name in (
+            "robot",
+            "model",
+            "order",
+            "effects",
+            "friction",
+            "mixed",
+            "condition",
+            "tip",
+            "lock",
+            "conform",
+            "windows",
+            "margin",
+            "bands",
+            "shape",
+            "keep_as",
+        )
         if getattr(args, name) != parser.get_default(name)
     ]
     if given:
@@ -159,8 +220,9 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
 
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    from stopset.offline.compare.tightness import table
     from stopset.offline.conform.bands import narrower
-    from stopset.offline.conform.sets import BOX
+    from stopset.offline.conform.linear_sets import BOX
 
     m, c = found.model, found.conformance
     s = m.powered
@@ -185,6 +247,7 @@ def summary(found: Identification) -> str:
     for b in narrower(m):
         tube = "" if b.tube_share is None else f"position tube {b.tube:.4f} rad, {b.tube_share:.0%} of the whole's; "
         lines.append(f"  {b.band:<17} {b.at:<20} {tube}U {b.torque:.2f} N m, {b.torque_share:.0%}")
+    lines += ["", *table(found.tightness, m.joints)]
     lines += ["", "what fixes the bounds of U:"]
     lines += [
         f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_output_options, add_robot_options, check_outputs, say, write_json
 
 if TYPE_CHECKING:
     from stopset.offline.inspect import Inspection
@@ -16,6 +16,7 @@ HELP = "what is in a recording, what is missing for identification, what is wron
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings (Parquet, or CSV with a JSON beside it)")
     parser.add_argument("--robot", metavar="URDF", help="hold the torque against this robot's model: unit, sign, delay")
+    add_robot_options(parser)
     add_output_options(parser)
 
 
@@ -25,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.robot import load_robot
 
     check_outputs(args.json, args.report)
-    robot = load_robot(args.robot) if args.robot else None
+    robot = load_robot(args.robot, tip=args.tip, lock=args.lock) if args.robot else None
     results = inspect_recordings(args.recordings, robot)
     for r in results:
         _tell(r)

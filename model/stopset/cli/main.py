@@ -7,6 +7,7 @@ import importlib
 import os
 import pkgutil
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
@@ -20,6 +21,8 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
 NOT_COMMANDS = {"main", "common"}
+DEFECT = 70  # exit code of an error inside stopset (EX_SOFTWARE): no answer, and nothing the caller could mend
+DEBUG = "STOPSET_DEBUG"  # set to anything: an error inside stopset is shown whole
 FOOTER = "Monitoring aid, not a certified safety function: see the README before you rely on a number."
 
 
@@ -49,7 +52,7 @@ def _overview() -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code (0 done, 1 the answer is "no", 2 bad input)."""
+    """Run one command; returns the exit code: 0 done, 1 the answer is "no", 2 bad input, `DEFECT`, 130 interrupted."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_overview())
@@ -71,11 +74,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except StopsetError as e:
         sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")
         return 2
-    except ModuleNotFoundError as e:
-        if (e.name or "").split(".")[0] == "stopset":
-            raise
-        sys.stderr.write(f"stopset: {words[0]} needs the package {e.name}; install stopset[all]\n")
-        return 2
     except BrokenPipeError:
         # whoever read our output has left (`stopset ... | head`): nothing more can be said, and nothing is wrong
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -83,6 +81,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("stopset: interrupted\n")
         return 130
+    except Exception as e:  # noqa: BLE001 -- where everything ends that nobody foresaw: a traceback is no answer
+        return _unforeseen(words[0], e)
+
+
+def _unforeseen(command: str, e: Exception) -> int:
+    """One sentence for an error that is not stopset's own way of saying no, and its exit code."""
+    if isinstance(e, ModuleNotFoundError) and (e.name or "").split(".")[0] != "stopset":
+        sys.stderr.write(f"stopset: {command} needs the package {e.name}; install stopset[all]\n")
+        return 2
+    if isinstance(e, OSError) and e.filename is not None:
+        sys.stderr.write(
+            f"stopset: {e.filename}: {e.strerror}; expected a file that may be used: mend its rights or name another\n"
+        )
+        return 2
+    if isinstance(e, MemoryError):
+        sys.stderr.write(
+            f"stopset: {command} ran out of memory; expected more of it or less to do: free some or give fewer recordings\n"
+        )
+        return 2
+    if os.environ.get(DEBUG):
+        traceback.print_exception(e)
+    frames = ((str(frame.f_globals.get("__name__")), line) for frame, line in traceback.walk_tb(e.__traceback__))
+    where = [f"{name} line {line}" for name, line in frames if name.partition(".")[0] == "stopset"]
+    what = " ".join(f"{type(e).__name__} {e}".split())[:200] + f", {(where or ['nowhere'])[-1]}"
+    sys.stderr.write(
+        f"stopset: {command} failed inside ({what}); this is a defect of stopset, not an answer and not your input's fault: "
+        f"run it again with {DEBUG}=1 in the environment and report what it says\n"
+    )
+    return DEFECT
 
 
 if __name__ == "__main__":

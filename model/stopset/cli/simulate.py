@@ -24,11 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory for the files")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same recordings (default 1)")
     parser.add_argument(
-        "--plan", choices=("short", "compact", "full"), default="compact", help="of six joints about 20,000, 50,000 or 140,000 rows"
+        "--plan", choices=("short", "compact", "motions", "full"), default="compact",
+        help="of six joints about 20,000, 50,000, 120,000 or 140,000 rows; motions: many of them, hardly repeated",
     )  # fmt: skip
     parser.add_argument(
-        "--size", choices=("easy", "hard"), default="easy",
-        help="how much the effect raises the torque residual of its joint: about 3.2 or 1.4 times",
+        "--size", choices=("large", "easy", "hard"), default="easy",
+        help="how much the effect raises the torque residual of its joint: about 7, 3.2 or 1.4 times",
     )  # fmt: skip
     parser.add_argument("--cad", choices=("exact", "wrong"), default="exact", help="masses of the URDF: true, or 2-5 %% off")
     add_output_options(parser)

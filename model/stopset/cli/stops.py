@@ -21,11 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--path-rate", type=float, metavar="R", help="with --path: rows passed per second at the stop request")
     parser.add_argument(
-        "--path-start", type=float, default=0.0, metavar="S", help="with --path: row (a fraction too) of the request"
+        "--path-start", type=float, metavar="S", help="with --path: row (a fraction too) of the request; default 0"
     )
     parser.add_argument("--payload", type=float, metavar="KG", help="payload [kg] instead of 33/66/100 %% of the largest")
     parser.add_argument("--rated-payload", type=float, metavar="KG", help="what 100 %% payload means; default the model's domain")
     parser.add_argument("--extrapolate-payload", action="store_true", help="compute payloads no recording carried, and mark them")
+    parser.add_argument(
+        "--extrapolate-state", action="store_true", help="compute angles and speeds no recording has seen, and mark them"
+    )
     parser.add_argument("--payload-at", metavar="X,Y,Z", help="its centre in the last link [m]; default the flange")
     parser.add_argument("--category", action="append", choices=("0", "1", "1 guaranteed", "2"), help="only this one; repeatable")
     parser.add_argument("--ramp-time", type=float, metavar="S", help="STOP 1 and 2: every speed to rest in this time [s]")
@@ -85,14 +88,14 @@ def run(args: argparse.Namespace) -> int:
         if args.pdf:
             write_bytes(args.pdf, build_pdf(model, rows, assumptions, measured, separations))
     _print(model, rows, assumptions, separations, say)
-    return 0 if any(r.certified for r in rows) else 1
+    return 0 if any(r.answered for r in rows) else 1
 
 
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
     from stopset.cli.common import progress
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
-    from stopset.reach.stops import CATEGORIES, Ramp
+    from stopset.reach.stops import CATEGORIES, Ramp, ramp_of
 
     ramp = None
     if args.ramp_time is not None or args.ramp_deceleration is not None:
@@ -100,16 +103,28 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
             model.n, time=args.ramp_time, deceleration=args.ramp_deceleration, off_after=args.off_after,
             monitored=args.monitored, share=args.failed_speed / 100.0, together=args.fail_together,
         )  # fmt: skip
-    elif args.off_after is not None or args.monitored:
-        raise NotCovered("--off-after and --monitored describe a ramp; add --ramp-time or --ramp-deceleration")
+    elif args.off_after is not None or args.monitored or args.fail_together or args.failed_speed != 100.0:
+        ramp = ramp_of(model)
+        if ramp is None:
+            raise NotCovered(
+                "--off-after, --monitored, --failed-speed and --fail-together say how a ramp fails, and the model holds none; expected "
+                "one: add --ramp-time or --ramp-deceleration, or identify it from stop1 recordings"
+            )
+        ramp = ramp.failing(args.off_after, args.monitored, args.failed_speed / 100.0, args.fail_together)
     com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
     categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
-    question = Question(ramp, categories, args.payload, com, args.rated_payload, args.extrapolate_payload)
+    question = Question(ramp, categories, args.payload, com, args.rated_payload, args.extrapolate_payload, args.extrapolate_state)
     if args.path is not None:
-        if args.at is not None or args.path_rate is None:
-            raise NotCovered("--path needs --path-rate, the rows passed per second at the stop request, and no --at")
-        rows, told = along_path(model, _rows(args.path, model.n), args.path_start, args.path_rate, question)
+        if args.at is not None or args.speed is not None or args.path_rate is None:
+            raise NotCovered("--path needs --path-rate, the rows passed per second at the stop request, and no --at nor --speed")
+        if args.category and "1" not in args.category:
+            raise NotCovered(
+                f"--path with --category {args.category[0]}; expected 1, the stop that keeps to the path: leave it out"
+            )
+        rows, told = along_path(model, _rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
         return rows, told["1"].assumptions, question
+    if args.path_rate is not None or args.path_start is not None:
+        raise NotCovered("--path-rate and --path-start belong to a path; give --path FILE.csv too")
     if args.at is None:
         if args.speed is not None:
             raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
@@ -123,7 +138,12 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     if args.speed is None:
         raise NotCovered("--at needs --speed: the speeds of all axes [rad/s], or a percentage like 100%")
     if args.speed.strip().endswith("%"):
-        dq = top_speed(model) * _numbers(args.speed.strip()[:-1], 1, "--speed")[0] / 100.0
+        percent = float(_numbers(args.speed.strip()[:-1], 1, "--speed")[0])
+        if not 0.0 <= percent <= 100.0:
+            raise NotCovered(
+                f"--speed {percent:g}% is beyond what 100 % means; expected 0 to 100 %: give signed speeds in rad/s instead"
+            )
+        dq = top_speed(model) * percent / 100.0
     else:
         dq = _numbers(args.speed, model.n, "--speed")
     rows, told = at_pose(model, q, dq, question)
@@ -145,14 +165,15 @@ def _rows(path: Path, n: int) -> Any:
         raise NotCovered(f"{path} cannot be read ({e}); expected a CSV file with {n} angles a row") from e
     try:
         head = 0 if lines and all(_is_number(x) for x in lines[0]) else 1
-        values = np.array([[float(x) for x in r] for r in lines[head:]])
+        values = [[float(x) for x in r] for r in lines[head:]]
     except ValueError as e:
-        raise NotCovered(f"{path} holds rows that are not {n} numbers ({e}); expected {n} angles [rad] a row") from e
-    if values.ndim != 2 or values.shape[1] != n:
         raise NotCovered(
-            f"{path} holds rows of {values.shape[-1] if values.size else 0} numbers; expected {n} angles [rad] a row"
-        )
-    return values
+            f"{path} holds rows that are not {n} numbers ({e}); expected {n} angles [rad] a row: give only these"
+        ) from e
+    wrong = next((r for r in values if len(r) != n), None)
+    if wrong is not None:
+        raise NotCovered(f"{path} holds a row of {len(wrong)} numbers; expected {n} angles [rad] a row: give one for every joint")
+    return np.array(values).reshape(-1, n)
 
 
 def _is_number(text: str) -> bool:
@@ -180,7 +201,7 @@ def _numbers(text: str, count: int, option: str) -> Any:
 def _terms(args: argparse.Namespace) -> dict[str, float | None]:
     """The separation distance's terms as given; what is missing is told before the work."""
     from stopset.errors import NotCovered
-    from stopset.offline.stops.separation import protective_separation
+    from stopset.offline.stops.separation import approach_distance_2024, protective_separation
 
     given = {
         "v_h": args.v_human, "T_r": args.reaction, "C": args.intrusion, "Z_d": args.person_uncertainty,
@@ -188,6 +209,8 @@ def _terms(args: argparse.Namespace) -> dict[str, float | None]:
     }  # fmt: skip
     if args.separation:
         protective_separation(0.0, 0.0, 0.0, given)
+        if given["D_DS"] is not None or given["Z"] is not None:
+            approach_distance_2024(0.0, given)
     elif any(v is not None for v in given.values()):
         raise NotCovered("terms of a separation distance were given without --separation; add it")
     return given
@@ -202,13 +225,14 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
     out = []
     for category in dict.fromkeys(r.category for r in rows):
         mine = [r for r in rows if r.category == category]
-        if not all(r.certified for r in mine):
+        if not all(r.answered for r in mine):
             continue  # the worst of them has no number
         time, way, speed = max(r.time_s for r in mine), max(r.far_m for r in mine), max(r.far_speed for r in mine)
         found = [protective_separation(time, way, speed, given), approach_distance(time, given)]
         if given["D_DS"] is not None or given["Z"] is not None:
             found.append(approach_distance_2024(time, given))
-        out += [replace(s, category=category) for s in found]
+        beyond = any(r.extrapolated for r in mine)
+        out += [replace(s, category=category, extrapolated=beyond) for s in found]
     if not out:
         raise NotCovered(
             "in no category all stops of these rows are proved, so there is no separation distance; see their reasons"
@@ -217,19 +241,22 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
 
 
 def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
-    from stopset.offline.stops.shown import axis_name, up
+    from stopset.offline.stops.shown import axis_name, extrapolations, up
     from stopset.offline.stops.table import holding
 
     wide = max(len(axis_name(r.joint)) for r in rows) + 2
     say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
     for r in rows:
         head = f"{r.category:<13}{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
-        if r.certified:
+        if r.answered:
             say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}{'  ' + r.why if r.why else ''}")
         else:
             say(f"{head}  {r.why}")
+    if beyond := extrapolations(rows):
+        say(beyond)
     for s in separations:
-        say(f"separation distance, {s.standard}, STOP {s.category}: {up(s.distance, 3)} m")
+        mark = " EXTRAPOLATED," if s.extrapolated else ""
+        say(f"separation distance,{mark} {s.standard}, STOP {s.category}: {up(s.distance, 3)} m")
         for symbol, value, unit, what in s.terms:
             say(f"  {symbol:<4} {value:9.4f} {unit:<4} {what}")
     for sentence in holding(model, rows):

@@ -24,6 +24,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq",),
     enters="compensation",
+    role="friction",
     source="liu2018",
     looks_like=("spring", "coulomb"),
     tell_apart="Stand still with the brake closed: an offset of the current sensor stays, asymmetric friction is gone.",

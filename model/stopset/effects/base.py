@@ -19,6 +19,7 @@ from stopset.ring import sign
 
 Number = Any  # a float, an array, an Interval, a Taylor form or C text: whatever stopset.ring computes with
 Entry = Literal["compensation", "inertia", "viscous", "input_gain", "input_delay", "state"]
+Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing"]
 REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that base friction means friction at 30 degC
 
 
@@ -66,7 +67,7 @@ class Signals:
     the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N
     m/rad];
     ``stiff``: by the joint's own position [N m/rad]; ``inertia``: ``M_jj`` [kg m^2]; ``coriolis`` [N m].
-    Of the partner of a pair: ``dq_other`` [rad/s].
+    Of the partner of a pair: ``dq_other, ddq_other`` [rad/s, rad/s^2].
     """
 
     q: Number = 0.0
@@ -87,6 +88,7 @@ class Signals:
     inertia: Number = 0.0
     coriolis: Number = 0.0
     dq_other: Number = 0.0
+    ddq_other: Number = 0.0
 
     @property
     def direction(self) -> Number:
@@ -95,6 +97,7 @@ class Signals:
 
 
 Law = Callable[[Signals, Mapping[str, Number]], Sequence[Number]]
+Reading = Callable[[Signals, Mapping[str, Number]], tuple[Sequence[Number], Sequence[Number]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,17 @@ class Effect:
     reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in
     docs/references.bib; ``instead_of``: a signal it does without, so it is looked for only where that is not recorded.
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
+
+    ``carried``: its terms are the ten standard parameters of a body that the last link carries, in their order;
+    ``power``: of the speed, where the law is that alone: then the abstraction's damping may hold it.
+
+    ``role``: how it acts on the arm in a stop, its drives off (`stopset.effects.bound`):
+    ``friction``: rubs; all friction of a joint together never drives it, and its law is zero where the joint stands;
+    ``torque``: acts whoever moves the joint, in any direction; what of it opposes the motion is found in the law;
+    ``arm or drive``: like it, but may be the drive's own: it is counted with and without;
+    ``plant``: is in the rigid body and the rotors of the model already; ``input``: is in the reading of the motor's torque, and
+    no motor gives any; ``reading``: the encoder's, ``reading`` gives each term's columns of true minus recorded position and
+    of true minus recorded speed over speed; ``swing``: adds a motion that a rigid arm does not have: no stop is bounded.
     """
 
     name: str
@@ -125,6 +139,37 @@ class Effect:
     flow: Law | None = None
     base: bool = False  # part of every model from the start: friction that each drive has
     instead_of: str = ""
+    role: Role = "torque"
+    reading: Reading | None = None
+    power: int = 0
+    carried: bool = False
+
+    def compensated(self, degree: int = 1) -> bool:
+        """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.
+
+        Else it is part of the abstraction (its damping, its inertia) or of the recorded torque's scale; or it stays in the
+        torque set U, as no torque of the measured state can take it off: a link's swing, a torque that is reported late.
+        """
+        if self.enters in ("viscous", "inertia", "input_gain", "input_delay") or self.role == "swing":
+            return False
+        return not 0 < self.power <= degree
+
+    def acts_on(self, joint: str | None, joints: Sequence[str]) -> tuple[int, ...]:
+        """The places in ``joints`` it acts on when fitted at ``joint`` (`Fitted.joint`); a pair named by one joint alone
+        is that joint and the next.
+
+        Raises `EffectError` for a joint that is not there.
+        """
+        names = joint.split("+") if joint else []
+        unknown = [name for name in names if name not in joints]
+        if unknown or not (names or self.scope == "arm"):
+            raise EffectError(f"effect {self.name} at {joint}; expected one of {', '.join(joints)}")
+        if self.scope == "arm":
+            return tuple(range(len(joints)))
+        i = joints.index(names[0])
+        if self.scope == "joint":
+            return (i,)
+        return i, joints.index(names[1]) if len(names) > 1 else min(i + 1, len(joints) - 1)
 
     def columns(self, s: Signals, shapes: Mapping[str, Number] | None = None) -> tuple[Number, ...]:
         """One column per term, for the signals of one joint; ``shapes`` default to the middle of each grid.

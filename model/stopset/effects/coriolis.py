@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("coriolis",),
     enters="compensation",
+    role="arm or drive",
     source="liu2018",
     scope="arm",
     looks_like=("cubic_viscous", "coupling"),

@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq",),
     enters="compensation",
+    role="friction",
     source="liu2018",
     looks_like=("load_coulomb", "stribeck"),
     tell_apart="Move slowly back and forth at constant speed: Coulomb friction jumps at the reversal and stays.",

@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("dtau",),
     enters="input_delay",
+    role="input",
     source="swevers1997",
     looks_like=("elasticity", "rotor_inertia"),
     tell_apart="Excite from 1 to 60 Hz: a delay gives a straight phase line, elasticity a dip and a peak.",

@@ -41,6 +41,7 @@ EFFECT = Effect(
     flow=flow,
     needs=("link", "inertia", "stiff", "memory"),
     enters="state",
+    role="swing",
     source="spong1987",
     looks_like=("delay", "rotor_inertia"),
     tell_apart="Excite from 1 to 60 Hz: elasticity gives a dip and a peak, a delay a straight phase line.",

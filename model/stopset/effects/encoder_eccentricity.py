@@ -17,6 +17,12 @@ def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
     )
 
 
+def reading(s: Signals, shape: Mapping[str, Number]) -> tuple[Sequence[Number], Sequence[Number]]:
+    """``a sin q + b cos q``, and its slope."""
+    sq, cq = sin(s.q), cos(s.q)
+    return (sq, cq), (cq, -sq)
+
+
 EFFECT = Effect(
     name="encoder_eccentricity",
     says="The position reading errs once per turn: the code disc is off its centre.",
@@ -28,6 +34,8 @@ EFFECT = Effect(
     law=law,
     needs=("q", "dq", "ddq", "stiff", "inertia"),
     enters="compensation",
+    role="reading",
+    reading=reading,
     source="khalil2007",
     looks_like=("encoder_offset", "torque_ripple", "spring"),
     tell_apart="Compare with an outside position measurement over a full turn; torques alone rarely show it.",

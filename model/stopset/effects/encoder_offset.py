@@ -12,6 +12,11 @@ def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
     return (s.stiff,)
 
 
+def reading(s: Signals, shape: Mapping[str, Number]) -> tuple[Sequence[Number], Sequence[Number]]:
+    """``e``, the same at every position."""
+    return (1.0,), (0.0,)
+
+
 EFFECT = Effect(
     name="encoder_offset",
     says="The joint's zero position is off, so gravity is computed for another pose.",
@@ -20,6 +25,8 @@ EFFECT = Effect(
     law=law,
     needs=("stiff",),
     enters="compensation",
+    role="reading",
+    reading=reading,
     source="khalil2007",
     looks_like=("base_tilt", "payload", "spring"),
     tell_apart="Measure the pose from outside (dial gauge, laser): torques alone take it for a shifted centre of mass.",

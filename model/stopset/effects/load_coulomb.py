@@ -29,6 +29,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq", "load"),
     enters="compensation",
+    role="friction",
     source="liu2018",
     looks_like=("coulomb", "torque_gain"),
     tell_apart=("Move slowly up and down through the whole load range: a gain error does not change sign with the direction."),

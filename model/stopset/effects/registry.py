@@ -9,9 +9,10 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
-from stopset.effects.base import Effect, Shape, Term
+from stopset.effects.base import Effect, Role, Shape, Term
+from stopset.effects.bound import silent_at_rest
 from stopset.errors import EffectError
 
 GROUP = "stopset.effects"
@@ -25,7 +26,7 @@ def catalogue() -> MappingProxyType[str, Effect]:
     """
     found: dict[str, Effect] = {}
     for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
-        if info.name not in ("base", "registry", "signals", "memory"):
+        if info.name not in ("base", "bound", "registry", "signals", "memory"):
             effect = importlib.import_module(f"stopset.effects.{info.name}").EFFECT
             found[effect.name] = effect
     for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
@@ -72,3 +73,12 @@ def check(effect: Any, where: str) -> None:
         raise EffectError(f"{where}: {effect.name} has no term; expected at least one parameter the torque is linear in")
     if not (effect.says and effect.look_at and effect.needs):
         raise EffectError(f"{where}: {effect.name} lacks its sentence, what to look at, or the signals it needs")
+    if effect.role not in get_args(Role):
+        raise EffectError(f"{where}: {effect.name} has the role {effect.role!r}; expected one of {', '.join(get_args(Role))}")
+    if effect.role == "reading" and effect.reading is None:
+        raise EffectError(f"{where}: {effect.name} misreads a position and does not say by how much; give its `reading`")
+    if effect.role == "friction" and not silent_at_rest(effect):
+        raise EffectError(
+            f"{where}: {effect.name} is called friction and pulls at a joint that stands; expected a law that is zero there, or the "
+            "role torque"
+        )

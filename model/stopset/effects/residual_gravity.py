@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("load",),
     enters="compensation",
+    role="arm or drive",
     source="liu2018",
     looks_like=("payload", "torque_gain", "spring"),
     tell_apart="Hold still poses over the joint's whole range: gravity shows at rest, friction and inertia do not.",

@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("ddq",),
     enters="inertia",
+    role="plant",
     source="liu2018",
     looks_like=("payload", "delay", "elasticity"),
     tell_apart="Accelerate the joint with the arm stretched and folded: a rotor's share does not change with the pose.",

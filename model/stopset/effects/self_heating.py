@@ -41,6 +41,7 @@ EFFECT = Effect(
     flow=flow,
     needs=("dq", "memory"),
     enters="state",
+    role="friction",
     source="bittencourt2012",
     looks_like=("warm_up", "cubic_viscous", "thermal_coulomb"),
     tell_apart=(

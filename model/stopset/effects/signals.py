@@ -57,17 +57,23 @@ def arm_signals(
 
 
 def paired(signals: tuple[Signals, ...], i: int, j: int) -> tuple[Signals, Signals]:
-    """The signals of joints ``i`` and ``j``, each knowing the other's speed."""
-    return replace(signals[i], dq_other=signals[j].dq), replace(signals[j], dq_other=signals[i].dq)
+    """The signals of joints ``i`` and ``j``, each knowing the other's speed and acceleration."""
+    a, b = signals[i], signals[j]
+    return replace(a, dq_other=b.dq, ddq_other=b.ddq), replace(b, dq_other=a.dq, ddq_other=a.ddq)
 
 
 def _tilt(robot: Robot, q: Array) -> Array:
     """(N, n, 2): gravity torque by roll and pitch of the base, exact because it is linear in the gravity vector."""
-    gx, gy, gz = robot.chain.gravity
-    # a base rolled by +a sees gravity rolled by -a: g' = g - a e_x x g
-    roll, pitch = -np.array([0.0, -gz, gy]), -np.array([gz, 0.0, -gx])
-    columns = [gravity_torques(robot.chain._replace(gravity=d), robot.pi, q) for d in (roll, pitch)]
+    chain = robot.chain
+    columns = [gravity_torques(chain._replace(gravity=d), robot.pi, q) for d in tilt_directions(chain.gravity)]
     return np.stack(columns, axis=-1)
+
+
+def tilt_directions(gravity: Array) -> tuple[Array, Array]:
+    """(3,) each: derivatives of the ``gravity`` that the base sees by its roll and pitch [m/s^2 per rad]."""
+    gx, gy, gz = gravity
+    # a base rolled by +a sees gravity rolled by -a: g' = g - a e_x x g
+    return -np.array([0.0, -gz, gy]), -np.array([gz, 0.0, -gx])
 
 
 def _stiffness(robot: Robot, q: Array) -> Array:

@@ -31,6 +31,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq",),
     enters="compensation",
+    role="friction",
     source="armstrong1994",
     looks_like=("hysteresis", "coulomb", "cubic_viscous"),
     tell_apart=("Pass slowly at several constant speeds: Stribeck depends on speed, hysteresis on the way since the reversal."),

@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq", "temp"),
     enters="compensation",
+    role="friction",
     source="bittencourt2012",
     looks_like=("thermal_viscous", "warm_up"),
     tell_apart=("Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."),

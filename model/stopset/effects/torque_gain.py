@@ -20,6 +20,7 @@ EFFECT = Effect(
     law=law,
     needs=("tau",),
     enters="input_gain",
+    role="input",
     source="gautier2014",
     looks_like=("payload", "load_coulomb", "rotor_inertia"),
     tell_apart="Hang a weighed mass at the flange: the true torque is then known.",

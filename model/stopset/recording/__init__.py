@@ -1,7 +1,7 @@
 """Recordings of a robot: the one format in, checked at the door."""
 
 from stopset.recording.reader import read_meta, read_recordings, stream_recordings
-from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings
+from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, SuiteKey, counted, suite_label
 from stopset.recording.writer import write_recordings
 
 __all__ = [
@@ -10,8 +10,11 @@ __all__ = [
     "Meta",
     "Recording",
     "Recordings",
+    "SuiteKey",
+    "counted",
     "read_meta",
     "read_recordings",
     "stream_recordings",
+    "suite_label",
     "write_recordings",
 ]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+SuiteKey = tuple[int, str, int]  # (file, phase, suite)
 
 PHASES = ("static", "closed_loop", "open_loop", "stop0", "stop1")
-SUITES_PER_FILE = 2**32  # more than a 32-bit suite number can count
+UNCOUNTED = -1  # of a recording made by hand, until `counted` has told its place among the others
 EFFORTS = ("motor_torque", "compensated_torque", "motor_current")
 
 
@@ -34,7 +35,9 @@ class Meta:
 class Recording:
     """One trial: ``t`` (N,) [s]; ``q, dq, tau`` (N, n) [rad, rad/s, N m]; the rest where it was recorded.
 
-    ``place`` is the trial's position in the campaign (0, 1, ... in file order): what warms up does so along it.
+    ``suite`` and ``trial`` are names: nothing may depend on which numbers a recorder gave.  What counts is the order in the
+    campaign: ``place`` of the trial (0, 1, ... in file order; what warms up does so along it), ``repetition``: trials of its
+    suite before it, ``begun``: suites of its phase that its file began before its own (see `counted`).
     """
 
     phase: str
@@ -49,22 +52,33 @@ class Recording:
     current: Array | None = None  # (N, n) [A]
     stop_trigger: NDArray[np.bool_] | None = None  # (N,)
     file: int = 0  # which of the files read together it comes from
+    condition: str = ""  # what the arm carried, which day it was: recordings of different conditions are not fitted as one
+    rounded: float = 0.0  # [s] what its stamps were printed to, where they were put back on the even clock they came from
+    repetition: int = UNCOUNTED
+    begun: int = UNCOUNTED
+
+    def __post_init__(self) -> None:
+        # made by hand, trials and suites are numbered in their order
+        if self.repetition == UNCOUNTED:
+            object.__setattr__(self, "repetition", self.trial)
+        if self.begun == UNCOUNTED:
+            object.__setattr__(self, "begun", self.suite)
 
     @property
-    def key(self) -> tuple[str, int, int]:
-        return (self.phase, self.suite, self.trial)
-
-    @property
-    def label(self) -> str:
-        return f"{self.phase} suite {self.suite} trial {self.trial}" + (f" of file {self.file + 1}" if self.file else "")
-
-    @property
-    def motion(self) -> tuple[str, int]:
+    def suite_key(self) -> SuiteKey:
         """What repeats: trials of one suite share start and torques, so the suite, not the trial, is independent.
 
         Every recorder counts its suites from zero: suites of another file are other suites, whatever their number.
         """
-        return (self.phase, self.suite + SUITES_PER_FILE * self.file)
+        return (self.file, self.phase, self.suite)
+
+    @property
+    def key(self) -> tuple[int, str, int, int]:
+        return (*self.suite_key, self.trial)
+
+    @property
+    def label(self) -> str:
+        return f"{self.phase} suite {self.suite} trial {self.trial}{_of_file(self.file)}"
 
     def cut(self, lo: int, hi: int) -> Recording:
         """Samples ``lo`` up to ``hi`` (exclusive) of every signal."""
@@ -77,6 +91,16 @@ class Recording:
             self, t=self.t[lo:hi], q=self.q[lo:hi], dq=self.dq[lo:hi], tau=self.tau[lo:hi],
             temp=part(self.temp), current=part(self.current), stop_trigger=trigger,
         )  # fmt: skip
+
+
+def suite_label(key: SuiteKey) -> str:
+    """The suite in words."""
+    file, phase, suite = key
+    return f"{phase} suite {suite}{_of_file(file)}"
+
+
+def _of_file(file: int) -> str:
+    return f" of file {file + 1}" if file else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +125,28 @@ class Recordings:
         return tuple(p for p in PHASES if any(r.phase == p for r in self.trials))
 
     @property
-    def suites(self) -> dict[tuple[str, int], tuple[Recording, ...]]:
-        """Trials by `Recording.motion`."""
-        out: dict[tuple[str, int], list[Recording]] = {}
+    def suites(self) -> dict[SuiteKey, tuple[Recording, ...]]:
+        """Trials by `Recording.suite_key`."""
+        out: dict[SuiteKey, list[Recording]] = {}
         for r in self.trials:
-            out.setdefault(r.motion, []).append(r)
+            out.setdefault(r.suite_key, []).append(r)
         return {k: tuple(v) for k, v in out.items()}
 
     @property
     def samples(self) -> int:
         return sum(len(r.t) for r in self.trials)
+
+
+def counted(trials: Iterable[Recording]) -> Iterator[Recording]:
+    """``trials``, whole files in campaign order, with the ``repetition`` and ``begun`` that this order gives them."""
+    repetitions: dict[SuiteKey, int] = {}
+    begun: dict[SuiteKey, int] = {}
+    suites: dict[tuple[int, str], int] = {}
+    for r in trials:
+        key, where = r.suite_key, (r.file, r.phase)
+        if key not in begun:
+            begun[key] = suites.get(where, 0)
+            suites[where] = begun[key] + 1
+        repetition = repetitions.get(key, 0)
+        repetitions[key] = repetition + 1
+        yield replace(r, repetition=repetition, begun=begun[key])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -39,7 +39,8 @@ class Drive:
 class Robot:
     """A serial arm with ``n`` revolute joints.
 
-    ``pi``: (n, 10) standard parameters (see `stopset.robot.rigid`); ``q_limit``: (n, 2) [rad]; ``dq_limit``: (n,)
+    ``pi``: (n, 10) standard parameters (see `stopset.robot.rigid`); of an identified arm, with all it carried when it was
+    recorded, an identified payload included; ``q_limit``: (n, 2) [rad]; ``dq_limit``: (n,)
     [rad/s]; ``torque_limit``: (n,) [N m]; ``tip``: (3,) position of the flange (last fixed frame) in the last link [m];
     ``gravity``: (3,) [m/s^2] in the base frame.
     """
@@ -93,9 +94,11 @@ def shipped_robots() -> list[str]:
     return sorted(e.name for e in folder.iterdir() if e.is_dir() and (e / "robot.urdf").is_file())
 
 
-def load_robot(where: str | Path, payload: float = 0.0) -> Robot:
+def load_robot(where: str | Path, payload: float = 0.0, tip: str | None = None, lock: Sequence[str] = ()) -> Robot:
     """Read a robot: the name of a shipped arm (``lwa4p``) or the path of a URDF, with ``robot.json`` beside it.
 
+    ``tip``: the last link of the chain that is meant, where the URDF branches; ``lock``: joints that are held at zero, as
+    part of the link before them (a gripper's fingers, a lift).  Both may stand in ``robot.json`` too (``tip``, ``locked``).
     Raises `RobotError` for anything that is not a serial arm of revolute joints with inertias.
     """
     if isinstance(where, str) and where in shipped_robots():
@@ -121,6 +124,10 @@ def load_robot(where: str | Path, payload: float = 0.0) -> Robot:
         sheet = json.loads(sheet_text) if sheet_text else {}
     except json.JSONDecodeError as e:
         raise RobotError(f"robot.json beside {source} is not JSON ({e}); mend or remove it") from e
+    if tip is not None:
+        sheet = {**sheet, "tip": tip}
+    if lock:
+        sheet = {**sheet, "locked": [*sheet.get("locked", []), *lock]}
     return robot_from_text(urdf, sheet, source)
 
 
@@ -133,7 +140,8 @@ def robot_from_text(urdf: str, datasheet: Mapping[str, Any] | None = None, sourc
     if root.tag != "robot":
         raise RobotError(f"{source} starts with <{root.tag}>, expected <robot>: give a URDF (expand xacro first)")
     sheet = dict(datasheet or {})
-    links, path = _read_tree(root, source)
+    notes: list[str] = []
+    links, path = _read_tree(root, source, sheet, notes)
     moving = [j for j in path if j.kind != "fixed"]
     if not moving:
         raise RobotError(f"{source} has no revolute joint on its longest chain; expected a serial arm")
@@ -153,7 +161,6 @@ def robot_from_text(urdf: str, datasheet: Mapping[str, Any] | None = None, sourc
     if not np.all(pi[:, 0] > 0):
         lacking = [moving[k].name for k in np.flatnonzero(pi[:, 0] <= 0)]
         raise RobotError(f"{source}: no mass behind joint {', '.join(lacking)}; expected <inertial> with a positive mass")
-    notes: list[str] = []
     drives = tuple(_drive(j.name, sheet, notes) for j in moving)
     gravity = np.array(sheet.get("gravity", [0.0, 0.0, -STANDARD_GRAVITY]), float)
     if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
@@ -237,9 +244,23 @@ def _read_joint(e: ET.Element, source: str) -> _Joint:
     )  # fmt: skip
 
 
-def _read_tree(root: ET.Element, source: str) -> tuple[dict[str, list[Array]], list[_Joint]]:
-    """Bodies of each link (as 10-vectors in its frame, fixed side branches lumped in), and the longest chain of joints."""
+def _read_tree(
+    root: ET.Element, source: str, sheet: Mapping[str, Any], notes: list[str]
+) -> tuple[dict[str, list[Array]], list[_Joint]]:
+    """Bodies of each link (as 10-vectors in its frame, what hangs beside the chain lumped in), and the chain of joints.
+
+    The chain ends at the data sheet's ``tip``, or is the longest one; joints beside it, and those ``locked``, stand at zero.
+    """
     joints = [_read_joint(e, source) for e in root.findall("joint")]
+    names = {j.name for j in joints}
+    locked = set(sheet.get("locked", ()))
+    if not locked <= names:
+        raise RobotError(
+            f"{source} has no joint {', '.join(sorted(locked - names))} to lock; expected of its joints: mend --lock"
+        )
+    # fingers that follow another one move nothing by themselves
+    follows = {str(e.get("name")) for e in root.findall("joint") if e.find("mimic") is not None}
+    joints = [replace(j, kind="fixed") if j.name in locked or j.name in follows else j for j in joints]
     children: dict[str, list[_Joint]] = {}
     for j in joints:
         children.setdefault(j.parent, []).append(j)
@@ -248,27 +269,88 @@ def _read_tree(root: ET.Element, source: str) -> tuple[dict[str, list[Array]], l
         inertial = e.find("inertial")
         if inertial is not None:
             bodies[str(e.get("name"))] = [_read_body(inertial, f"{source}, link {e.get('name')}")]
-    roots = {str(e.get("name")) for e in root.findall("link")} - {j.child for j in joints}
+    links = {str(e.get("name")) for e in root.findall("link")}
+    roots = links - {j.child for j in joints}
     if len(roots) != 1:
         raise RobotError(f"{source} has {len(roots)} base links ({', '.join(sorted(roots))}); expected one tree")
-
-    def moving_below(link: str) -> int:
-        return max((moving_below(j.child) + (j.kind != "fixed") for j in children.get(link, ())), default=0)
-
-    chain: list[_Joint] = []
-    link = roots.pop()
-    while children.get(link):
-        here = sorted(children[link], key=lambda j: -moving_below(j.child))
-        for side in here[1:] if moving_below(here[0].child) or len(here) > 1 else []:
-            if moving_below(side.child):
-                raise RobotError(f"{source} branches at {link} (joints {here[0].name}, {side.name}); expected a serial arm")
-            bodies.setdefault(link, []).extend(_lumped(side, children, bodies))
-        chain.append(here[0])
-        link = here[0].child
+    base = roots.pop()
+    chain = _chain(base, children, links, sheet.get("tip"), source)
+    on = {j.name for j in chain}
+    for link in [base, *(j.child for j in chain)]:
+        for side in children.get(link, ()):
+            if side.name not in on:
+                bodies.setdefault(link, []).extend(_lumped(side, children, bodies))
+    beside = [j.name for j in joints if j.kind != "fixed" and j.name not in on]
+    if beside:
+        notes.append(
+            f"the URDF's joints {', '.join(beside)} are beside the chain to {chain[-1].child} and taken to stand at zero"
+        )
+    held = sorted(locked | follows)
+    if held:
+        notes.append(f"the URDF's joints {_few(held)} are taken to stand at zero")
     for j in chain:
         if j.kind not in ("revolute", "continuous", "fixed"):
-            raise RobotError(f"{source}: joint {j.name} is {j.kind}; only revolute arms are covered")
+            raise RobotError(
+                f"{source}: joint {j.name} is {j.kind}; only revolute joints are covered: lock it where it stands still "
+                f"(--lock {j.name})"
+            )
     return bodies, chain
+
+
+def _few(names: Sequence[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _chain(base: str, children: Mapping[str, list[_Joint]], links: set[str], tip: str | None, source: str) -> list[_Joint]:
+    """The joints from the base link to ``tip``, or along the one branch that turns; raises where there are several."""
+    above = {j.child: j for some in children.values() for j in some}
+    if tip is not None:
+        if tip not in links:
+            raise RobotError(f"{source} has no link {tip!r}; expected one of its links as --tip, e.g. {_ends(base, children)}")
+        up: list[_Joint] = []
+        while tip != base:
+            up.append(above[tip])
+            tip = up[-1].parent
+        return up[::-1]
+
+    def turning(link: str) -> int:
+        """Most joints of an arm on a branch: fingers that slide are none."""
+        return max((turning(j.child) + (j.kind in ("revolute", "continuous")) for j in children.get(link, ())), default=0)
+
+    def plain(link: str) -> bool:
+        return not any(j.kind == "fixed" for j in children.get(link, ()))
+
+    chain: list[_Joint] = []
+    link = base
+    while children.get(link):
+        here = sorted(children[link], key=lambda j: -turning(j.child) - (j.kind in ("revolute", "continuous")))
+        turns = [j for j in here if turning(j.child) or j.kind in ("revolute", "continuous")]
+        if len(turns) > 1:
+            raise RobotError(
+                f"{source} branches at {link} (joints {', '.join(j.name for j in turns)}); expected one arm: name the chain's last "
+                f"link with --tip, one of {_ends(base, children)}, or lock a gripper's joints with --lock"
+            )
+        if not turns and (len(here) > 1 or here[0].kind != "fixed") and not plain(link):
+            here = [j for j in here if j.kind == "fixed"]  # fingers beside the flange
+        if not turns and here[0].kind != "fixed":
+            break  # fingers that slide: the chain ends at the hand
+        chain.append(here[0])
+        link = here[0].child
+    return chain
+
+
+def _ends(base: str, children: Mapping[str, list[_Joint]]) -> str:
+    """The tree's last links, those behind most joints first."""
+    found: list[tuple[int, str]] = []
+
+    def down(link: str, count: int) -> None:
+        for j in children.get(link, ()):
+            down(j.child, count + (j.kind != "fixed"))
+        if not children.get(link):
+            found.append((count, link))
+
+    down(base, 0)
+    return ", ".join(f"{name} ({count} joints)" for count, name in sorted(found, key=lambda x: -x[0])[:6])
 
 
 def _lumped(joint: _Joint, children: Mapping[str, list[_Joint]], bodies: Mapping[str, list[Array]]) -> list[Array]:

@@ -43,6 +43,8 @@ SHORT = Plan(poses=60, closed_loop=2, suites=4, stops=(8, 2))
 PLANS = {
     "short": SHORT,
     "compact": Plan(),
+    # many motions, hardly repeated: guarantees count motions, and 22 held-out ones can promise less than 20 % with one outside
+    "motions": Plan(poses=60, closed_loop=2, suites=88, repeats=2, stops=(16, 4)),
     "full": Plan(closed_loop=4, closed_loop_time=7.5, suites=20, repeats=8, stops=(40, 10)),
 }
 

@@ -18,7 +18,7 @@ from stopset.simulation.campaign import Plan, closed_loop_jobs
 from stopset.simulation.cell import Cell, record, temperatures
 from stopset.simulation.hidden import KINDS, Hidden, Parameters, Truth
 
-RATIOS = {"easy": float(np.sqrt(10.0)), "hard": float(np.sqrt(2.0))}
+RATIOS = {"large": float(np.sqrt(50.0)), "easy": float(np.sqrt(10.0)), "hard": float(np.sqrt(2.0))}
 SLOW = 0.015  # [rad/s] where a joint gets slower within the filter's window, its friction may be on either side
 HALF_WINDOW = 6  # samples to each side for derivatives and smoothing
 CLOSE = 0.03  # relative distance of the reached from the wanted factor

@@ -7,19 +7,16 @@ after a few ways, a warm drive after a few time constants; then the ends have co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.artifact.inputs import Memories, law_signals
-from stopset.effects import Effect, Fitted, Signals
-from stopset.effects.memory import affine, coefficients, stepped, whole
+from stopset.effects import Effect, Fitted
+from stopset.effects.memory import affine, whole
 from stopset.effects.registry import get
 from stopset.errors import NotCovered
-from stopset.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -37,11 +34,9 @@ class _State:
 
 @dataclass(slots=True)
 class Carried:
-    """The states' intervals ``ends`` (m, 2), stepped by `take`; `forget` when the samples are no longer those of one motion."""
+    """The states' intervals ``ends`` (m, 2), stepped by the core; `forget` when the samples are no longer those of one motion."""
 
-    robot: Robot
     states: tuple[_State, ...]
-    dt: float  # [s]
     ends: Array = field(init=False)
 
     @classmethod
@@ -62,41 +57,12 @@ class Carried:
                 )
             j = model.joints.index(f.joint)
             states.append(_State(k, f, effect, j, whole(effect, f.values, float(fastest[j]))))
-        return cls(model.robot, tuple(states), model.powered.dt)
+        return cls(tuple(states))
 
     def __post_init__(self) -> None:
+        self.ends = np.empty((len(self.states), 2))
         self.forget()
 
     def forget(self) -> None:
         """Nothing is known of what came before the next sample."""
-        self.ends = np.array([s.whole for s in self.states], float).reshape(-1, 2)
-
-    def middle(self, rows: int) -> Memories:
-        """The intervals' middles as the states of ``rows`` samples."""
-        return {s.place: (np.full(rows, m),) for s, m in zip(self.states, self.ends.mean(axis=1), strict=True)}
-
-    def take(self, q: Array, dq: Array, temp: Array | None, warm: Sequence[float]) -> Array:
-        """Half width (n,) [N m] of the torques between the ends at this sample, moving or at rest; then step to the next one.
-
-        Of several samples ``q, dq`` (rows, n) and places ``warm`` that this one may have been, those that reach farthest count.
-        """
-        half = np.zeros(q.shape[1])
-        if not self.states:
-            return half
-        laws = [(s.fitted, s.effect) for s in self.states]
-        places = [law_signals(self.robot, laws, q, dq, temp=temp, warm=w) for w in warm]
-        for k, s in enumerate(self.states):
-            seen = [signals[s.joint] for signals in places]
-            half[s.joint] += max(_slope(s, x) for x in seen) * 0.5 * float(self.ends[k, 1] - self.ends[k, 0])
-            flows = [coefficients(s.effect, x, s.fitted.values) for x in seen]
-            reached = np.concatenate([stepped(self.ends[k][:, None], b, a, self.dt) for b, a in flows], axis=1)
-            self.ends[k] = reached[0].min(), reached[1].max()
-        return half
-
-
-def _slope(s: _State, signals: Signals) -> float:
-    """Largest change of torque [N m] per unit of the state, for both directions: at rest friction may take either."""
-    zero_one, ways = np.array([[0.0], [1.0]]), np.array([[[1.0]], [[-1.0]]])
-    torque = s.effect.torque(replace(signals, way=ways, memory=(zero_one,)), s.fitted.values)
-    both, _ = np.broadcast_arrays(torque, zero_one)
-    return float(np.abs(both[..., 1, :] - both[..., 0, :]).max())
+        self.ends[:] = np.array([s.whole for s in self.states]).reshape(-1, 2)

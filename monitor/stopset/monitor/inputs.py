@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import InputMap
+from stopset.artifact.taped import Kept, places, taped
+from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.registry import get
 from stopset.monitor.carried import Carried
 
@@ -29,6 +31,8 @@ class Inputs:
     warm: tuple[float, float]
     plain: bool  # u = tau - offset: q, dq and the place in the session do not enter
     carried: Carried
+    struct: Any
+    held: Any  # what the struct points at
 
     @classmethod
     def of(cls, model: Model, quantum: Quantum, warm: tuple[float, float]) -> Inputs:
@@ -39,7 +43,9 @@ class Inputs:
         taken_off = model.input
         plain = model.effort == "compensated_torque" and not taken_off.effects and bool(np.all(taken_off.gain == 1.0))
         uses_warm = any("warm" in get(f.effect).needs for f in taken_off.effects)
-        return cls(taken_off, quantum, warm if uses_warm else (warm[0], warm[0]), plain, Carried.of(model))
+        carried, between = Carried.of(model), warm if uses_warm else (warm[0], warm[0])
+        struct, held = _struct(taken_off, quantum, between, plain, carried, model.powered.dt)
+        return cls(taken_off, quantum, between, plain, carried, struct, held)
 
     def forget(self) -> None:
         """The next sample does not follow the last one."""
@@ -47,27 +53,34 @@ class Inputs:
 
     def __call__(self, q: Array, dq: Array, tau: Array, temp: Array | None) -> tuple[Array, Array]:
         """See the class; all arguments (n,). Friction turns round at standstill, so rounding is tried both ways."""
-        if self.plain:
-            return self.map(q[None], dq[None], tau[None])[0], self.quantum.tau
-        h, d = self.quantum.q, self.quantum.dq
-        around = [(0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)] if np.any(h) or np.any(d) else [(0.0, 0.0)]
-        qs, dqs = np.array([q + a * h for a, _ in around]), np.array([dq + b * d for _, b in around])
-        rows = len(around)
-        temps = None if temp is None else np.tile(temp, (rows, 1))
-        taus, states = np.tile(tau, (rows, 1)), self.carried.middle(rows)
-        ends = sorted(set(self.warm))  # the laws are linear in the place, so its ends are the extremes
-        us = [self.map(qs, dqs, taus, temps, w, memories=states) for w in ends]
-        u = 0.5 * (us[0][0] + us[-1][0])
-        du = self.quantum.tau / self.map.gain + 0.5 * np.abs(us[-1][0] - us[0][0])
-        if rows > 1:
-            du = du + np.max([np.abs(x[1:3] - x[0]).max(axis=0) + np.abs(x[3:5] - x[0]).max(axis=0) for x in us], axis=0)
-        return u, du + self._remembered(qs, dqs, temps, ends)
+        n = self.map.robot.n
+        if any(x.shape != (n,) for x in (q, dq, tau, tau if temp is None else temp)):
+            raise ValueError(f"a sample of {len(q)} positions, {len(dq)} speeds, {len(tau)} torques for {n} joints")
+        u, du = np.empty(n), np.empty(n)
+        temps = ffi.NULL if temp is None else view(given(temp))
+        here = [view(given(x)) for x in (q, dq, tau)]
+        check(lib.stopset_sample_input(self.struct, *here, temps, view(self.carried.ends), view(u), view(du)))
+        return u, du
 
-    def _remembered(self, qs: Array, dqs: Array, temps: Array | None, ends: list[float]) -> Array:
-        """What unknown states can change; they go on to the next sample. A joint that may have stood still counts as still too."""
-        if not self.carried.states:
-            return np.zeros(qs.shape[1])
-        slowest = np.where(np.abs(dqs[0]) <= np.maximum(self.quantum.dq, self.map.standstill), 0.0, dqs[0])
-        qs, dqs = np.vstack([qs, qs[:1]]), np.vstack([dqs, slowest])
-        temps = None if temps is None else np.vstack([temps, temps[:1]])
-        return self.carried.take(qs, dqs, temps, ends)
+
+def _struct(
+    m: InputMap, quantum: Quantum, warm: tuple[float, float], plain: bool, carried: Carried, dt: float
+) -> tuple[Any, Any]:
+    """``StopsetMonitor``, and what it points at.
+
+    The laws are linear in the place in the session, so its two ends are the extremes.
+    """
+    tape, kept = taped(m), Kept([])
+    first, law = {}, 0  # place of each effect's first law
+    for k, f in enumerate(m.effects):
+        first[k] = law
+        law += len(places(f, get(f.effect), m.robot.joints))
+    rates = ffi.new(
+        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=True)) for s in carried.states] or 1
+    )
+    ends = sorted(set(warm))
+    rounding = [kept.array(x) for x in (quantum.q, quantum.dq, quantum.tau)]
+    struct = ffi.new("StopsetMonitor *", (
+        tape.struct, *rounding, [ends[0], ends[-1]], len(ends), int(plain), dt, len(carried.states), rates,
+    ))  # fmt: skip
+    return struct, (tape, kept, rates)

@@ -17,9 +17,9 @@ from enum import IntEnum, IntFlag
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import ffi, lib
 from stopset.errors import BusError
 
 MAGIC = 0x53505453  # "STPS" in memory
@@ -128,12 +128,6 @@ FIELDS: tuple[Field, ...] = (
 )
 _STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
 LENGTH = _STRUCT.size
-_CRC_TABLE = np.zeros(256, np.uint32)
-for _i in range(256):
-    _c = _i
-    for _ in range(8):
-        _c = (_c >> 1) ^ (0x82F63B78 if _c & 1 else 0)
-    _CRC_TABLE[_i] = _c
 
 
 def offsets() -> dict[str, int]:
@@ -145,17 +139,9 @@ def offsets() -> dict[str, int]:
     return out
 
 
-@njit(cache=True)
-def _crc32c(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> int:
-    crc = np.uint32(0xFFFFFFFF)
-    for b in data:
-        crc = np.uint32(table[np.uint8(crc ^ np.uint32(b))] ^ (crc >> np.uint32(8)))
-    return int(crc ^ np.uint32(0xFFFFFFFF))
-
-
 def crc32c(data: bytes | bytearray) -> int:
     """CRC-32C (Castagnoli) of ``data``."""
-    return _crc32c(np.frombuffer(data, np.uint8), _CRC_TABLE)
+    return int(lib.stopset_crc32c(len(data), ffi.from_buffer("uint8_t[]", data)))
 
 
 def outward(x: float, rounds: str) -> float:

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.artifact.taped import Kept
+from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
@@ -100,57 +102,6 @@ class Verdict:
     room: Array | None = None
 
 
-@njit(cache=True)
-def _advance(
-    e: Array, w: Array, age: NDArray[np.int64], foreign: NDArray[np.bool_], Ad: Array, used: NDArray[np.int64],
-    residual: Array, dw: Array,
-    lo: Array, hi: Array, outside: bool, widen: bool, room: Array, row: NDArray[np.int64],
-) -> tuple[int, int]:  # fmt: skip
-    """One step of every prediction, and the measurement against its tube at its age; returns predictions alive, oldest age.
-
-    ``used`` (2n, k): columns of ``Ad`` that hold numbers, row by row (shorter rows are filled up with columns of zeros);
-    ``room`` (2n,): least distance to a bound over the half width; ``row`` (2, 2n): the prediction contradicted worst, above
-    and below, -1 if none.
-    """
-    m, n2 = e.shape
-    live, oldest = 0, 0
-    new, worst = np.empty(n2), np.zeros((2, n2))
-    for p in range(m):
-        if age[p] < 0:
-            continue
-        age[p] += 1
-        if age[p] >= lo.shape[0]:
-            age[p] = -1
-            continue
-        live += 1
-        oldest = max(oldest, age[p])
-        foreign[p] |= outside
-        for i in range(n2):
-            new[i] = residual[i]
-            for k in range(used.shape[1]):
-                j = used[i, k]
-                new[i] += Ad[i, j] * e[p, j]
-        e[p] = new
-        if widen:
-            for i in range(n2):
-                new[i] = dw[i]
-                for k in range(used.shape[1]):
-                    j = used[i, k]
-                    new[i] += abs(Ad[i, j]) * w[p, j]
-            w[p] = new
-        for i in range(n2):
-            low, high = lo[age[p], i] - w[p, i], hi[age[p], i] + w[p, i]
-            width = high - low
-            over, under = e[p, i] - high, low - e[p, i]
-            if not (over <= 0.0 or np.isinf(high)) and not over / width <= worst[0, i]:
-                worst[0, i], row[0, i] = over / width, p
-            if not (under <= 0.0 or np.isinf(low)) and not under / width <= worst[1, i]:
-                worst[1, i], row[1, i] = under / width, p
-            if width > 0.0 and not np.isinf(width):
-                room[i] = min(room[i], -2.0 * max(over, under) / width)
-    return live, oldest
-
-
 @dataclass(slots=True)
 class Watch:
     """Holds an arm's samples against its model; give them one by one to `step`.
@@ -175,10 +126,12 @@ class Watch:
     _w: Array = field(init=False)  # (m, 2n) what bus rounding can have added to that along the way
     _age: NDArray[np.int64] = field(init=False)  # (m,) in steps, -1 where no prediction is
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
-    _used: NDArray[np.int64] = field(init=False)
     _room: Array = field(init=False)
     _row: NDArray[np.int64] = field(init=False)
     _widen: bool = False  # the widths ``_w`` change from step to step
+    _predictions: Any = field(init=False)  # the C struct of the above
+    _held: Any = field(init=False)  # what it points at
+    _oldest: Any = field(init=False)
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
@@ -208,13 +161,15 @@ class Watch:
         rows = steps // self.stride + 1
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
-        filled = np.argsort(self._Ad == 0.0, axis=1, kind="stable")
-        self._used = np.ascontiguousarray(filled[:, : int((self._Ad != 0.0).sum(axis=1).max())])
         self._room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
         self._widen = not self._inputs.plain
-        # load the compiled code before the first cycle needs it
-        self._u, self._age[0] = (np.zeros(n), np.zeros(n)), 0
-        self._compare(np.zeros(2 * n), Sample(0, 0.0, np.zeros(n), np.zeros(n)), ())
+        kept = Kept([])
+        self._predictions = ffi.new("StopsetPredictions *", (
+            2 * n, rows, len(tube.ages), view(self._e), view(self._w), kept.shared(self._age),
+            kept.shared(self._foreign), kept.array(self._Ad), kept.array(self._Bd), view(self._lo),
+            view(self._hi), view(self._room), kept.shared(self._row),
+        ))  # fmt: skip
+        self._held, self._oldest = kept, ffi.new("int64_t *")
         self._forget()
 
     @property
@@ -318,15 +273,14 @@ class Watch:
         if self._u is None or before is None or not self._age.max(initial=-1) >= 0:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
-        residual = x - np.concatenate([before.q, before.dq]) @ self._Ad.T - self._Bd @ u
-        dw = np.zeros(len(x)) if self._inputs.plain else np.abs(self._Bd) @ du
         n2 = len(x)
-        self._room[:] = np.inf
-        self._row[:] = -1
-        live, oldest = _advance(
-            self._e, self._w, self._age, self._foreign, self._Ad, self._used, residual, dw,
-            self._lo, self._hi, bool(outside), self._widen, self._room, self._row,
+        # what rounding of the torque adds stands in the tube's limits already where inputs are plain
+        added = np.zeros(len(u)) if self._inputs.plain else du
+        live = lib.stopset_advance(
+            self._predictions, view(x), view(np.concatenate([before.q, before.dq])), view(u), view(added), bool(outside),
+            self._widen, self._oldest,
         )  # fmt: skip
+        oldest = self._oldest[0]
         if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
         found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0]

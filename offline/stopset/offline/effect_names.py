@@ -5,7 +5,6 @@ from __future__ import annotations
 from stopset.effects import Effect, get
 from stopset.effects.base import Fitted
 from stopset.errors import EffectError
-from stopset.recording import Recordings
 from stopset.robot import Robot
 
 
@@ -21,13 +20,3 @@ def matches(fitted: Fitted, name: str) -> bool:
     """Whether a fitted effect is what ``name`` asks for."""
     effect, _, joint = name.partition(":")
     return fitted.effect == effect and (not joint or fitted.joint == joint)
-
-
-def find(robot: Robot, recordings: Recordings, known: tuple[Fitted, ...], effect: str, joint: str | None) -> Fitted | None:
-    """Numbers of one effect in recordings of motor torque, beside the ``known`` ones; None if the data show no trace of it."""
-    from stopset.offline.diagnose import diagnose
-
-    # the verdict may be "unknown" where a second effect is still to be added: the evidence for this one counts all the same
-    claims = diagnose(robot, recordings, fitted=known, names=[effect]).claims
-    wanted = set(joint.split("+")) if joint else None
-    return next((r.fitted for r in claims if r.effect == effect and (wanted is None or set(r.joints) == wanted)), None)

@@ -106,8 +106,7 @@ int stopset_restart(StopsetState *s, double ahead) {
 
 const char *stopset_trigger(StopsetState *s) {
     if (!s->i[IX_STOP] || s->stopping) return 0;
-    if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes)
-        return "a STOP 0 is asked for, but the model knows no brakes; give their torque, delay and rise in robot.json and identify again";
+    if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes) return stopset_refusal;
     if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
     stopset_outputs(s); /* the bounds of this moment */

@@ -93,7 +93,9 @@ static void prepare(const StopsetState *s, const double q[NJ], const double dq[N
     links(x->pi, q, x->M, x->radius);
     for (int i = 0; i < NJ; i++) {
         double offset = s->r[VR_OFFSET + i];
+        /* the constant torque of the powered data may belong to the drives or to the arm: with and without it */
         x->u[i] = fmax(fabs(m->stop_u_hi[i] - offset), fabs(m->stop_u_lo[i] - offset));
+        x->u[i] = fmax(x->u[i], fmax(fabs(m->stop_u_hi[i]), fabs(m->stop_u_lo[i])));
         x->v[i] = dq[i];
         x->rq[i] = rq[i];
         x->rdq[i] = rdq[i];
@@ -290,6 +292,8 @@ int stopset_stop(const StopsetState *s, const double q[NJ], const double dq[NJ],
         /* a part in 1e9 covers the rounding of some thousand additions */
         angle[i] = fmin(a.angle[i], b.angle[i]) * (1.0 + 1e-9);
         speed[i] = fmin(a.speed[i], b.speed[i]) * (1.0 + 1e-9);
+        /* what the effects give on the way was computed for stops no longer and no faster than these */
+        if (angle[i] > stopset_model.stop_angle[i] || speed[i] > stopset_model.stop_speed[i]) return 0;
     }
     for (int i = NJ - 1; i >= 0; i--) {
         R[i] = x.radius[i];

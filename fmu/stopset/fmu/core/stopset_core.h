@@ -34,6 +34,7 @@ typedef struct {
     /* STOP 0, least and most: rotors [kg m^2], brake [N m], its delay and rise [s], friction [N m, N m s/rad], disturbance [N m] */
     double rotor[NJ], rotor_hi[NJ], brake_lo[NJ], brake_hi[NJ], brake_delay_lo[NJ], brake_delay_hi[NJ], brake_rise_lo[NJ],
         brake_rise_hi[NJ], dry_lo[NJ], dry_hi[NJ], viscous_hi[NJ], stop_u_lo[NJ], stop_u_hi[NJ];
+    double stop_angle[NJ], stop_speed[NJ];         /* the three before hold for stops no longer [rad] and no faster [rad/s] */
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
@@ -46,6 +47,7 @@ typedef struct {
 
 extern const StopsetModel stopset_model;
 extern const char stopset_token[];
+extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
 
 /* phi functions of one step h: e^{Ah}, its integral, and the integral of that (velocity part of the linear model). */
 typedef struct {

@@ -12,18 +12,32 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.failed import CELLS, FAST_CELLS, NARROW, Cell, cover, failed_cells
+from stopset.reach.stops.failed import failed_stops
 from stopset.reach.stops.fast import Certificate
-from stopset.reach.stops.plant import Setting, beyond_domain, setting_of
+from stopset.reach.stops.plant import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, march_box, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import FAST_KNOTS, fastest, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
-from stopset.reach.stops.words import BY_ENERGY, NO_BRAKES, NO_POWER_OFF, NO_RAMP, no_certificate, ramp_assumptions
+from stopset.reach.stops.words import (
+    BY_ENERGY,
+    NO_BRAKES,
+    NO_POWER_OFF,
+    NO_RAMP,
+    NO_REST,
+    REST,
+    UNSEEN,
+    early_cut,
+    no_certificate,
+    out_of_budget,
+    ramp_assumptions,
+)  # fmt: skip
 from stopset.robot.rigid import gravity_torque, link_frames
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 SWEEPS = 4  # capsules per link and tube
+FASTEST = 100.0  # [rad/s] of a joint: beyond, a unit was mistaken
 FEW = 2  # pieces of a STOP 0 that follows a STOP 2
 
 
@@ -40,36 +54,41 @@ class StopBounds:
     ramp: Ramp | None
     pieces: int = 1
     fast: bool = False
+    extrapolate_state: bool = False
 
     @classmethod
     def of(
         cls, model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None,
-        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False, fast: bool = False,
+        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False, fast: bool = False, extrapolate_state: bool = False,
     ) -> StopBounds:  # fmt: skip
         """Prepare the bounds; ``payload`` [kg] range, ``payload_com`` (3,) [m] and ``extrapolate`` as in `setting_of`.
 
-        ``ramp``: default what the model holds from stop1 recordings.
+        ``ramp``: default what the model holds from stop1 recordings; ``extrapolate_state``: whether states that identification has
+        not seen get numbers, marked and not certified, instead of "not covered".
         """
-        return cls(model, setting_of(model, payload, payload_com, extrapolate), ramp or ramp_of(model), pieces, fast)
+        setting = setting_of(model, payload, payload_com, extrapolate)
+        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate_state)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
     ) -> StopBound:
         """The stop from the measured state ``q`` [rad], ``dq`` [rad/s], (n,) each.
 
-        ``q_radius``, ``dq_radius`` (n,): the bound holds for every measured state that lies no farther away than these.
-        Raises `NotCovered` for a state outside the robot's limits or of the wrong size.
+        ``q_radius``, ``dq_radius`` (n,): the bound holds for every measured state that lies no farther away than these and in
+        the model's domain.  Outside the domain there are no numbers, or marked ones where states are to be extrapolated.
+        Raises `NotCovered` for a state outside the robot's limits, of the wrong size, or radii that are none.
         """
         if category not in CATEGORIES:
-            raise NotCovered(f"stop category {category!r}; expected one of {', '.join(CATEGORIES)}")
-        q, dq = self._checked(q, dq)
+            raise NotCovered(f"stop category {category!r}; expected one of {', '.join(CATEGORIES)}: choose one of them")
+        q, dq, more_q, more_dq = self._checked(q, dq, q_radius, dq_radius)
         if self.setting is None:
             return StopBound(category, False, NO_BRAKES)
         if category != "0" and self.ramp is None:
             return StopBound(category, False, NO_RAMP, assumptions=self.setting.assumptions)
-        n, start = self.model.n, self.setting.start if category in ("0", "1 guaranteed") else self.setting.truth
-        beyond = beyond_domain(self.model, q, dq)
-        more_q, more_dq = np.zeros(n) if q_radius is None else q_radius, np.zeros(n) if dq_radius is None else dq_radius
+        beyond = beyond_domain(self.model, q, dq, more_q, more_dq)
+        if beyond and not self.extrapolate_state:
+            return StopBound(category, False, f"not covered: {beyond}; {UNSEEN}", assumptions=self.setting.assumptions)
+        n, start = self.model.n, self.setting.start if category == "0" else self.setting.truth
         box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq
         if category == "0":
             bound = self._power_off(*box)
@@ -77,16 +96,31 @@ class StopBounds:
             bound = self._failed_ramp(*box)
         else:
             bound = self._working_ramp(*box, category)
-        return bound if beyond is None else replace(bound, assumptions=(*bound.assumptions, beyond))
+        return self.marked(bound, beyond)
+
+    def marked(self, bound: StopBound, beyond: str | None) -> StopBound:
+        """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""
+        assert self.setting is not None
+        marks = [self.setting.extrapolated] if self.setting.extrapolated else []
+        rests_on = bound.assumptions
+        if beyond:
+            marks.append(f"{OUTSIDE}: {beyond}")
+            rests_on = (*rests_on, f"{marks[-1]}; there the rigid body is computed, and friction and U are taken not to change")
+        if not marks:
+            return bound
+        said = "; ".join(marks)
+        why = "; ".join(x for x in (bound.why, said) if x)
+        return replace(bound, certified=False, why=why, extrapolated=said, assumptions=rests_on)
 
     def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
         """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
 
-        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in.
+        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in. None too outside the model's domain.
+        Raises `NotCovered` as `bound` does.
         """
-        if self.setting is None:
+        q, dq, q_radius, dq_radius = self._checked(q, dq, q_radius, dq_radius)
+        if self.setting is None or beyond_domain(self.model, q, dq, q_radius, dq_radius):
             return None
-        q, dq = self._checked(q, dq)
         n, start = self.model.n, self.setting.start
         tube = tube_of(
             self.setting, q + start.centre[:n], dq + start.centre[n:], q_radius + start.radius[:n], dq_radius + start.radius[n:],
@@ -94,11 +128,25 @@ class StopBounds:
         )  # fmt: skip
         return Certificate(tube, q, dq, q_radius, dq_radius, start) if tube.end == OK else None
 
-    def _checked(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
+    def _checked(
+        self, q: ArrayLike, dq: ArrayLike, q_radius: ArrayLike | None = None, dq_radius: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array, Array]:
         robot, n = self.model.robot, self.model.n
         q, dq = np.array(q, float), np.array(dq, float)
         if q.shape != (n,) or dq.shape != (n,) or not (np.all(np.isfinite(q)) and np.all(np.isfinite(dq))):
-            raise NotCovered(f"state of {q.size} angles and {dq.size} speeds; expected {n} finite numbers each")
+            raise NotCovered(
+                f"a state of {q.size} angles and {dq.size} speeds; expected {n} finite numbers each: give one per joint"
+            )
+        radii = [np.zeros(n) if r is None else np.array(r, float) for r in (q_radius, dq_radius)]
+        for name, r in zip(("angles", "speeds"), radii, strict=True):
+            if r.shape != (n,) or not np.all((r >= 0.0) & (r < np.inf)):
+                raise NotCovered(
+                    f"half-widths {np.array2string(r, precision=3, threshold=8)} of the {name}; expected {n} finite numbers of at least "
+                    "0: give one per joint"
+                )
+        if not np.all(np.abs(dq) <= FASTEST):
+            j = int(np.argmax(np.abs(dq)))
+            raise NotCovered(f"{robot.joints[j]} at {dq[j]:.4g} rad/s; expected at most {FASTEST:g} rad/s: give speeds in rad/s")
         out = (q < robot.q_limit[:, 0]) | (q > robot.q_limit[:, 1])
         if np.any(out):
             i = int(np.argmax(out))
@@ -106,95 +154,102 @@ class StopBounds:
                 f"{robot.joints[i]} at {q[i]:.4g} rad is beyond its limits [{robot.q_limit[i, 0]:.4g}, "
                 f"{robot.q_limit[i, 1]:.4g}] rad; give a pose within them"
             )
-        return q, dq
+        return q, dq, radii[0], radii[1]
 
     def _power_off(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None
         tubes = tubes_of(self.setting, q, dq, q_radius, dq_radius, self.pieces, fast=self.fast)
         if tubes[-1].end != OK:
-            return self._refused("0", no_certificate(self.model.joints, self._margin(q), self._reach()), q)
+            return self._refused("0", no_certificate(self.model.joints, self.margin(q), self._reach()), q)
         margin = np.min([t.margin for t in tubes], axis=0)
         time = np.max([stopped_after(t) for t in tubes], axis=0)
-        return self._told("0", tubes, time, q, q_radius, margin, self.setting.assumptions)
+        return self._told("0", tubes, time, q, q_radius, margin, (*self.setting.assumptions, REST))
+
+    def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
+        """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
+        return self._refused(category, no_certificate(self.model.joints, margin, self._reach()), q)
 
     def _refused(self, category: Category, why: str, q: Array) -> StopBound:
         """No number, and why."""
         assert self.setting is not None
         ramp = () if category == "0" or self.ramp is None else ramp_assumptions(self.ramp, category)
         return StopBound(
-            category, False, why, holding_margin=self._margin(q), assumptions=(*self.setting.assumptions, *ramp)
+            category, False, why, holding_margin=self.margin(q), assumptions=(*self.setting.assumptions, *ramp)
         )  # fmt: skip
 
     def _working_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array, category: Category) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp, plant = self.ramp, self.setting.plant
+        ramp, tube = self.ramp, ramp_tube(self.ramp, dq - dq_radius, dq + dq_radius)
+        swept = Box(q - q_radius + tube.d_lo.min(axis=0), q + q_radius + tube.d_hi.max(axis=0))
+        plant = self.setting.near(self.setting.plant, swept, fastest(tube))
         assumptions = (*self.setting.assumptions, *ramp_assumptions(ramp, category))
+        time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
+        if time is None:
+            return self._refused(category, NO_REST, q)
         fast = np.abs(dq) + dq_radius
         extra = plant.coulomb_hi + plant.viscous_hi * fast + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
         refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, dq)
-        margin = self._margin(q, q_radius)
+        margin = self.margin(q, q_radius)
         if refusal:
             return self._refused(category, refusal, q)
-        tube = ramp_tube(ramp, dq - dq_radius, dq + dq_radius)
         fallback = None
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
             tube = tube._replace(d_lo=tube.d_lo - after, d_hi=tube.d_hi + after)
             fallback = self._fallback(q, q_radius, tube)
             then = "what that adds is told beside" if fallback else "for which no bound is proved here"
-            assumptions = (*assumptions, f"if the window is left, noticed below {ramp.creep:g} rad/s, a STOP 0 follows, {then}")
+            assumptions = (
+                *assumptions,
+                f"if the window is left, power is taken within {1e3 * ramp.reaction:.3g} ms and no joint is faster than {ramp.creep:g} "
+                f"rad/s until then; the STOP 0 that follows: {then}",
+            )
         else:
             end, half = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
-            margin = np.minimum(margin, self._margin(q + end, q_radius + half))
+            margin = np.minimum(margin, self.margin(q + end, q_radius + half))
             if margin.min() <= 0:
-                return self._refused(category, no_certificate(self.model.joints, margin, self._reach()), q)
-        time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
+                return self.refused_for(category, margin, q)
+            early = early_cut(ramp, float(time.max()))
+            assumptions = assumptions if early is None else (*assumptions, early)
         return replace(self._told(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
 
     def _fallback(self, q: Array, q_radius: Array, tube: Tube) -> tuple[float, float] | None:
-        """Angle [rad] and time [s] that a STOP 0 from the creeping speed adds when the standstill window of a STOP 2 is left."""
+        """Angle [rad] and time [s] added when the standstill window of a STOP 2 is left: creeping until the power is taken, then a
+        STOP 0 from there with what the drives still give."""
         assert self.setting is not None and self.ramp is not None
-        n = self.model.n
-        middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1]) + q_radius
+        ramp, residual = self.ramp, self.setting.residual
+        crept = ramp.reaction * ramp.creep
+        middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1]) + q_radius + crept
         # where the ramp has led is a wide box of poses: cutting the brakes' intervals many times over would not close it
         pieces = min(self.pieces, FEW)
-        tubes = tubes_of(self.setting, q + middle, np.zeros(n), radius, np.full(n, self.ramp.creep), pieces, fast=self.fast)
+        tubes = tubes_of(
+            self.setting, q + middle, residual.centre, radius, ramp.creep + residual.radius, pieces, fast=self.fast
+        )  # fmt: skip
         if tubes[-1].end != OK:
             return None
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)
-        return angle, max(float(stopped_after(t).max()) for t in tubes)
+        return crept + angle, ramp.reaction + max(float(stopped_after(t).max()) for t in tubes)
 
     def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None and self.ramp is not None
         ramp, setting = self.ramp, self.setting
-        cells = failed_cells(ramp, dq)
-        if not cells:
+        found = failed_stops(setting, ramp, q, dq, q_radius, dq_radius, self.fast)
+        if found is None:
             return self._refused("1 guaranteed", NO_POWER_OFF, q)
-
-        def tubes_in(cell: Cell, energetic: bool) -> list[Tube]:
-            lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
-            box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
-            if energetic or self.pieces == 1 or cell.width(dq) > NARROW:
-                knots = KNOTS if not self.fast else FAST_ENERGY_KNOTS if energetic else FAST_KNOTS
-                return [march_box(setting, setting.plant, *box, energetic, knots=knots)]
-            return tubes_of(setting, *box, self.pieces, last_resort=False)
-
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
         margin = np.full(self.model.n, np.inf)
-        for cell, parts in cover(cells, dq, ramp.together, FAST_CELLS if self.fast else CELLS * self.pieces, tubes_in):
-            before = cell.boxes(dq, dq_radius, ramp)
-            for part in parts:
-                if part.end != OK:
-                    where = q + 0.5 * (before[0] + before[1])
-                    return self._refused("1 guaranteed", no_certificate(self.model.joints, self._margin(where), self._reach()), q)
-                time = np.maximum(time, cell.time + stopped_after(part))
-                margin = np.minimum(margin, part.margin)
-                # displacement since the request; what was passed before power-off lies in the starts of these boxes
-                tubes.append(part._replace(d_lo=part.d_lo + before[0], d_hi=part.d_hi + before[1]))
+        for cell, _, part in found.parts:
+            lo, hi, _, _ = cell.boxes(dq, dq_radius, ramp)
+            if part.end != OK:
+                return self.refused_for("1 guaranteed", self.margin(q + 0.5 * (lo + hi)), q)
+            time = np.maximum(time, cell.time + stopped_after(part))
+            margin = np.minimum(margin, part.margin)
+            # displacement since the request; what was passed before power-off lies in the starts of these boxes
+            tubes.append(part._replace(d_lo=part.d_lo + lo, d_hi=part.d_hi + hi))
         assumptions = (*setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
-        return self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        bound = self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        return replace(bound, why=out_of_budget(found.loose, len(found.parts), found.tried)) if found.loose else bound
 
     def _told(
         self, category: Category, tubes: list[Tube], time: Array, q: Array, q_radius: Array, margin: Array,
@@ -222,7 +277,7 @@ class StopBounds:
             category, True, BY_ENERGY if by_energy else "", time=time,
             forward=np.maximum(np.max([t.d_hi.max(axis=0) for t in tubes], axis=0), 0.0),
             back=np.maximum(-np.min([t.d_lo.min(axis=0) for t in tubes], axis=0), 0.0),
-            speed=np.max([_fastest(t) for t in tubes], axis=0),
+            speed=np.max([fastest(t) for t in tubes], axis=0),
             tcp=tcp, tcp_speed=tcp_speed, tcp_box=box, links=links[:, 0], link_speed=links[:, 1],
             holding_margin=margin, assumptions=assumptions, layer=layer,
             motion=PointSets(
@@ -238,10 +293,11 @@ class StopBounds:
         chain = self.model.robot.chain
         return float(np.linalg.norm(chain.p[1:], axis=1).sum() + np.linalg.norm(self.setting.payload_com))
 
-    def _margin(self, q: Array, radius: Array | None = None) -> Array:
+    def margin(self, q: Array, radius: Array | None = None) -> Array:
         """(n,) [N m]: what brakes and dry friction surely leave over when holding the arm anywhere in ``q +- radius``."""
         assert self.setting is not None
-        p = self.setting.plant
+        wide = np.zeros(self.model.n) if radius is None else radius
+        p = self.setting.near(self.setting.plant, Box(q - wide, q + wide), np.zeros(self.model.n))
         g = [gravity_torque(p.chain, p.pi + s * p.pi_half, q) for s in (-1.0, 1.0)]
         more = np.zeros(self.model.n)
         if radius is not None:
@@ -250,13 +306,6 @@ class StopBounds:
         low, high = np.minimum(*g) - p.u_hi - more, np.maximum(*g) - p.u_lo + more
         out: Array = p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high))
         return out
-
-
-def _fastest(tube: Tube) -> Array:
-    """(n,) [rad/s] largest speed of a tube, between its knots too."""
-    knots = np.maximum(np.abs(tube.v_lo), np.abs(tube.v_hi)).max(axis=0)
-    out: Array = np.maximum(knots, np.maximum(np.abs(tube.e_lo), np.abs(tube.e_hi)).max(axis=0))
-    return out
 
 
 def stop(model: Model, q: ArrayLike, dq: ArrayLike, category: Category = "0") -> StopBound:

@@ -18,7 +18,8 @@ import numpy as np
 from numba import njit
 
 from stopset.reach.stops.tube import Tube
-from stopset.robot.rigid import Array, Chain, link_frames
+from stopset.robot.jit import link_frames
+from stopset.robot.rigid import Array, Chain
 
 SLICES = 10
 

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stopset.robot.rigid import Array, Chain, link_frames
+from stopset.robot.jit import link_frames
+from stopset.robot.rigid import Array, Chain
 
 
 class Curvature(NamedTuple):
@@ -65,27 +66,38 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
         inertia[i] = np.linalg.norm(tensor, 2) + inertia[i + 1] + 2.0 * moment[i + 1] * p + mass[i + 1] * p * p
         for j in range(i + 1, n):
             lever[i, j] = p + lever[i + 1, j]
+    a, b, c, d = np.ogrid[:n, :n, :n, :n]
+    last = np.maximum(np.maximum(a, b), np.maximum(c, d))
+    KM = 4.0 * (inertia[last] + moment[last] * (lever[a, last] + lever[b, last]))
+    # turning the whole arm, or all of it from joint min(i, j) on, changes no inertia M_ij
+    KM[np.broadcast_to(np.minimum(c, d) <= np.minimum(a, b), KM.shape)] = 0.0
+    KG = 0.5 * (KM + KM.transpose(0, 2, 1, 3) + KM.transpose(2, 0, 1, 3))
+    Kg, load = _gravity_bounds(chain, size, mass, moment)
+    return Curvature(KM, Kg, KG, inertia[:n].copy(), load)
+
+
+def gravity_curvature(chain: Chain, pi: Array) -> tuple[Array, Array]:
+    """`Curvature.g` (n, n, n) and `Curvature.load` (n,) alone."""
+    n, size = pi.shape[0], np.abs(pi)
+    mass, moment = np.zeros(n + 1), np.zeros(n + 1)
+    for i in range(n - 1, -1, -1):
+        p = float(np.linalg.norm(chain.p[i + 1])) if i + 1 < n else 0.0
+        mass[i] = size[i, 0] + mass[i + 1]
+        moment[i] = np.linalg.norm(size[i, 1:4]) + moment[i + 1] + mass[i + 1] * p
+    return _gravity_bounds(chain, size, mass, moment)
+
+
+def _gravity_bounds(chain: Chain, size: Array, mass: Array, moment: Array) -> tuple[Array, Array]:
+    """Of gravity from the ``mass`` and first ``moment`` (n + 1,) of all that comes behind each joint."""
+    n = size.shape[0]
     weight = float(np.linalg.norm(chain.gravity))
     turned = float(np.linalg.norm(np.cross(chain.R[0] @ chain.axis[0], chain.gravity)))  # 0 where the first axis is vertical
     beside = np.array([_beside(chain, size, i, mass[i + 1]) + moment[i + 1] for i in range(n)])
-    KM, Kg, KG = np.zeros((n, n, n, n)), np.zeros((n, n, n)), np.zeros((n, n, n, n))
-    for i in range(n):
-        for k in range(n):
-            for m in range(n):
-                Kg[i, k, m] = (weight if min(i, k, m) > 0 else turned) * beside[max(i, k, m)]
-            for j in range(n):
-                for m in range(n):
-                    if min(k, m) <= min(i, j) and (k <= min(i, j) or m <= min(i, j)):
-                        continue  # turning the whole arm, or all of it from joint min(i, j) on, changes no inertia M_ij
-                    b = max(i, j, k, m)
-                    KM[i, j, k, m] = 4.0 * (inertia[b] + moment[b] * (lever[i, b] + lever[j, b]))
-    for i in range(n):
-        for k in range(n):
-            for j in range(n):
-                KG[i, k, j] = 0.5 * (KM[i, k, j] + KM[i, j, k] + KM[k, j, i])
+    i, k, m = np.ogrid[:n, :n, :n]
+    Kg = np.where(np.minimum(i, np.minimum(k, m)) > 0, weight, turned) * beside[np.maximum(i, np.maximum(k, m))]
     load = weight * beside
     load[0] = turned * beside[0]
-    return Curvature(KM, Kg, KG, inertia[:n].copy(), load)
+    return Kg, load
 
 
 def _beside(chain: Chain, size: Array, i: int, carried: float) -> float:

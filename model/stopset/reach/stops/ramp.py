@@ -10,7 +10,7 @@ Source: IEC 61800-5-2 for SS1-t, SS1-r, SS2; stop notes of the project.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 from typing import Any, Literal
 
@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 KEY = "stop1_ramp"  # in a model's provenance
 KNOTS = 60
 POINTS = 40  # of the torque check, from one joint's rest to the next's
+STILL = 0.01  # [rad/s] a controlled joint that stays slower than this is at rest
+LONGEST = 60.0  # [s] no ramp and no time until power-off is longer
+STEEPEST, QUICKEST = 1e4, 10.0  # [rad/s^2] of a ramp; share of its speed that a failed drive can reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,8 @@ class Ramp:
     reach, as a share of the speed at the request (above 1: drives may accelerate); ``together``: whether all joints then
     keep the same share, as when the whole controller fails, else each its own. ``pace`` (lo, hi) [1/s]: the ramp slows
     down the programmed motion, which may itself be changing its speeds at the request, by this share per second of motion.
+    ``standstill`` (n,) [rad/s]: a joint that stays slower is at rest, by default `STILL`; ``settle`` [s]: how long after the
+    ramp's end the last joint comes to rest at the latest, None where nothing says it.
     """
 
     kind: Literal["time", "deceleration"]
@@ -59,6 +64,18 @@ class Ramp:
     pace: tuple[float, float] = (0.0, 0.0)
     source: str = "stated"
     notes: tuple[str, ...] = field(default=())
+    settle: float | None = None
+    standstill: Array | None = None
+
+    @property
+    def band(self) -> Array:
+        """(n,) [rad/s] of standstill."""
+        return np.full(self.value.dim, STILL) if self.standstill is None else self.standstill
+
+    @property
+    def after(self) -> float | None:
+        """[s] from the ramp's end until every joint is at rest for good; None where that is not known."""
+        return 0.0 if bool(np.all(self.dq_error <= self.band)) else self.settle
 
     def as_dict(self) -> dict[str, Any]:
         """For the model file's provenance, under `KEY`."""
@@ -68,6 +85,7 @@ class Ramp:
             "dq_error": self.dq_error.tolist(), "off_after": self.off_after, "monitored": self.monitored,
             "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "together": self.together,
             "window": self.window, "creep": self.creep, "pace": list(self.pace), "source": self.source, "notes": list(self.notes),
+            "settle": self.settle, "standstill": None if self.standstill is None else self.standstill.tolist(),
         }  # fmt: skip
 
     @classmethod
@@ -76,6 +94,8 @@ class Ramp:
         rest = {k: d[k] for k in ("off_after", "monitored", "reaction", "tolerance", "share", "window", "creep", "source")}
         rest["together"] = d.get("together", False)
         rest["pace"] = tuple(d.get("pace", (0.0, 0.0)))
+        rest["settle"] = d.get("settle")  # an older file does not say when the arm rests
+        rest["standstill"] = None if d.get("standstill") is None else np.array(d["standstill"], float)
         return cls(
             kind=d["kind"], value=Box.of(*d["value"]), control=Box.of(*d["control"]), q_error=np.array(d["q_error"], float),
             dq_error=np.array(d["dq_error"], float), notes=tuple(d["notes"]), **rest,
@@ -90,19 +110,39 @@ class Ramp:
 
         ``share``: speed of a failing ramp, of that at the request. Raises `NotCovered` for numbers that are no ramp.
         """
-        given = time if time is not None else deceleration
-        if (time is None) == (deceleration is None) or given is None or not np.isfinite(given) or given <= 0:
+        given, most = (time, LONGEST) if time is not None else (deceleration, STEEPEST)
+        if (time is None) == (deceleration is None) or given is None or not 0.0 < given <= most:
             raise NotCovered(
-                f"a ramp of time {time} s and deceleration {deceleration} rad/s^2; expected exactly one positive number"
+                f"a ramp of time {time} s and deceleration {deceleration} rad/s^2; expected exactly one positive number, at most "
+                f"{LONGEST:g} s or {STEEPEST:g} rad/s^2: state the drives' ramp"
             )
-        for name, x in (("start of the ramp", control), ("SS1-t time", off_after or 0.0), ("speed of a failed ramp", share)):
-            if not 0.0 <= x < np.inf:
-                raise NotCovered(f"a {name} of {x:g}; expected a finite number that is not negative")
+        if not 0.0 <= control <= LONGEST:
+            raise NotCovered(
+                f"a start of the ramp {control:g} s after the request; expected 0 to {LONGEST:g} s: state the drives' delay"
+            )
         zero = np.zeros(n)
-        return cls(
+        ramp = cls(
             "time" if time is not None else "deceleration", Box.point(np.full(n, given)),
-            Box.of(zero, np.full(n, control)), zero, zero, off_after=off_after, monitored=monitored,
-            share=share, together=together,
+            Box.of(zero, np.full(n, control)), zero, zero,
+        )  # fmt: skip
+        return ramp.failing(off_after, monitored, share, together)
+
+    def failing(
+        self, off_after: float | None = None, monitored: bool = False, share: float = 1.0, together: bool = False
+    ) -> Ramp:
+        """The same ramp with what happens if it fails; what is not given stays as it was. Raises `NotCovered` for no such numbers."""
+        if off_after is not None and not 0.0 <= off_after <= LONGEST:
+            raise NotCovered(
+                f"an SS1-t time of {off_after:g} s; expected 0 to {LONGEST:g} s, not negative: state when power is taken"
+            )
+        if not 0.0 <= share <= QUICKEST:
+            raise NotCovered(
+                f"a failed ramp that reaches {100 * share:g} % of the speed at the request; expected 0 to {100 * QUICKEST:g} %, not "
+                "negative: state what the drives can reach"
+            )
+        return replace(
+            self, off_after=self.off_after if off_after is None else off_after, monitored=self.monitored or monitored,
+            share=share, together=self.together or together,
         )  # fmt: skip
 
 
@@ -152,10 +192,12 @@ def _curve(ramp: Ramp, v: Array, t: Array, slow: bool, pace: float) -> tuple[Arr
     return v * moved, v * (1.0 - s) * np.maximum(share, 0.0)
 
 
-def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array:
-    """(n,) [s] from the request to rest."""
+def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:
+    """(n,) [s] from the request until each joint is at rest for good, slower than the ramp's `Ramp.band`; None if nothing says."""
     fast = np.maximum(np.abs(v_lo), np.abs(v_hi))
-    return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo)
+    if ramp.after is None:
+        return None
+    return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo) + ramp.after
 
 
 def infeasible(

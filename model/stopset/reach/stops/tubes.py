@@ -7,14 +7,16 @@ import numpy as np
 from stopset.reach.stops.local import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.split import certify
-from stopset.reach.stops.tube import OK, Plant, Tube, march
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import Array, gravity_torque
+from stopset.sets import Box
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
 FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
 FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
 FAST_WINDOWS = 2  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
+REGIONS = 4  # that a tube is tried in, each larger than what the last led to
 PATIENCE = 6  # times the expected stop before a tube is called endless
 MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
 
@@ -32,11 +34,35 @@ def march_box(
     setting: Setting, plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, energetic: bool,
     parts: Parts = ALL_PARTS, knots: int = KNOTS,
 ) -> Tube:  # fmt: skip
-    """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each)."""
-    h = expected_stop(setting.plant, q, np.abs(dq) + dq_radius) / knots
+    """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each).
+
+    Where effects depend on pose or speed, they are those of a region that the stop must not leave: a continuous motion that
+    stays inside while it has not left cannot leave.  So a tube counts once it lies inside its region, else that grows.
+    """
+    fast = np.abs(dq) + dq_radius
+    lasts = expected_stop(setting.plant, q, fast)
     steps = knots * (MORE_PATIENCE if energetic else PATIENCE)
-    tube: Tube = march(plant, q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, h, steps, parts, energetic)
-    return tube
+    way, known = 1.1 * lasts * fast + 0.01, setting.torques.speed
+    fast = np.where(fast < known, np.minimum(1.05 * fast + 0.05, known), 1.05 * fast + 0.05)
+    for _ in range(REGIONS):
+        region = setting.near(plant, Box(q - q_radius - way, q + q_radius + way), fast)
+        tube: Tube = march(
+            region, q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, lasts / knots, steps, parts, energetic
+        )
+        if setting.torques.settled or tube.end != OK:
+            return tube
+        moved = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0))
+        if np.all(moved < way) and np.all(fastest(tube) < fast):
+            return tube
+        way, fast = np.maximum(way, 1.3 * moved), np.maximum(fast, 1.1 * fastest(tube))
+    return tube._replace(end=UNBOUNDED)
+
+
+def fastest(tube: Tube) -> Array:
+    """(n,) [rad/s] largest speed of a tube, between its knots too."""
+    knots = np.maximum(np.abs(tube.v_lo), np.abs(tube.v_hi)).max(axis=0)
+    out: Array = np.maximum(knots, np.maximum(np.abs(tube.e_lo), np.abs(tube.e_hi)).max(axis=0))
+    return out
 
 
 def tube_of(
@@ -65,7 +91,7 @@ def tubes_of(
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once
     apart = setting.apart if pieces > 1 or fast else None
-    for plant in reversed(windows(setting.plant, apart, FAST_WINDOWS if fast else None)):
+    for plant in reversed(windows(setting.plant, apart, setting.lag, FAST_WINDOWS if fast else None)):
         out += certify(one, plant, q, lasts, pieces, last_resort)
         if out[-1].end != OK:
             break
@@ -75,6 +101,8 @@ def tubes_of(
 def stopped_after(tube: Tube) -> Array:
     """(n,) [s]: the first knot from which each joint's speed bounds are zero."""
     moving = (tube.v_lo != 0.0) | (tube.v_hi != 0.0)
+    # the momenta may show that a joint rests at a knot, having moved since the one before
+    moving[:-1] |= (tube.e_lo != 0.0) | (tube.e_hi != 0.0)
     last = np.where(moving.any(axis=0), len(tube.t) - 1 - np.argmax(moving[::-1], axis=0), -1)
     after: Array = tube.t[np.minimum(last + 1, len(tube.t) - 1)]
     return after

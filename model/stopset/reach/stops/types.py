@@ -20,6 +20,9 @@ CATEGORIES: tuple[Category, ...] = ("0", "1", "1 guaranteed", "2")
 class StopBound:
     """Upper bounds of one stop, from the stop request to rest, all joints at once; None where nothing can be proved.
 
+    Rest means for good: with the power off speed zero and the brakes holding, with a controlled stop every joint slower than its
+    standstill speed (an assumption says which).
+
     ``time``: (n,) [s] until joint i rests for good; ``forward``, ``back``: (n,) [rad] largest displacement in + and -
     direction, both >= 0; ``speed``: (n,) [rad/s] largest speed on the way; ``tcp``: [m] largest displacement of the tool
     centre point; ``tcp_speed`` [m/s]; ``tcp_box``: (3, 2) [m] its displacement in base coordinates; ``links``: (n,) [m]
@@ -27,8 +30,9 @@ class StopBound:
     holding, negative or nan where the arm is not held; ``certified``: whether the numbers are proved for the stated
     assumptions; ``why``: one sentence, always filled when not certified, and where a looser fall-back was needed;
     ``fallback``: STOP 2: what a STOP 0 adds if the standstill window is left, (rad, s), None where that is not proved;
-    ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction; ``capsules``: (P, n, 7) [m] what
-    each link's axis sweeps, see `stopset.reach.stops.cartesian.swept_capsules`.
+    ``extrapolated``: where filled, the numbers hold for a state or payload that identification has not seen, as it says, and the
+    bound is not certified; ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction;
+    ``capsules``: (P, n, 7) [m] what each link's axis sweeps, see `stopset.reach.stops.cartesian.swept_capsules`.
     """
 
     category: Category
@@ -49,6 +53,7 @@ class StopBound:
     fallback: tuple[float, float] | None = None
     motion: PointSets | None = None
     capsules: Array | None = None
+    extrapolated: str = ""
 
     @property
     def angle(self) -> Array | None:

@@ -19,9 +19,23 @@ NO_POWER_OFF = (
     "no stop provable: nothing says when power is taken if the ramp fails; state the SS1-t time (--off-after) or a monitored "
     "ramp (--monitored)"
 )
+NO_REST = (
+    "no stop provable: the model's ramp is followed only within a speed error that is larger than a joint at rest may have, and "
+    "nothing says when that ends; identify again from stop1 recordings, or state the ramp (--ramp-time, --ramp-deceleration)"
+)
+REST = "at rest means speed zero for good, with the brakes closed and holding"
+UNSEEN = "choose a state that the recordings hold, record it, or accept a marked extrapolation (--extrapolate-state)"
 BY_ENERGY = (
     "fall-back: one tube of joint speeds could not be closed, the kinetic energy bounds part of the stop; proved, but looser"
 )
+
+
+def out_of_budget(loose: int, boxes: int, tried: int) -> str:
+    """That the coarser proof stands in for the finer one in a part of a failed ramp's stop."""
+    return (
+        f"fall-back: {loose} of {boxes} boxes of a failed ramp's states were not closed by the {tried} tubes of joint speeds that there "
+        "is a budget for, the kinetic energy bounds these; proved, but looser"
+    )
 
 
 def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
@@ -37,13 +51,32 @@ def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
         out.append(f"at the request the programmed motion changes its speeds by {lo:.2g} to {hi:.2g} of themselves per second")
     else:
         out.append("at the request the programmed motion keeps its speeds")
+    if category == "1 guaranteed":
+        return (*out, _failure(ramp), REST)
+    if ramp.after is not None:
+        out.append(
+            f"at rest means every joint slower for good than its standstill speed of {_list(ramp.band)} rad/s, at the latest "
+            f"{1e3 * ramp.after:.4g} ms after the ramp's end"
+        )
     if category == "1":
         out.append("the ramp works, and the brakes have engaged before power is taken")
-    if category == "1 guaranteed":
-        out.append(_failure(ramp))
-    if category == "2":
+    else:
         out.append(f"the ramp works and the drives hold within {ramp.window:g} rad")
     return tuple(out)
+
+
+def early_cut(ramp: Ramp, time: float) -> str | None:
+    """A sentence where SS1-t takes the power before a working ramp has brought the arm to rest at ``time`` [s]."""
+    if ramp.off_after is None or ramp.off_after >= time:
+        return None
+    return (
+        f"power is taken {ramp.off_after:g} s after the request, before this stop's {time:.3g} s are over: count with the "
+        "guaranteed stop"
+    )
+
+
+def _list(x: np.ndarray) -> str:
+    return f"{x.max():.3g}" if np.ptp(x) < 1e-12 else "[" + ", ".join(f"{a:.3g}" for a in x) + "]"
 
 
 def _failure(ramp: Ramp) -> str:

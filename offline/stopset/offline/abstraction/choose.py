@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.errors import StopsetError
+from stopset.offline.conform.program import STOP_TIME
 from stopset.reach.nonlinear import nominal
 
 Array = NDArray[np.float64]
-STOP_TIME = 0.2  # [s] a velocity error counts as the way it goes within a typical stop (trap P11)
 WINDOWS = 60
 TIE = 0.02  # relative difference below which the simpler model is taken
 

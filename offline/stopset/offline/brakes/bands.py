@@ -11,9 +11,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording import SuiteKey
+
 Array = NDArray[np.float64]
 RISK = 0.005  # that the next stop's value lies outside, on either side
 TIMES = (0.0, 1.5)  # no delay or ramp is taken to last longer than this times the longest seen, however few the stops
+WIDEN, WIDENINGS = 1.15, 6  # of the sets per round, and rounds at most, until the training stops are enclosed
 TORQUES = (0.8, 1.25)  # no brake to press less or more than this times the least and the most seen: wear, heat, oil
 
 
@@ -50,7 +53,7 @@ def around(values: Sequence[float] | Array, middle: float, count: int) -> tuple[
     return middle - more, middle + more
 
 
-def hull(groups: Mapping[int, tuple[list[float], int]], reach: tuple[float, float] = TIMES) -> tuple[float, float]:
+def hull(groups: Mapping[SuiteKey, tuple[list[float], int]], reach: tuple[float, float] = TIMES) -> tuple[float, float]:
     """Interval of a positive quantity over groups of (values, independent observations), within ``reach`` of those seen.
 
     The group seen most is what the arm regularly does, and gets the band of its own range.  The others were varied on

@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from stopset.offline.brakes.bands import farther, hull
+from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
 from stopset.offline.stops.measured import trigger_of
-from stopset.reach.stops.ramp import Ramp
-from stopset.recording import Recording
+from stopset.reach.stops.ramp import STILL, Ramp
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
 KINDS = ("time", "deceleration")
-WIDENINGS = 6
-WIDEN = 1.15
 START = 0.005  # [s] delay to start the fit from
 SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less
 CONTROL = 2e-3  # [s] least standard deviation of the ramp's start between stops
@@ -39,7 +37,7 @@ def ramp_from(
     """The same from the ramps of single stops, for either kind of ramp one per training stop."""
     n = train[0].q.shape[1]
     kind = min(fits, key=lambda k: sum(f.misfit for f in fits[k]))
-    suites = [r.suite for r in train]
+    suites = [r.suite_key for r in train]
     control = _band_of([f.control for f in fits[kind]], suites)
     value = _band_of([f.value for f in fits[kind]], suites)
     # a programmed motion that speeds up slows down again, and may begin to while the ramp slows it further
@@ -47,24 +45,33 @@ def ramp_from(
     pace = farther(len(paces)) * max(paces) if paces else 0.0
     errors = np.array([_tracking(kind, r, f) for r, f in zip(train, fits[kind], strict=True)])  # (stops, 2, n)
     q_error, dq_error = farther(len(train)) * errors.max(axis=0)
+    band = np.maximum(STILL, noise.radius[n:])
+    settles = [_settling(kind, r, f, band) for r, f in zip(train, fits[kind], strict=True)]
+    known = [s for s in settles if s is not None]
+    if len(known) < len(settles):
+        notes.append(
+            f"{len(settles) - len(known)} of {len(settles)} controlled stops were still moving when their recording ended"
+        )
     ramp = Ramp(
         "time" if kind == "time" else "deceleration",
         Box.of(np.full(n, max(value[0], 1e-3)), np.full(n, value[1])), Box.of(np.full(n, max(control[0], 0.0)), np.full(n, control[1])),
         q_error, dq_error, source="identified from stop1 recordings", pace=(-pace, pace),
+        settle=farther(len(known)) * max(known) if len(known) == len(settles) else None, standstill=band,
     )  # fmt: skip
     for round_ in range(WIDENINGS + 1):
         outside = judge_stop1(ramp, noise, train).outside
         if not outside:
             break
         ramp = replace(
-            ramp, value=ramp.value.inflated(WIDEN), q_error=1.1 * ramp.q_error + 1e-5, dq_error=1.1 * ramp.dq_error + 1e-4
-        )
+            ramp, value=ramp.value.inflated(WIDEN), q_error=1.1 * ramp.q_error + 1e-5, dq_error=1.1 * ramp.dq_error + 1e-4,
+            settle=None if ramp.settle is None else WIDEN * ramp.settle,
+        )  # fmt: skip
         notes.append(f"the ramp's sets were widened ({round_ + 1}) to enclose {len(outside)} training stops")
     return ramp
 
 
-def _band_of(values: Sequence[float], suites: Sequence[int]) -> tuple[float, float]:
-    groups: dict[int, tuple[list[float], int]] = {}
+def _band_of(values: Sequence[float], suites: Sequence[SuiteKey]) -> tuple[float, float]:
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for v, s in zip(values, suites, strict=True):
         seen, count = groups.get(s, ([], 0))
         groups[s] = ([*seen, v], count + 1)
@@ -120,6 +127,18 @@ def _motion(r: Recording) -> tuple[Array, Array, Array]:
     k = trigger_of(r)
     assert k is not None
     return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
+
+
+def _settling(kind: str, r: Recording, fit: Fit, band: Array) -> float | None:
+    """[s] from the end of the stop's own ramp until every joint stays slower than ``band`` (n,) [rad/s]; None if one never does."""
+    t, v, v0 = _motion(r)
+    moving = np.abs(v) > band
+    if moving[-1].any():
+        return None
+    lasts = np.full(v0.shape, fit.value) if kind == "time" else np.abs(v0) / fit.value
+    last = len(t) - 1 - np.argmax(moving[::-1], axis=0)
+    rests = np.where(moving.any(axis=0), t[np.minimum(last + 1, len(t) - 1)], 0.0)
+    return max(float(np.max(rests - fit.control - lasts)), 0.0)
 
 
 def _tracking(kind: str, r: Recording, fit: Fit) -> Array:

@@ -9,17 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Guarantee, Model
-from stopset.offline.conform.guarantee import clopper_pearson
+from stopset.offline.conform.guarantee import CONFIDENCE, clopper_pearson
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import Setting, setting_of
-from stopset.reach.stops.ramp import Ramp, ramp_tube
+from stopset.reach.stops.ramp import Ramp, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import Recording
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-CONFIDENCE = 0.95
 BEFORE = 20  # samples before the request that tell how the speeds were changing
 SLOW = 0.2  # [rad/s] all joints together; slower, that is lost in the noise
 PIECES = 8  # tubes per stop and window of delays
@@ -77,7 +76,7 @@ def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> Verdict:
         if pace is not None and not ramp.pace[0] <= pace <= ramp.pace[1]:
             uncovered.append(r.label)
             continue
-        left = first_outside([stop1_tube(ramp, noise, r)], r, noise)
+        left = first_outside([stop1_tube(ramp, noise, r)], r, noise) or first_restless(ramp, noise, r)
         if left is not None:
             outside.append((r.label, *left))
     return Verdict(len(stops), len(stops) - len(uncovered), tuple(outside), tuple(uncovered))
@@ -101,6 +100,23 @@ def stop1_tube(ramp: Ramp, noise: Box, r: Recording) -> Tube:
     assert k is not None
     n = r.dq.shape[1]
     return ramp_tube(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
+
+
+def first_restless(ramp: Ramp, noise: Box, r: Recording) -> tuple[int, float] | None:
+    """Joint and time after the trigger [s] at which a controlled stop still moves though its bound says it rests; None if it never
+    does, or nothing is said."""
+    k = trigger_of(r)
+    assert k is not None
+    n = r.dq.shape[1]
+    rests = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
+    if rests is None:
+        return None
+    t = r.t[k:] - r.t[k]
+    bad = (np.abs(r.dq[k:]) > ramp.band) & (t[:, None] > rests)
+    if not bad.any():
+        return None
+    row = int(np.argmax(bad.any(axis=1)))
+    return int(np.argmax(bad[row])), float(t[row])
 
 
 def first_outside(tubes: Sequence[Tube], r: Recording, noise: Box) -> tuple[int, float] | None:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model, UncertaintySets
-from stopset.offline.brakes.bands import TORQUES, band, farther, hull
+from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, Told, tell
 from stopset.reach.stops.plant import setting_of
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -29,9 +29,8 @@ LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
 SIGMAS = 4.0  # of a measured speed's noise within its bound
-WIDENINGS = 6
-WIDEN = 1.15  # of the sets, per round, until the training stops are enclosed
 APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
+ROUNDS = 10  # of medians
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
 TYPICAL = 0.1  # relative spread of friction between stops
 TYPICAL_U = 0.15  # and what is left of the powered regime's U, of its width, as one sigma
@@ -43,7 +42,7 @@ USUAL_RISE = (2e-3, 0.03)  # [s] where no stop tells it
 class Seen:
     """What one stop told, joint by joint; ``start``: (n,) [rad/s] by which it went as if started faster, nan if not known."""
 
-    suite: int
+    suite: SuiteKey
     told: tuple[Told | None, ...]
     start: Array
 
@@ -62,7 +61,7 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
         momentum = np.array([0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, told, strict=True)])
         signs = [0.0 if c is None else c.sign for c in curves]
         told = tuple(None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(told, signs, strict=True))
-        out.append(Seen(r.suite, told, speed_error(setting, r, momentum)))
+        out.append(Seen(r.suite_key, told, speed_error(setting, r, momentum)))
     return out
 
 
@@ -95,7 +94,9 @@ def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list
 def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, notes: list[str]) -> Model | None:
     """The model with brakes and the regime STOP 0 from what stops told under the brakes ``wide`` assumed before."""
     n = model.n
-    delay = _delays(_table(seen, "delay"), notes)
+    told = _table(seen, "delay")
+    own = own_lags(told)
+    delay = without_strays(told, own, notes)
     if np.sum(~np.isnan(delay)) < LEAST:
         notes.append("too few joints were still moving when their brakes engaged; brakes cannot be identified from these stops")
         return None
@@ -108,59 +109,80 @@ def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, no
         )
         return None
     suites = [s.suite for s in seen]
-    timing, apart, silent = _timing(delay, suites)
+    timing, apart, silent = timing_of(delay, own, suites)
     stops_told = int(np.sum(~np.isnan(delay).all(axis=1)))
     if stops_told < ENOUGH:
         notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
     elif silent:
         notes.append(
-            f"fewer than {LEAST} stops of suite {silent} tell when the brakes engaged: the delays assumed before stay possible"
+            f"fewer than {LEAST} stops of {silent} tell when the brakes engaged: the delays assumed before stay possible"
         )
     if stops_told < ENOUGH or silent:
         timing = timing | wide.delay
+    lost = np.isnan(delay).all(axis=0) & ~np.isnan(told).all(axis=0)
+    if np.any(lost):
+        names = ", ".join(model.joints[i] for i in np.flatnonzero(lost))
+        notes.append(f"every delay told of the brakes of {names} was left out: those assumed before stay possible, at any time")
+        apart, both = None, timing | wide.delay
+        timing = Box.of(np.where(lost, both.lo, timing.lo), np.where(lost, both.hi, timing.hi))
     brakes = Brakes(
         _torques(model, wide, torque, suites, notes), timing, Box.of(*np.tile(_rises(_table(seen, "rise")), (n, 1)).T),
         source=f"identified from {len(seen)} recorded stops, {stops_told} of which tell a delay and {int(np.isfinite(torque).sum())} "
-        "joints a torque", apart=apart,
+        "joints a torque", apart=apart, lag=None if apart is None or not own.any() else own - own.min(),
     )  # fmt: skip
     return replace(model, brakes=brakes, sets={**model.sets, "stop0": _regime(model, seen, noise)})
 
 
-def _delays(delay: Array, notes: list[str]) -> Array:
-    """The same without delays that lie far from the others of their stop."""
+def own_lags(delay: Array) -> Array:
+    """(n,) [s] by how much each joint's brake always engages later than the others of its stop: 0 where it does not, nor where
+    too few stops tell it.  ``delay``: (stops, n), nan where a stop tells nothing.
+
+    A stop's common time and a joint's lag are fitted in turn, by medians: a few misfits move neither.
+    """
+    n, told = delay.shape[1], ~np.isnan(delay)
+    together = told.sum(axis=1) > 1
+    rows, own = delay[together], np.zeros(n)
+    if not len(rows):
+        return own
+    for _ in range(ROUNDS):
+        common = np.nanmedian(rows - own, axis=1, keepdims=True)
+        for i in range(n):
+            mine = (rows - common)[told[together, i], i]
+            own[i] = np.median(mine) if len(mine) >= LEAST else 0.0
+    for i in range(n):
+        mine = (rows - common)[told[together, i], i]
+        if len(mine) < LEAST or abs(own[i]) <= max(APART, 2.0 * 1.4826 * float(np.median(np.abs(mine - own[i])))):
+            own[i] = 0.0
+    return own
+
+
+def without_strays(delay: Array, own: Array, notes: list[str]) -> Array:
+    """The same without delays that, less their joint's ``own`` lag, lie far from the others of their stop."""
+    common = delay - own
     two = np.sum(~np.isnan(delay), axis=1) == 2
-    two[two] = np.ptp(np.sort(delay[two], axis=1)[:, :2], axis=1) > 2.0 * STRAY
-    delay = np.where(two[:, None], np.nan, delay)  # of two that differ nobody knows which one is wrong
-    several = np.sum(~np.isnan(delay), axis=1) > 2
-    apart = np.full(delay.shape, np.nan)
-    apart[several] = np.abs(delay[several] - np.nanmedian(delay[several], axis=1, keepdims=True))
-    stray = apart > (max(STRAY, 3.0 * float(np.nanmedian(apart))) if np.any(several) else np.inf)
+    two[two] = np.ptp(np.sort(common[two], axis=1)[:, :2], axis=1) > 2.0 * STRAY
+    common = np.where(two[:, None], np.nan, common)  # of two that differ nobody knows which one is wrong
+    several = np.sum(~np.isnan(common), axis=1) > 2
+    off = np.full(delay.shape, np.nan)
+    off[several] = np.abs(common[several] - np.nanmedian(common[several], axis=1, keepdims=True))
+    stray = off > (max(STRAY, 3.0 * float(np.nanmedian(off))) if np.any(several) else np.inf)
     if np.any(stray):
         notes.append(
-            f"{int(stray.sum())} of {int(np.sum(~np.isnan(delay)))} brake delays lie far from others of their stop; left out"
+            f"{int(stray.sum())} of {int(np.sum(~np.isnan(common)))} brake delays lie far from others of their stop; left out"
         )
     if np.any(two):
         notes.append(f"{int(two.sum())} stops show two brake delays far apart; left out")
-    return np.where(stray, np.nan, delay)
+    return np.where(stray | two[:, None], np.nan, delay)
 
 
-def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None, str]:
-    """(n,) delays [s], and how far two joints' delays in one stop can lie apart beyond their boxes, None if not known; and
-    the suites that told too little."""
-    n = delay.shape[1]
+def timing_of(delay: Array, own: Array, suites: Sequence[SuiteKey]) -> tuple[Box, float | None, str]:
+    """(n,) delays [s]; how far apart those of one stop lie, each less its joint's ``own`` lag, None if not known; and the suites
+    that told too little."""
     rows = np.isfinite(delay)
-    some = np.asarray(rows.any(axis=1))
-    deviation = np.full(delay.shape, np.nan)
-    deviation[some] = delay[some] - np.nanmedian(delay[some], axis=1, keepdims=True)
-    own = np.zeros(n)
-    for i in range(n):
-        mine = deviation[rows[:, i] & (rows.sum(axis=1) > 1), i]
-        if len(mine) >= LEAST and abs(np.median(mine)) > max(APART, 2.0 * float(np.std(mine))):
-            own[i] = np.median(mine)
     common = delay - own
-    groups: dict[int, tuple[list[float], int]] = {}
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for s, suite in enumerate(suites):
-        if some[s]:
+        if rows[s].any():
             values, count = groups.get(suite, ([], 0))
             groups[suite] = ([*values, *common[s][rows[s]]], count + 1)
     lo, hi = hull(groups)
@@ -171,12 +193,12 @@ def _timing(delay: Array, suites: Sequence[int]) -> tuple[Box, float | None, str
     return box, farther(len(apart)) * max(apart) + GRID, _silent(groups, suites)
 
 
-def _silent(groups: Mapping[int, tuple[list[float], int]], suites: Sequence[int]) -> str:
+def _silent(groups: Mapping[SuiteKey, tuple[list[float], int]], suites: Sequence[SuiteKey]) -> str:
     """The suites that told too few values to know what they vary by."""
-    return ", ".join(str(s) for s in sorted(set(suites)) if groups.get(s, ([], 0))[1] < LEAST)
+    return ", ".join(suite_label(s) for s in sorted(set(suites)) if groups.get(s, ([], 0))[1] < LEAST)
 
 
-def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], notes: list[str]) -> Box:
+def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[SuiteKey], notes: list[str]) -> Box:
     """(n,) [N m]: each brake's middle times what all brakes of the arm varied by."""
     nominal = wide.torque.centre
     share = torque / nominal
@@ -192,7 +214,7 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
             middle[i] = float(np.median(mine))
         elif len(mine) == 0:
             notes.append(f"the brake of {model.joints[i]} was not seen closing: it is taken to vary as the others do")
-    groups: dict[int, tuple[list[float], int]] = {}
+    groups: dict[SuiteKey, tuple[list[float], int]] = {}
     for s, i in np.argwhere(told):
         values, count = groups.get(suites[s], ([], 0))
         groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
@@ -200,7 +222,7 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[int], n
     silent = _silent(groups, suites)
     if silent:
         lo, hi = min(lo, float((wide.torque.lo / nominal).min())), max(hi, float((wide.torque.hi / nominal).max()))
-        notes.append(f"fewer than {LEAST} brake torques can be told from suite {silent}: those assumed before stay possible")
+        notes.append(f"fewer than {LEAST} brake torques can be told from {silent}: those assumed before stay possible")
     return Box.of(np.maximum(middle * max(lo, LEAST_TORQUE) * nominal, 1e-3), middle * hi * nominal)
 
 

@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Guarantee, Model
-from stopset.errors import RecordingError
+from stopset.errors import NotCovered, RecordingError
 from stopset.offline.brakes.controlled import fit_ramp
 from stopset.offline.brakes.judge import Verdict, guarantee_line, judge_stop0, judge_stop1
-from stopset.offline.brakes.power_off import fit_brakes
+from stopset.offline.brakes.power_off import LEAST, fit_brakes
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import KEY, Ramp
-from stopset.recording import Recording
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 HELD = 3  # every third stop of a suite is held out
-LEAST = 4  # training stops needed
 FEW = 8  # a suite with fewer stops than this is counted apart in the guarantee: it shows its variation incompletely
 REST = 15  # samples at the end of a stop that tell the noise
 
@@ -82,7 +81,11 @@ def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
 
 def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list[str]) -> tuple[Model, Guarantee | None]:
     train, held = divide(stops)
-    known = fit_brakes(model, train, noise, notes) if _enough(train, "stop0", notes) else None
+    try:
+        known = fit_brakes(model, train, noise, notes) if _enough(train, "stop0", notes) else None
+    except NotCovered as e:
+        notes.append(f"no brakes from {len(train)} recorded stops: {e}")
+        known = None
     if known is None:
         return model, None
     regular, few = _apart(held, stops)
@@ -117,10 +120,10 @@ def divide(stops: Sequence[Recording]) -> tuple[list[Recording], list[Recording]
     return train, held
 
 
-def _suites(stops: Sequence[Recording]) -> dict[int, list[Recording]]:
-    out: dict[int, list[Recording]] = {}
+def _suites(stops: Sequence[Recording]) -> dict[SuiteKey, list[Recording]]:
+    out: dict[SuiteKey, list[Recording]] = {}
     for r in stops:
-        out.setdefault(r.suite, []).append(r)
+        out.setdefault(r.suite_key, []).append(r)
     return out
 
 
@@ -129,7 +132,7 @@ def _apart(held: Sequence[Recording], stops: Sequence[Recording]) -> tuple[list[
     few = {s for s, rows in _suites(stops).items() if len(rows) < FEW}
     if len(few) == len(_suites(stops)):
         return list(held), []
-    return [r for r in held if r.suite not in few], [r for r in held if r.suite in few]
+    return [r for r in held if r.suite_key not in few], [r for r in held if r.suite_key in few]
 
 
 def rest_noise(stops: Sequence[Recording], n: int) -> Box | None:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySets
 from stopset.errors import RecordingError
 from stopset.offline.conform import guarantee as g
-from stopset.offline.conform.linear import fit_sets
+from stopset.offline.conform.linear_program import fit_sets
+from stopset.offline.conform.linear_sets import Gathered, Options, divided, enclosing, seen_by
 from stopset.offline.conform.program import age_weights
-from stopset.offline.conform.sets import Gathered, Options, divided, enclosing, seen_by
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Recording
@@ -79,8 +80,8 @@ def cut(means: Array | None, temp: Box | None, number: int) -> Bands:
 
 
 def band_sets(
-    found: Gathered, bands: Bands, seen: Box, factors: Array, abstraction: Abstraction, joints: tuple[str, ...], noise: Box,
-    dt: float, horizon: float, options: Options, learnt: Collection[int] = (), template: Template | None = None,
+    found: Gathered, bands: Bands, seen: Box, factors: Array, abstraction: Abstraction, joints: tuple[str, ...],
+    readings: ReadingError, dt: float, horizon: float, options: Options, learnt: Collection[int] = (), template: Template | None = None,
 ) -> dict[str, UncertaintySets]:  # fmt: skip
     """Sets of every band by name; ``factors`` (n,): margin of the whole; ``seen``: hull of temperatures (n,) [degC].
 
@@ -92,9 +93,9 @@ def band_sets(
     for k, parts in sorted(found.bands.items()):
         everything = g.union(list(parts.values()))
         fitted = g.union([parts[m] for m in parts if m in used] or list(parts.values()))
-        fit = fit_sets(fitted, R, noise, abstraction, joints, "all", template=template)
+        fit = fit_sets(fitted, R, readings, abstraction, joints, "all", template=template)
         if options.conform == "position":
-            fit = fit_sets(fitted, R, fit.V, abstraction, joints, "position", template=template)
+            fit = fit_sets(fitted, R, ReadingError.exact(fit.V), abstraction, joints, "position", template=template)
         final = enclosing(fit.inflated(factors), R, everything, abstraction.decoupled)
         out[name(k)] = UncertaintySets(
             X0=final.X0, U=final.U, V=final.V, dt=dt, horizon=everything.steps * dt, conform=final.conform,

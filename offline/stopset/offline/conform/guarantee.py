@@ -17,7 +17,7 @@ from scipy.stats import beta
 
 from stopset.artifact import Guarantee
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.program import SOLVER_SLACK
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box

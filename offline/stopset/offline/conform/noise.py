@@ -6,17 +6,18 @@ Without it the noise of every restart would be swallowed by ``U`` and integrated
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
-from stopset.recording import Recording
+from stopset.offline.conform.reading_error import Apart, ReadingError, apart
+from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-Suite = tuple[str, int]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
@@ -62,44 +63,65 @@ def _finest(a: Array, b: Array) -> Array:
     return np.where((a > 0) & (b > 0), np.minimum(a, b), np.maximum(a, b))
 
 
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What the estimate holds of each suite: spreads (2n,) of its trials, quantum (2n,), largest distance (2n,) of its powered
+    readings from smooth motion, and sums (2, n) of their lateness."""
+
+    spread: dict[SuiteKey, list[Array]]
+    quantum: dict[SuiteKey, Array]
+    reach: dict[SuiteKey, Array]
+    late: dict[SuiteKey, Array]
+
+
 class NoiseEstimate:
-    """Running estimate of the noise of (q, dq), fed trial by trial.
+    """Running estimate of the error of (q, dq), fed trial by trial.
 
     The deviation from a parabola over seven samples is noise, not motion; its spread is taken by the median absolute
-    deviation within a trial and the median over trials, so that a jerk here and there does not count.
+    deviation within a trial and the median over trials, so that a jerk here and there does not count.  What such jerks do
+    to the readings of powered motion is the most that their error may be, see `ReadingError`.
     """
 
-    def __init__(self) -> None:
-        self._spread: dict[Suite, list[Array]] = {}
-        self._quantum: dict[Suite, Array] = {}
+    def __init__(self, kept: Kept | None = None) -> None:
+        self.kept = kept or Kept({}, {}, {}, {})
+        self._spread, self._quantum = self.kept.spread, self.kept.quantum
 
-    def add(self, r: Recording) -> None:
-        """Take one trial in."""
+    def add(self, r: Recording, dt: float = 0.0) -> None:
+        """Take one trial in; ``dt`` [s]: the grid it is on if it counts for what the sets are found from."""
         x = np.hstack([r.q, r.dq])
         quantum = resolution(x)
         if len(x) >= WINDOW:
-            self._spread.setdefault(r.motion, []).append(spread(x))
-            self._quantum[r.motion] = _finest(self._quantum.get(r.motion, quantum), quantum)
+            self._spread.setdefault(r.suite_key, []).append(spread(x))
+            self._quantum[r.suite_key] = _finest(self._quantum.get(r.suite_key, quantum), quantum)
+        if dt > 0.0:
+            self._powered(r.suite_key, apart(r.q, r.dq, dt))
 
-    def kept(self) -> tuple[dict[Suite, list[Array]], dict[Suite, Array]]:
-        """Spreads (2n,) of all trials and quantum (2n,) by suite."""
-        return self._spread, self._quantum
+    def _powered(self, suite: SuiteKey, seen: Apart) -> None:
+        reach, late = self.kept.reach, self.kept.late
+        reach[suite] = np.maximum(reach.get(suite, seen.reach), seen.reach)
+        late[suite] = late.get(suite, 0.0) + seen.late
 
-    @classmethod
-    def of(cls, spread: dict[Suite, list[Array]], quantum: dict[Suite, Array]) -> NoiseEstimate:
-        """The estimate that `kept` was taken from."""
-        out = cls()
-        out._spread, out._quantum = spread, quantum
-        return out
+    def late(self, without: Collection[SuiteKey] = ()) -> Array:
+        """(n,) time [s] by which velocities come after the slope of their positions; 0 where nothing moves."""
+        late = [x for s, x in self.kept.late.items() if s not in without]
+        above, below = np.sum(late, axis=0) if late else np.zeros((2, 1))
+        return np.divide(above, below, out=np.zeros_like(above), where=below > 0.0)
 
-    def box(self, without: Collection[Suite] = ()) -> Box:
-        """(2n,) symmetric: half-width = max(quantum / 2, `COVERAGE` robust standard deviations), ``without`` some suites.
+    def error(self, without: Collection[SuiteKey] = ()) -> ReadingError:
+        """(2n,) symmetric bounds of ``V``, ``without`` some suites: noise at least, what was seen in motion at most.
 
-        Raises `RecordingError` if no trial is long enough.
+        The noise is max(quantum / 2, `COVERAGE` robust standard deviations).  Raises `RecordingError` if no trial is long
+        enough.
         """
+        least = self._noise(without)
+        reach = [x for s, x in self.kept.reach.items() if s not in without]
+        most = np.maximum(least, np.max(reach, axis=0)) if reach else least
+        return ReadingError(Box.symmetric(least), Box.symmetric(most))
+
+    def _noise(self, without: Collection[SuiteKey]) -> Array:
         suites = [s for s in self._spread if s not in without]
         if not suites:
             raise RecordingError(f"no trial has {WINDOW} samples, so the noise is unknown; expected longer trials: record again")
         quantum = reduce(_finest, (self._quantum[s] for s in suites))
         spread = np.vstack([x for s in suites for x in self._spread[s]])
-        return Box.symmetric(np.maximum(quantum / 2.0, COVERAGE * np.median(spread, axis=0)))
+        return np.asarray(np.maximum(quantum / 2.0, COVERAGE * np.median(spread, axis=0)))

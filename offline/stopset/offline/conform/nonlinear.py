@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
-from stopset.offline.conform.cooperative import fit_cooperative
 from stopset.offline.conform.corners import Trial
-from stopset.offline.conform.linear import Fit
+from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.monotone_sets import fit_cooperative
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal
 from stopset.sets import Box
@@ -130,7 +131,7 @@ def needed(w: Window, fit: Fit) -> float:
 
 
 def fit_windows(
-    seen: Sequence[Window], noise: Box, dt: float, conform: str = "all", every: int = 2, names: Sequence[str] = (),
+    seen: Sequence[Window], readings: ReadingError, dt: float, conform: str = "all", every: int = 2, names: Sequence[str] = (),
     labels: Sequence[str] = (),
 ) -> tuple[Fit, float]:  # fmt: skip
     """Cheapest sets that enclose these windows, and the common scaling that the final check over all of them asked for.
@@ -138,7 +139,7 @@ def fit_windows(
     ``every``: the program itself sees one window in so many; ``names`` of the joints and ``labels`` of the trials: to say
     what fixes each bound.  Raises `NotConformant`.
     """
-    m = noise.dim
+    m = readings.dim
     n = m // 2
     states = m if conform == "all" else n
     chosen = seen[::every]
@@ -146,7 +147,7 @@ def fit_windows(
     pairs = [_rows(w, a, states) for w, a in zip(chosen, ages, strict=True)]
     cost = np.sum([_cost(w, dt, states, n) for w in chosen], axis=0)
     G, h = np.vstack([rows for rows, _ in pairs]), np.concatenate([rhs for _, rhs in pairs])
-    bounds = Bounds(noise, n, widen=conform == "all")
+    bounds = Bounds(readings if conform == "all" else ReadingError.exact(readings.least), n)
     z = bounds.tidy(cheapest(G, h, cost / len(chosen), bounds, "this model"))
     x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = bounds.split(z)
     active = []
@@ -168,7 +169,7 @@ def fit_windows(
 
 
 def fit_along(
-    trials: Sequence[Trial], abstraction: Abstraction, noise: Box, dt: float, horizon: int, conform: str = "all",
+    trials: Sequence[Trial], abstraction: Abstraction, readings: ReadingError, dt: float, horizon: int, conform: str = "all",
     windows: str = "sliding",
 ) -> tuple[Fit, float]:  # fmt: skip
     """Sets of any abstraction on the hull along the nominal solution, and the common scaling of the final check.
@@ -176,26 +177,26 @@ def fit_along(
     ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``horizon`` in steps.  Raises `NotConformant`.
     """
     seen = list(windows_of(trials, abstraction, starts(trials, windows, WINDOWS), dt, horizon))
-    return fit_windows(seen, noise, dt, conform, 2 if windows == "sliding" else 1)
+    return fit_windows(seen, readings, dt, conform, 2 if windows == "sliding" else 1)
 
 
 def fit_nonlinear(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], noise: Box, dt: float, horizon: float,
-    conform: str = "all", windows: str = "sliding",
+    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float,
+    horizon: float, conform: str = "all", windows: str = "sliding",
 ) -> UncertaintySets:  # fmt: skip
     """Uncertainty sets of any abstraction from open-loop trials, for ``horizon`` [s] ahead.
 
-    ``trials``: states (N, 2n) over (q, dq) and inputs ``u`` (N, n) every ``dt`` [s]; ``noise``: symmetric box (2n,).
+    ``trials``: states (N, 2n) over (q, dq) and inputs ``u`` (N, n) every ``dt`` [s]; ``readings`` (2n,): their error.
     The sets' own ``dt`` is a multiple of it where the hull is the linearised one.  Raises `NotConformant`.
     """
     if abstraction.decoupled:
         steps = min(round(horizon / dt), max(len(x) for x, _ in trials) - 1)
-        fit, factors = fit_cooperative(trials, abstraction, joints, noise, dt, steps, conform, windows)
+        fit, factors = fit_cooperative(trials, abstraction, joints, readings, dt, steps, conform, windows)
         return UncertaintySets(fit.X0, fit.U, fit.V, dt, steps * dt, conform, windows, float(factors.max()))
     every = max(1, round(GRID / dt))
     coarse = coarser(trials, every)
     steps = min(round(horizon / (dt * every)), max(len(x) for x, _ in coarse) - 1)
-    fit, factor = fit_along(coarse, abstraction, noise, dt * every, steps, conform, windows)
+    fit, factor = fit_along(coarse, abstraction, readings, dt * every, steps, conform, windows)
     return UncertaintySets(fit.X0, fit.U, fit.V, dt * every, steps * dt * every, conform, windows, factor)
 
 

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
-from stopset.offline.conform.cooperative import fit_cooperative, needed_factor
 from stopset.offline.conform.corners import Trial
-from stopset.offline.conform.linear import Fit
-from stopset.offline.conform.sets import Conformance, Options, Pairs, few_motions, influence
+from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_sets import Conformance, Options, Pairs, few_motions, influence
+from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
-from stopset.sets import Box
 
 Array = NDArray[np.float64]
 KEEP = 400
@@ -40,7 +40,7 @@ class Algorithm:
 
     abstraction: Abstraction
     joints: tuple[str, ...]
-    noise: Box
+    readings: ReadingError
     dt: float
     steps: int
     windows: str
@@ -51,15 +51,15 @@ class Algorithm:
         """Cheapest sets that enclose these trials, with what fixes them."""
         titles = [self.labels[id(x)] for x, _ in trials]
         if self.abstraction.decoupled:
-            known = (self.abstraction, self.joints, self.noise, self.dt, self.steps)
+            known = (self.abstraction, self.joints, self.readings, self.dt, self.steps)
             return fit_cooperative(trials, *known, conform, self.windows, titles)[0]
         every = 2 if self.windows == "sliding" else 1
-        return along.fit_windows(self._windows(trials), self.noise, self.dt, conform, every, self.joints, titles)[0]
+        return along.fit_windows(self._windows(trials), self.readings, self.dt, conform, every, self.joints, titles)[0]
 
     def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
         """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
         if self.abstraction.decoupled:
-            return needed_factor(fit, trials, self.abstraction, self.joints, self.noise, self.dt, self.steps, self.windows)
+            return needed_factor(fit, trials, self.abstraction, self.joints, self.readings, self.dt, self.steps, self.windows)
         return max(1.0, *(along.needed(w, fit) for w in self._windows(trials)))
 
     def checked(self, fits: Sequence[Fit], trials: Sequence[Trial], where: Sequence[tuple[int, int]]) -> Array:
@@ -83,7 +83,7 @@ class Algorithm:
 
 
 def conform_nonlinear(
-    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], noise: Box, dt: float, horizon: float,
+    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, dt: float, horizon: float,
     options: Options, trials: int,
 ) -> Conformance:  # fmt: skip
     """Identify ``X0``, ``U``, ``V`` of any abstraction from the trials of ``pairs``; the sets' grid may be coarser than
@@ -97,7 +97,7 @@ def conform_nonlinear(
     labels = {id(x): name for m, rows in kept.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
     longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
     steps = min(round(horizon / (dt * every)), longest)
-    algorithm = Algorithm(abstraction, joints, noise, dt * every, steps, options.windows, labels)
+    algorithm = Algorithm(abstraction, joints, readings, dt * every, steps, options.windows, labels)
     division = g.split(list(data))
     used = [t for m in division.used for t in data[m]]
     other = "position" if options.conform == "all" else "all"

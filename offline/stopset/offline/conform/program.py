@@ -7,6 +7,7 @@ P1).  Solved by constraint generation on HiGHS; callers re-check in floating poi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from stopset.errors import NotConformant
-from stopset.sets import Box
+from stopset.offline.conform.reading_error import ReadingError
 
 Array = NDArray[np.float64]
 
@@ -26,26 +27,35 @@ FIRST, MORE = 600, 300  # rows to begin with, and added in one round
 STOP_TIME = 0.2  # [s]
 # a vanishing charge on every width keeps directions that cost nothing from wandering off
 CHARGE = 1e-9
+# what a solver's status means to whoever reads it; 2, that no sets exist, is said by who asked
+BEYOND = (
+    "expected deviations, inertias and dampings of one order of magnitude: look for a joint that the data hardly move or whose inertia "
+    "comes out next to nothing (`stopset inspect --robot`), and state its rotor inertia in robot.json"
+)
+UNSOLVED = {
+    1: f"the search for them did not end; {BEYOND}",
+    3: f"nothing in the data bounds their width; {BEYOND}",
+    4: f"the numbers of the model lie too far apart in size to be computed with; {BEYOND}",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """The unknowns of ``m`` states and ``k`` inputs, and what holds for them whatever was recorded.
 
-    ``noise`` (m,): ``V`` is at least that, for speeds (the second half of the states) more where ``widen``; ``capped``:
-    ``X0`` lies in ``-V``, so that it cannot hide stiction (trap P12); the first ``points`` inputs are single values and the
-    others symmetric (a zonotope's centre and generators), or all are free intervals (None; trap P7).
+    ``readings`` (m,): between which boxes ``V`` lies; ``capped``: ``X0`` lies in ``-V``, so that it cannot hide stiction (trap
+    P12); the first ``points`` inputs are single values and the others symmetric (a zonotope's centre and generators), or all
+    are free intervals (None; trap P7).
     """
 
-    noise: Box
+    readings: ReadingError
     k: int
     capped: bool = True
-    widen: bool = True
     points: int | None = None
 
     @property
     def m(self) -> int:
-        return self.noise.dim
+        return self.readings.dim
 
     def split(self, z: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Views of ``z``: X0.lo, X0.hi, V.lo, V.hi, U.lo, U.hi."""
@@ -81,11 +91,10 @@ class Bounds:
     def limits(self) -> list[tuple[float, float]]:
         """Bounds of each unknown."""
         inf = np.inf
-        wide = [self.capped and self.widen and a >= self.m // 2 for a in range(self.m)]
-        lo, hi = self.noise.lo.tolist(), self.noise.hi.tolist()
+        least, most = self.readings.least, self.readings.most
         out: list[tuple[float, float]] = [(-inf, inf)] * (2 * self.m)
-        out += [(-inf if w else v, v) for v, w in zip(lo, wide, strict=True)]
-        out += [(v, inf if w else v) for v, w in zip(hi, wide, strict=True)]
+        out += zip(most.lo.tolist(), least.lo.tolist(), strict=True)
+        out += zip(least.hi.tolist(), most.hi.tolist(), strict=True)
         return out + [(-inf, inf)] * (2 * self.k)
 
     def tidy(self, z: Array) -> Array:
@@ -132,6 +141,20 @@ def age_weights(last: int, dt: float) -> Array:
     return np.asarray(w / w.sum())
 
 
+def solved(c: Array, A: Array, b: Array, limits: Sequence[tuple[float | None, float | None]], who: str, none: str) -> Array:
+    """The ``z`` of least ``c z`` with ``A z <= b`` and within ``limits``; ``none``: what it means that there is none.
+
+    Raises `NotConformant`, in our words, when none is found.
+    """
+    status = 4
+    if np.isfinite(A).all() and np.isfinite(b).all() and np.isfinite(c).all():
+        result = linprog(c, A_ub=A, b_ub=b, bounds=limits, method="highs-ds")
+        status = int(result.status)
+        if status == 0:
+            return np.asarray(result.x)
+    raise NotConformant(f"no sets make {who} conformant: {none if status == 2 else UNSOLVED[status]}")
+
+
 def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array:
     """The ``z`` of least ``cost`` with ``G z >= h`` and within ``bounds``, up to the solver's tolerance; ``who``: of whom.
 
@@ -147,13 +170,11 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
     for _ in range(ROUNDS):
         A = np.vstack([-unit[chosen], limits])
         b = np.concatenate([-need[chosen], np.zeros(len(limits))])
-        result = linprog(c, A_ub=A, b_ub=b, bounds=bounds.limits(), method="highs-ds")
-        if result.status != 0:
-            raise NotConformant(
-                f"no sets make {who} conformant ({result.message.splitlines()[0].strip()}); the data jump within one sample by "
-                "more than the noise allows: check the velocity signal"
-            )
-        z = np.asarray(result.x)
+        z = solved(
+            c, A, b, bounds.limits(), who,
+            "the data jump within one sample by more than the noise allows; expected a model whose error torques explain: "
+            "check the velocity signal with `stopset inspect`, and what was held at a limit",
+        )  # fmt: skip
         short = need - unit @ z
         new = np.setdiff1d(np.flatnonzero(short > SOLVER_SLACK), chosen)
         if not len(new):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
+from stopset.offline.compare.metrics import AVERAGING
 from stopset.reach.flowpipe import along_joints
 from stopset.robot import Robot
 from stopset.robot.rigid import link_frames
@@ -25,7 +26,6 @@ from stopset.robot.rigid import link_frames
 Array = NDArray[np.float64]
 Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 
-AVERAGING = 0.2  # [s] torque deviations are averages over a stop's length: momentum balance, no differentiation
 POSES = 6  # at which the tool's directions are taken
 SAME = 1.0 - 1e-6  # cosine of directions that are one
 REACH = 1e-3  # [m] per rad; a direction the tool moves less in says nothing

@@ -7,9 +7,10 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from stopset.artifact import Model
-from stopset.offline.diagnose.diagnosis import QUIET, RESTLESS, Diagnosis
-from stopset.offline.diagnose.prepare import Array
-from stopset.offline.report import COLOURS, Page, number
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.diagnose import Diagnosis
+from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.report.page import COLOURS, Page, number
 
 WORDS = {
     "missing": "These effects are missing from the model, best first.",
@@ -23,6 +24,8 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
     out = Page(f"Diagnosis of {model.robot.name}")
     out.verdict(f"{found.verdict}: {WORDS[found.verdict]}", "good" if found.verdict == "none" else "bad")
     out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
+    for note in found.notes:
+        out.text(f"{note[0].upper()}{note[1:]}.")
     if found.ranked:
         out.heading("Missing effects")
         out.table(
@@ -57,7 +60,7 @@ def page(model: Model, found: Diagnosis, against: str) -> Page:
         out.table(
             ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
             [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
-            f"A healthy joint stays below {QUIET} and {RESTLESS}.",
+            f"A healthy joint stays below {limit.QUIET} and {limit.RESTLESS}.",
         )
     if found.not_identifiable:
         out.heading("Not identifiable from these recordings")

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from stopset.errors import RecordingError
+from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Need, needs
 from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
-from stopset.offline.motions import independent_motions
 from stopset.offline.nominal.delay import estimate_delay
-from stopset.offline.nominal.gram import NormalEquations, accumulate
-from stopset.offline.nominal.prior import Tolerance, prior_of
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
+from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import torque_scales
-from stopset.recording import Recording, read_meta, stream_recordings
+from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
 from stopset.recording.types import Array, Meta
 from stopset.robot import Robot
 
@@ -71,8 +71,8 @@ class _Campaign:
     momentum: Momentum | None = None  # of compensated torque, where the robot is known
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    suites: dict[tuple[str, int], int] = field(default_factory=dict)
-    torques: dict[tuple[str, int], Array] = field(default_factory=dict)  # of one trial of each open-loop suite
+    suites: dict[SuiteKey, int] = field(default_factory=dict)
+    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each open-loop suite
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: Sample = field(default_factory=Sample)
@@ -85,8 +85,8 @@ class _Campaign:
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
         if r.phase == "open_loop":
-            self.torques.setdefault(r.motion, r.tau)
-        self.suites[r.motion] = self.suites.get(r.motion, 0) + 1
+            self.torques.setdefault(r.suite_key, r.tau)
+        self.suites[r.suite_key] = self.suites.get(r.suite_key, 0) + 1
         for name in ("temp", "current", "stop_trigger"):
             if getattr(r, name) is not None:
                 self.channels.add(name)
@@ -104,7 +104,7 @@ class _Campaign:
     def phases(self) -> dict[str, dict[str, Any]]:
         out: dict[str, dict[str, Any]] = {}
         for phase, trials in self.trials.items():
-            mine = [count for (p, _), count in self.suites.items() if p == phase]
+            mine = [count for (_, p, _), count in self.suites.items() if p == phase]
             out[phase] = {
                 "trials": trials, "motions": len(mine), "most_trials_per_motion": max(mine),
                 "seconds": round(self.seconds[phase], 3),
@@ -176,7 +176,7 @@ def _torque(
     out = [*against, *(f for f in sign if f.joint not in told)]
     if out or torn:
         return out
-    delay = estimate_delay(data, prior_of(robot, Tolerance()))
+    delay = estimate_delay(data, prior_of(robot))
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
     return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
 
@@ -193,11 +193,11 @@ def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tup
 
 
 def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:
-    paired = sum(1 for (phase, _), count in campaign.suites.items() if phase == "static" and count >= 2)
+    paired = sum(1 for (_, phase, _), count in campaign.suites.items() if phase == "static" and count >= 2)
     top = np.abs(campaign.tally.range_dq).max(axis=1)
     n = campaign.tally.n
     low = campaign.slowest if len(campaign.slowest) == n else np.full(n, np.inf)
-    repeats = max((c for (p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
+    repeats = max((c for (_, p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
     motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
     speed = np.column_stack([low, top])

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from stopset.offline.inspect.inspection import Inspection, inspect_recordings
-from stopset.offline.report import COLOURS, Page
+from stopset.offline.report.page import COLOURS, Page
 from stopset.robot import Robot
 
 SIGNALS = (("q", "q [rad]"), ("dq", "dq [rad/s]"), ("tau", "tau [N m]"))

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.nominal.gram import DELAYS, NormalEquations
+from stopset.offline.nominal.normal_equations import DELAYS, TOGETHER, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 
@@ -23,7 +23,6 @@ BLUNT = 0.005  # [s] joints with a larger standard error do not say where the mi
 CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
 OWN = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 FEW = 3  # with fewer motions none can be left out
-TOGETHER = 10.0  # rows whose errors then count as one: half a second
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
 
 

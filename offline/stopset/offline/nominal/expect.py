@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
-from stopset.offline.nominal.fit import ASSUMED_INFLATION, assemble, problem_of
-from stopset.offline.nominal.gram import NormalEquations
+from stopset.offline.nominal.fit import assemble, problem_of
+from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
 from stopset.offline.nominal.prior import Prior
 from stopset.recording.types import Array
 
@@ -20,7 +20,7 @@ def expected_covariance(data: NormalEquations, prior: Prior, sigma: Array) -> Ar
     moving, still = joint_reduced(data.moving.sum(axis=0), lags), joint_reduced(data.still, lags)
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
     p = problem_of(data.layout, moving, still, rows, rows_still)
-    w = np.where(rows > 0, 1 / (sigma**2 * ASSUMED_INFLATION), 0.0)
+    w = np.where(rows > 0, 1 / (sigma**2 * TOGETHER), 0.0)
     w_still = np.where(rows_still > 0, 1 / sigma**2, 0.0)
     H, _ = assemble(p, w, w_still, prior.precision, prior.mean)
     return np.asarray(np.linalg.inv(H))

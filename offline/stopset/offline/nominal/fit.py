@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from stopset.offline.nominal.floor import Floor
 from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
-from stopset.offline.nominal.gram import Layout, NormalEquations
+from stopset.offline.nominal.normal_equations import TOGETHER, Layout, NormalEquations
 from stopset.offline.nominal.physical import consistent, solve_consistent
 from stopset.offline.nominal.prior import Prior
 from stopset.offline.nominal.qp import solve_qp
@@ -18,9 +19,9 @@ from stopset.recording.types import Array
 
 ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen
-ASSUMED_INFLATION = 10.0  # then errors are taken to hang together over half a second, at 20 rows per second
 MOST_INFLATION = 1000.0
 ASSUMED_SPREAD = 0.02  # of friction from motion to motion, where one motion cannot tell
+ASSUMED_FREEDOM = 4.0  # motions that the assumed spread counts for beside those seen
 COVERED = 0.975  # by two standard errors, one-sided
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
@@ -65,7 +66,7 @@ def problem_of(layout: Layout, moving: Array, still: Array, rows: Array, rows_st
     )  # fmt: skip
 
 
-def _residual(G: Array, theta: Array) -> float:
+def residual(G: Array, theta: Array) -> float:
     """Sum of squared residuals of one joint, from its normal matrix with the torque last."""
     v = np.append(theta, -1.0)
     return max(float(v @ G @ v), 0.0)
@@ -89,11 +90,17 @@ def assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Arra
     return H, b
 
 
-def _solve(p: _Problem, H: Array, b: Array, limits: Limits, speed: Array, reference: Array) -> tuple[Array, list[str]]:
+def _solve(
+    p: _Problem, H: Array, b: Array, limits: Limits, floor: Floor, speed: Array, reference: Array
+) -> tuple[Array, list[str]]:
     """Parameters under all limits, and what the limits did."""
     notes: list[str] = []
     n = p.layout.n
     theta, active = solve_qp(H, b, limits.A, limits.lower, limits.upper)
+    weak = floor.binding(theta, np.asarray(np.linalg.inv(H), np.float64))
+    if weak.joint:
+        limits = limits + weak.limits
+        theta, active = solve_qp(H, b, limits.A, limits.lower, limits.upper)
     for _ in range(20):
         more = worst(p.layout, theta, speed)
         if not len(more.A):
@@ -107,6 +114,12 @@ def _solve(p: _Problem, H: Array, b: Array, limits: Limits, speed: Array, refere
     if not consistent(theta[: 10 * n].reshape(n, 10), reference):
         theta = solve_consistent(H, b, limits.A, limits.lower, limits.upper, reference)
         notes.append("inertias moved to the nearest that bodies can have (positive definite pseudo-inertia)")
+    for j in dict.fromkeys(weak.joint):
+        why = next(w for k, w in zip(weak.joint, weak.why, strict=True) if k == j)
+        notes.append(
+            f"held at a physical floor: the rotor inertia of {p.layout.joints[j]} at {theta[10 * n + j]:.3g} kg m^2; these recordings "
+            f"determine it too weakly, and with less {why}"
+        )
     return theta, notes
 
 
@@ -114,7 +127,7 @@ def _inflation(data: NormalEquations, moving: Array, j: int, index: NDArray[np.i
     """How much wider errors are than for independent rows, from the scores of whole groups of motions."""
     groups = np.flatnonzero(data.rows_moving[:, j] > 0)
     if len(groups) < FEW_GROUPS:
-        return ASSUMED_INFLATION
+        return TOGETHER
     cut = np.r_[0 : len(index), moving.shape[-1] - 1]
     G = moving[groups, j][:, cut][:, :, cut]
     scores = G[:, :-1, -1] - G[:, :-1, :-1] @ theta
@@ -128,7 +141,7 @@ def _inflation(data: NormalEquations, moving: Array, j: int, index: NDArray[np.i
     return float(np.clip(ratio, 1.0, MOST_INFLATION))
 
 
-def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, reference: Array) -> Fit:
+def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor: Floor, reference: Array) -> Fit:
     """Weighted least squares of all joints at once.
 
     ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c): sums with one torque column last; weights, the correlation of errors and
@@ -140,7 +153,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
     p = problem_of(layout, moving.sum(axis=0), still, rows, rows_still)
     variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
     variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
-    inflation, scale = np.full(n, ASSUMED_INFLATION), 1.0
+    inflation, scale = np.full(n, TOGETHER), 1.0
     m = len(prior.mean)
     for _ in range(ROUNDS):
         w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)
@@ -151,18 +164,18 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, refere
         for j in range(n):
             own = theta[p.index[j]]
             if rows[j]:
-                variance[j] = _residual(p.moving[j], own) / rows[j]
+                variance[j] = residual(p.moving[j], own) / rows[j]
                 inflation[j] = _inflation(data, moving, j, p.index[j], own, variance[j])
             if rows_still[j]:
-                variance_still[j] = _residual(p.still[j], own) / rows_still[j]
+                variance_still[j] = residual(p.still[j], own) / rows_still[j]
         told = float(m - np.trace(precision @ np.linalg.inv(H)[:m, :m]))
         off = theta[:m] - prior.mean
         scale = float(np.clip(np.sqrt(off @ prior.precision @ off / max(told, 1.0)), 1.0, WIDEST_PRIOR))
     limits = ranges(layout) + passivity(layout, *_seen(data))
-    theta, notes = _solve(p, H, b, limits, _seen(data)[0], reference)
+    theta, notes = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
     if scale > 1.5:
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
-    rms: Array = np.array([np.sqrt(_residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
+    rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
         theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
         _before(p, prior, rows), tuple(notes),
@@ -190,7 +203,7 @@ def _before(p: _Problem, prior: Prior, rows: Array) -> Array:
         own: Array = np.zeros(0)
         if len(G) > 1:
             own = np.asarray(np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=1e-12)[0], np.float64)
-        out[j] = np.sqrt(_residual(G, own) / rows[j])
+        out[j] = np.sqrt(residual(G, own) / rows[j])
     return out
 
 
@@ -198,11 +211,14 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
     """Torque residual (n,) on groups of motions left out of the fit, and the covariance widened by how much they matter.
 
     The widening is the jackknife over groups: friction differs from motion to motion, so that counting samples would
-    promise too much; never narrower than the model's own.  Few motions know their own spread badly: it is widened by
-    Student's quantile, so that twice the standard error covers 95 %.  With fewer than two groups the residual is nan and
-    the spread is assumed (`ASSUMED_SPREAD`).
+    promise too much; never narrower than the model's own.  It is added as a whole matrix: terms that only their sum is told of
+    (a load friction and a mass) shift together, and their torque stays as sure as it is.  Few motions know their own spread badly:
+    the assumed one (`ASSUMED_SPREAD`) counts beside theirs like `ASSUMED_FREEDOM` motions more, and it is widened by Student's
+    quantile, so that twice the standard error covers 95 %.  With fewer than two groups the residual is nan and the spread is the
+    assumed one.
 
-    Source: Bell & McCaffrey (2002), degrees of freedom of clustered standard errors.
+    Source: Bell & McCaffrey (2002), degrees of freedom of clustered standard errors; Smyth (2004), Linear models and empirical
+    Bayes methods, for the assumed spread beside a seen one.
     """
     n = data.layout.n
     groups = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
@@ -211,9 +227,10 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
     w = np.where(rows > 0, 1 / np.maximum(full.sigma**2 * full.inflation, 1e-12), 0.0)
     w_still = np.where(rows_still > 0, 1 / np.maximum(full.sigma_still**2, 1e-12), 0.0)
-    shares = _influences(data.layout, moving[groups], w, full)
+    felt = _influences(data.layout, moving[groups], w, full)
+    assumed = ASSUMED_SPREAD * np.concatenate(list(felt), axis=1)  # (size, terms of all groups)
     if len(groups) < 2:
-        return np.full(n, np.nan), _widened(full.covariance, ASSUMED_SPREAD**2 * shares.sum(axis=0))
+        return np.full(n, np.nan), full.covariance + assumed @ assumed.T
     total = moving.sum(axis=0)
     squares = np.zeros(n)
     thetas = []
@@ -222,34 +239,31 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
         H, b = assemble(p, w, w_still, prior.precision / full.prior_scale**2, prior.mean)
         theta: Array = np.asarray(np.linalg.solve(H, b), np.float64)
         left = problem_of(data.layout, moving[g], still, rows, rows_still)
-        squares += [_residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
+        squares += [residual(left.moving[j], theta[p.index[j]]) for j in range(n)]
         thetas.append(theta)
     m = len(groups)
-    jackknife = (m - 1) / m * np.sum((np.array(thetas) - np.mean(thetas, axis=0)) ** 2, axis=0)
-    return np.sqrt(squares / np.maximum(rows, 1)), _widened(full.covariance, _student(shares) ** 2 * jackknife)
-
-
-def _widened(covariance: Array, least: Array) -> Array:
-    """``covariance`` with every variance at least ``least``, correlations kept."""
-    wider = np.sqrt(np.maximum(least / np.diag(covariance), 1.0))
-    return np.asarray(wider[:, None] * covariance * wider)
+    freedom = _freedom((felt**2).sum(axis=2))
+    both = freedom + ASSUMED_FREEDOM
+    wider = student.ppf(COVERED, both) / norm.ppf(COVERED)
+    seen = np.sqrt(freedom / both) * wider * (np.array(thetas) - np.mean(thetas, axis=0))
+    assumed *= (np.sqrt(ASSUMED_FREEDOM / both) * wider)[:, None]
+    return np.sqrt(squares / np.maximum(rows, 1)), full.covariance + (m - 1) / m * seen.T @ seen + assumed @ assumed.T
 
 
 def _influences(layout: Layout, moving: Array, w: Array, full: Fit) -> Array:
-    """(groups, size) variance of each parameter from friction terms that differ by their own size in one group of motions."""
+    """(groups, size, terms) shift of each parameter where a friction term differs by its own size in one group of motions."""
     head = 10 * layout.n + 1
-    out = np.zeros((len(moving), layout.size))
+    out = []
     for j in range(layout.n):
         index = layout.index(j)
         k = len(index)
         felt = w[j] * full.covariance[:, index] @ moving[:, j, :k, head:k]  # (groups, size, friction terms)
-        out += ((felt * full.theta[index[head:]]) ** 2).sum(axis=2)
-    return out
+        out.append(felt * full.theta[index[head:]])
+    return np.concatenate(out, axis=2)
 
 
-def _student(shares: Array) -> Array:
-    """(size,) Student's quantile over the normal one, at the number of groups that make up each parameter's variance."""
+def _freedom(shares: Array) -> Array:
+    """(size,) degrees of freedom of each parameter's spread: the groups that make up its variance, less one."""
     top = np.maximum(shares.max(axis=0), 1e-300)
     count = (shares / top).sum(axis=0) ** 2 / np.maximum(((shares / top) ** 2).sum(axis=0), 1.0)
-    freedom = np.where(shares.max(axis=0) > 0, count, len(shares)) - 1.0
-    return np.asarray(student.ppf(COVERED, np.maximum(freedom, 1.0)) / norm.ppf(COVERED))
+    return np.asarray(np.maximum(np.where(shares.max(axis=0) > 0, count, len(shares)) - 1.0, 1.0))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.effects import Effect, Signals
-from stopset.offline.nominal.gram import Layout
+from stopset.offline.nominal.normal_equations import Layout
 from stopset.recording.types import Array
 
 CREEP = 1e-9  # [rad/s] a column that has vanished here is viscous, one that has not is dry

@@ -14,10 +14,11 @@ from stopset.effects import Effect, Fitted
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
-from stopset.offline.nominal.gram import Column, NormalEquations, accumulate
+from stopset.offline.nominal.floor import floor_of
+from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
-from stopset.offline.nominal.unknown import base_count, undetermined
+from stopset.offline.nominal.unidentifiable import base_count, undetermined
 from stopset.recording.types import Array, Recording, Recordings
 from stopset.robot import Robot
 
@@ -58,6 +59,7 @@ class Nominal:
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
     data: NormalEquations
+    prior: Prior  # as it counted: a description that the recordings contradict counts for less
 
     @property
     def theta(self) -> Array:
@@ -132,14 +134,21 @@ def solve_nominal(
 ) -> Nominal:
     """The nominal model from sums alone; ``solve_nominal(robot, old + new)`` equals reading everything again."""
     if data.rows_moving.sum() + data.rows_still.sum() == 0:
+        fastest = float(np.abs(data.speed).max()) if data.recordings else 0.0
+        if data.recordings and fastest < 2 * data.settings.still:
+            raise RecordingError(
+                f"no joint moves in these {data.recordings} recordings (fastest {fastest:.2g} rad/s, largest range "
+                f"{float(np.ptp(data.span, axis=1).max()):.2g} rad): held poses alone show neither friction nor inertia; expected motions "
+                "of every joint: record some, and give the poses with them as phase static"
+            )
         raise RecordingError(
             f"no usable sample: {data.recordings} moving trials, {data.poses} poses, left out {data.skipped or 'none'}; "
             "expected motor torque over at least one motion of a second, or poses approached from both sides"
         )
-    prior = prior_of(robot, tolerance or Tolerance())
+    prior = prior_of(robot, tolerance)
     lag, applied, notes = _delay(data, prior, delay)
     moving, still = _at_lag(data, applied)
-    result = fit(data, moving, still, prior, robot.pi)
+    result = fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)
     heldout, covariance = leave_out(data, moving, still, prior, result)
     result = replace(result, covariance=covariance)
     return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
@@ -219,6 +228,7 @@ def _nominal(
         undetermined=undetermined(robot, data, prior, result),
         notes=(*notes, *skipped),
         data=data,
+        prior=replace(prior, precision=prior.precision / result.prior_scale**2),
     )
 
 

@@ -7,6 +7,7 @@ identification; the constraint of each link is ``[[trace(I)/2 E - I, h], [h', m]
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -71,13 +72,15 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
             constraints.append(As[row] @ x / size <= hi / size)
     y = np.linalg.solve(L, d * b)
     problem = cp.Problem(cp.Minimize(cp.sum_squares(L.T @ x - y)), constraints)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), suppress(cp.error.SolverError):
         warnings.simplefilter("ignore")  # "may be inaccurate" is dealt with below
         problem.solve(solver=cp.CLARABEL)
     if x.value is None or problem.status not in ("optimal", "optimal_inaccurate"):
+        none = "no link parameters are physically possible and meet every limit at once"
+        unsure = "the search for physically possible link parameters did not come to an end"
         raise NotConformant(
-            f"no physically possible link parameters were found (solver: {problem.status}); expected the CAD to be near: "
-            "check the URDF's inertias"
+            f"{none if str(problem.status).startswith('infeasible') else unsure}; expected the CAD to be near: check the URDF's "
+            "masses and inertias, and the torque's unit with `stopset inspect --robot`"
         )
     theta = np.asarray(d * x.value)
     theta[: 10 * n] = _repaired(theta[: 10 * n].reshape(n, 10), reference).ravel()

@@ -185,7 +185,6 @@ class Pose:
     ``count``: samples averaged in each row.
     """
 
-    suite: int
     q: Array
     tau: Array
     direction: Array
@@ -203,4 +202,4 @@ def pose_of(pair: list[Recording]) -> Pose | None:
         tau = tau[:half].reshape(-1, 2, tau.shape[1]).mean(axis=0)
         q = q[:half].reshape(-1, 2, q.shape[1]).mean(axis=0)
     up = np.where(tau[0] >= tau[1], 1.0, -1.0)
-    return Pose(pair[0].suite, q, tau, np.array([up, -up]), min(len(r.t) for r in pair))
+    return Pose(q, tau, np.array([up, -up]), min(len(r.t) for r in pair))

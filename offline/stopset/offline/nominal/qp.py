@@ -59,6 +59,8 @@ def _active(H: Array, b: Array, A: Array, lo: Array, hi: Array) -> dict[int, flo
     import osqp
     from scipy import sparse
 
+    if np.any(lo > hi) or not all(np.isfinite(x).all() for x in (H, b, A)):
+        return {}  # nothing that a solver takes: it would say so on the terminal
     problem = osqp.OSQP()
     problem.setup(
         sparse.csc_matrix(np.triu(H)), -b, sparse.csc_matrix(A), lo, hi,

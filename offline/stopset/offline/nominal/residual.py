@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from stopset.offline.nominal.delay import lag_weights
 from stopset.offline.nominal.friction import dry
-from stopset.offline.nominal.gram import friction_columns, moving_rows
 from stopset.offline.nominal.nominal import Nominal
+from stopset.offline.nominal.normal_equations import friction_columns, moving_rows
 from stopset.offline.nominal.preprocess import Motion, motions
 from stopset.recording.types import Array, Recording
 from stopset.robot import Robot

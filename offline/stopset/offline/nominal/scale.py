@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
-from stopset.offline.nominal.gram import NormalEquations
+from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
 from stopset.recording.types import Array
 from stopset.robot import Robot
 
-TOGETHER = 10.0  # rows whose errors count as one: half a second
 SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from stopset.errors import StopsetError
 from stopset.offline.nominal.expect import expected_covariance
-from stopset.offline.nominal.gram import NormalEquations, accumulate
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
-from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
-from stopset.offline.nominal.unknown import told
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
+from stopset.offline.nominal.prior import Prior, prior_of
+from stopset.offline.nominal.unidentifiable import told
 from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
@@ -195,7 +195,7 @@ def _outlook(
     robot: Robot, e: Envelope, parts: Sequence[Part], poses: Array, data: NormalEquations | None, nominal: Nominal | None
 ) -> tuple[tuple[Part, ...], tuple[dict[str, Any], ...]]:
     """What each part would tell alone, and each parameter's standard error now, and after the campaign."""
-    prior = prior_of(robot, Tolerance())
+    prior = prior_of(robot)
     guess = np.where(np.isfinite(e.tau), NOISE * e.tau, 0.5)
     sigma = guess if nominal is None else np.where(np.isfinite(nominal.rms), nominal.rms, guess)
     total = data

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stopset.offline.nominal.unknown import parameter_scale
+from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
 from stopset.recording.types import Array
 from stopset.robot import Robot

@@ -12,7 +12,7 @@ from stopset.offline.plan.design import Plan
 from stopset.offline.plan.files import count
 from stopset.offline.plan.motion import Path
 from stopset.offline.plan.poses import APPROACH
-from stopset.offline.report import COLOURS, Page
+from stopset.offline.report.page import COLOURS, Page
 
 DRAWN = 600  # points of a curve: more cannot be seen
 SHOWN = 3  # motions of a part that are drawn, one after the other

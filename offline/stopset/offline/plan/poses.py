@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.errors import RobotError
-from stopset.offline.nominal.unknown import parameter_scale
+from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, heights
 from stopset.recording.types import Array
 from stopset.robot import Robot

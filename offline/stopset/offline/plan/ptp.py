@@ -79,7 +79,7 @@ def _fastest(robot: Robot, e: Envelope, start: Array, goal: Array) -> tuple[Arra
     import toppra
     from toppra import algorithm, constraint
 
-    toppra.setup_logging("ERROR")
+    toppra.setup_logging("CRITICAL")
     path = toppra.SplineInterpolator([0.0, 1.0], np.array([start, goal]))
 
     def inverse(q: Array, v: Array, a: Array) -> Array:

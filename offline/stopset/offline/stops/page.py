@@ -5,10 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stopset.artifact import Model
-from stopset.offline.report import COLOURS, Page
+from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, of_category, poses, seen, terms, up, worst
+from stopset.offline.stops.shown import (
+    NAMES,
+    QUANTITIES,
+    axis_name,
+    extrapolations,
+    joints_of,
+    lines,
+    of_category,
+    poses,
+    seen,
+    terms,
+    up,
+    worst,
+)  # fmt: skip
 from stopset.offline.stops.table import Row, holding
 from stopset.reach.stops import Category
 
@@ -21,8 +34,8 @@ def build_page(
 ) -> Page:  # fmt: skip
     """The page: verdict, worst stops, separation, pictures, measured stops, assumptions, then every row and pose."""
     page = Page(f"Stops of {model.robot.name}")
-    proved = sum(r.certified for r in rows)
-    rest = "" if proved == len(rows) else "; the others show no number, but the reason"
+    proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
+    rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
     page.verdict(
         f"{proved} of {len(rows)} stops proved for the assumptions below{rest}.", "good" if proved == len(rows) else ""
     )  # fmt: skip

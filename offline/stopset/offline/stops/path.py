@@ -11,22 +11,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
-from stopset.reach.stops import Ramp, StopBound
-from stopset.reach.stops.plant import Setting, setting_of
-from stopset.reach.stops.words import ramp_assumptions
-from stopset.robot.rigid import gravity_torque, link_frames, torque
+from stopset.reach.stops import Ramp, StopBound, StopBounds
+from stopset.reach.stops.plant import Setting, beyond_domain
+from stopset.reach.stops.words import NO_REST, UNSEEN, ramp_assumptions
+from stopset.robot.rigid import link_frames, torque
 
 Array = NDArray[np.float64]
 GRID = 60
 DENSE = 4  # times as many points in the check
 BISECTIONS = 18  # of the length: a quarter of a millionth of the path
+FARTHEST = 1e3  # [rad] of an angle: beyond, it is no angle
 RESERVE = 0.02  # share of the torque kept for what happens between grid points
 
 
@@ -41,13 +42,36 @@ class Path:
     length: float
     knots: Array
 
+    def __post_init__(self) -> None:
+        if not (0.0 < self.length < np.inf and np.all(np.diff(self.knots) > 0.0)):
+            raise NotCovered(
+                f"a path of length {self.length:g} with knots {np.array2string(self.knots, precision=3, threshold=8)}; expected a "
+                "positive length and knots that grow: give its points in the order they are passed"
+            )
+
     @classmethod
     def through(cls, waypoints: Array) -> Path:
-        """A cubic spline through ``waypoints`` (W, n) [rad], ``s`` being their number."""
+        """A cubic spline through ``waypoints`` (W, n) [rad], ``s`` being their number.
+
+        Raises `NotCovered` for fewer than two rows, angles that are none, and rows like the one before them.
+        """
         from scipy.interpolate import CubicSpline
 
-        if waypoints.ndim != 2 or len(waypoints) < 2 or not np.all(np.isfinite(waypoints)):
-            raise NotCovered(f"a path of shape {waypoints.shape}; expected at least two rows of finite angles")
+        if waypoints.ndim != 2 or len(waypoints) < 2:
+            raise NotCovered(f"a path of {len(waypoints)} rows; expected at least two rows of angles: give where the path leads")
+        bad = ~(np.abs(waypoints) <= FARTHEST)
+        if np.any(bad):
+            k, j = np.argwhere(bad)[0]
+            raise NotCovered(
+                f"row {k} of the path has the angle {waypoints[k, j]:g}; expected finite ones of at most {FARTHEST:g} rad: give every "
+                "angle in rad"
+            )
+        still = np.flatnonzero(np.all(waypoints[1:] == waypoints[:-1], axis=1))
+        if len(still):
+            raise NotCovered(
+                f"rows {still[0]} and {still[0] + 1} of the path are the same ({len(still)} of {len(waypoints) - 1} steps do not move); "
+                "expected every row to move a joint: leave out what repeats"
+            )
         spline = CubicSpline(np.arange(len(waypoints)), waypoints, axis=0, bc_type="natural" if len(waypoints) > 2 else "clamped")
         if len(waypoints) == 2:  # a straight line in joint space
             a, b = waypoints
@@ -78,45 +102,85 @@ class PathStop:
     bound: StopBound
 
 
-def path_stop(
-    model: Model, path: Path, s0: float, ds: float, ramp: Ramp, payload: tuple[float, float] | None = None,
-    extrapolate: bool = False,
-) -> PathStop:  # fmt: skip
-    """The shortest stop along ``path`` from ``s0`` at the rate ``ds`` [1/s], after the ramp's control delay.
+def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
+    """The shortest stop along ``path`` from ``s0`` at the rate ``ds`` [1/s], after the control delay of the bounds' ramp.
 
-    Raises `NotCovered` if the path leaves the limits, starts too fast for its drives, or cannot stop before its end.
+    The bound has no numbers where brakes do not surely hold the arm, as for any other stop, and where the way leads through
+    states outside the model's domain, unless these are to be extrapolated.
+    Raises `NotCovered` if the path leaves the limits, is too fast for them or for its drives, or cannot stop before its end.
     """
-    setting = setting_of(model, payload, None, extrapolate)
+    setting, ramp = bounds.setting, bounds.ramp
     if setting is None:
-        raise NotCovered("the model holds no brakes, so no stop ends held; give them in robot.json or identify them")
-    if not (0.0 <= s0 < path.length and ds > 0.0):
-        raise NotCovered(f"start s = {s0:g} at {ds:g} 1/s; expected 0 <= s < {path.length:g} and a positive rate")
+        raise NotCovered(
+            "the model holds no brakes, so no stop ends held; expected brakes: give them in robot.json or identify them"
+        )
+    if ramp is None:
+        raise NotCovered("no ramp says how late and how exactly the drives brake; expected one: state it (--ramp-time)")
+    if not (0.0 <= s0 < path.length and 0.0 < ds < np.inf):
+        raise NotCovered(
+            f"a path stop from row {s0:g} at {ds:g} rows per second; expected 0 <= row < {path.length:g} and a positive, finite rate: "
+            "give --path-start and --path-rate"
+        )
     begin = s0 + ds * float(np.max(ramp.control.hi))  # the arm goes on until the drives begin to brake
     if begin >= path.length:
-        raise NotCovered(f"the path ends before braking begins ({begin:.4g} of {path.length:.4g}); it starts too fast")
-    _check_limits(model, path, s0, ds)
+        raise NotCovered(
+            f"the path ends before braking begins (row {begin:.4g} of {path.length:.4g}); it starts too fast: give a lower --path-rate"
+        )
+    _check_limits(bounds.model, path, s0, ds)
     shortest, profile = _shortest(setting, path, begin, ds)
-    q, room = _dense(setting, path, begin, profile)
-    before = path.p(np.linspace(s0, begin, GRID), 0)
-    poses = np.vstack([before, q])
+    q, rates, room = _dense(setting, path, begin, profile)
+    early = np.linspace(s0, begin, GRID)
+    poses = np.vstack([path.p(early, 0), q])
+    speeds = np.vstack([path.p(early, 1) * ds, rates])
+    _check_speeds(bounds.model, speeds)
     time = float(np.max(ramp.control.hi)) + float(np.sum(2.0 * np.diff(profile[0]) / (profile[1][1:] + profile[1][:-1])))
     spacing = max(begin - s0, 0.0) / (GRID - 1), shortest / GRID / DENSE
     fastest = max(ds, float(profile[1].max()))
-    bound = _bound(model, setting, ramp, poses, time, max(spacing), fastest, path.steepest(s0, begin + shortest))
+    steepest = path.steepest(s0, begin + shortest)
+    bound = _judged(bounds, setting, ramp, poses, speeds, time, max(spacing), fastest, steepest)
     return PathStop(begin - s0 + shortest, time, poses, room, bound)
+
+
+def _judged(
+    bounds: StopBounds, setting: Setting, ramp: Ramp, poses: Array, speeds: Array, time: float, spacing: float, rate: float,
+    steepest: tuple[Array, Array],
+) -> StopBound:  # fmt: skip
+    """The bound, or why there is none: outside the domain, no time to rest known, not held."""
+    seen = (beyond_domain(bounds.model, q, v) for q, v in zip(poses, speeds, strict=True))
+    beyond = next((x for x in seen if x), None)
+    if beyond and not bounds.extrapolate_state:
+        return StopBound("1", False, f"not covered, the path leads there: {beyond}; {UNSEEN}", assumptions=setting.assumptions)
+    if ramp.after is None:
+        return StopBound("1", False, NO_REST, assumptions=setting.assumptions)
+    off = ramp.q_error + setting.noise.radius[: bounds.model.n]
+    margin = np.minimum(bounds.margin(poses[0], off), bounds.margin(poses[-1], off))
+    if margin.min() <= 0:
+        return bounds.refused_for("1", margin, poses[-1])
+    bound = _bound(bounds.model, setting, ramp, poses, time + ramp.after, spacing, rate, steepest)
+    return bounds.marked(replace(bound, holding_margin=margin), beyond)
 
 
 def _check_limits(model: Model, path: Path, s0: float, ds: float) -> None:
     s = np.linspace(s0, path.length, 400)
     q, limit = path.p(s, 0), model.robot.q_limit
-    if np.any(q < limit[:, 0]) or np.any(q > limit[:, 1]):
-        j = int(np.argmax(np.any((q < limit[:, 0]) | (q > limit[:, 1]), axis=0)))
-        raise NotCovered(f"the path takes {model.joints[j]} beyond its limits [{limit[j, 0]:.4g}, {limit[j, 1]:.4g}] rad")
-    v = np.abs(path.p(np.array([s0]), 1)[0] * ds)
-    if np.any(v > model.robot.dq_limit * (1 + 1e-9)):
+    inside = (q >= limit[:, 0]) & (q <= limit[:, 1])
+    if not np.all(inside):
+        j = int(np.argmin(np.all(inside, axis=0)))
+        raise NotCovered(
+            f"the path takes {model.joints[j]} to [{q[:, j].min():.4g}, {q[:, j].max():.4g}] rad, beyond its limits "
+            f"[{limit[j, 0]:.4g}, {limit[j, 1]:.4g}] rad; give a path within them"
+        )
+    _check_speeds(model, path.p(np.array([s0]), 1) * ds)
+
+
+def _check_speeds(model: Model, speeds: Array) -> None:
+    """Speeds (K, n) on the way against the data sheet's."""
+    v = np.abs(speeds).max(axis=0)
+    if not np.all(v <= model.robot.dq_limit * (1 + 1e-9)):
         j = int(np.argmax(v / model.robot.dq_limit))
         raise NotCovered(
-            f"the path starts too fast: {model.joints[j]} at {v[j]:.4g} rad/s, its limit is {model.robot.dq_limit[j]:.4g} rad/s"
+            f"the path is too fast: {model.joints[j]} at {v[j]:.4g} rad/s, its limit is {model.robot.dq_limit[j]:.4g} rad/s; give a "
+            "lower --path-rate"
         )
 
 
@@ -203,12 +267,15 @@ def _profile(setting: Setting, path: Path, begin: float, length: float, ds: floa
     return grid, np.asarray(sd, float)
 
 
-def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Array]) -> tuple[Array, float]:
-    """Poses along the stop, and the least torque left, `DENSE` times as finely as the grid. Raises `NotCovered` if negative."""
+def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Array]) -> tuple[Array, Array, float]:
+    """Poses and speeds along the stop, and the least torque left, `DENSE` times as finely as the grid.
+
+    Raises `NotCovered` if that is negative.
+    """
     s, sd = profile
     robot, plant = setting.model.robot, setting.plant
     x = sd**2
-    poses, left = [], np.inf
+    poses, speeds, left = [], [], np.inf
     for k in range(len(s) - 1):
         acceleration = (x[k + 1] - x[k]) / (2.0 * (s[k + 1] - s[k]))
         for here in np.linspace(s[k], s[k + 1], DENSE, endpoint=False):
@@ -220,10 +287,12 @@ def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Arr
                 tau = torque(robot.chain, pi, q, v, a) + plant.rotor * a
                 left = min(left, float(np.min(robot.torque_limit - np.abs(tau) - _friction(setting, v))))
             poses.append(q)
+            speeds.append(v)
     poses.append(path.p(np.array([begin + s[-1]]), 0)[0])
+    speeds.append(np.zeros(robot.n))
     if left < 0.0:
         raise NotCovered(f"between its grid points the stop asks {-left:.3g} N m more than a drive has: not credible; slow down")
-    return np.array(poses), left
+    return np.array(poses), np.array(speeds), left
 
 
 def _bound(
@@ -259,7 +328,7 @@ def _bound(
         back=np.maximum(-travel.min(axis=0), 0.0) + between + ramp.q_error,
         speed=rate * first + ramp.dq_error, tcp=float(far[-1]), tcp_speed=float(speed[-1]),
         tcp_box=np.stack([way[:, -1].min(axis=0) - slack, way[:, -1].max(axis=0) + slack], axis=1),
-        links=far[:-1], link_speed=speed[:-1], holding_margin=_held(setting, poses), layer="ramp",
+        links=far[:-1], link_speed=speed[:-1], layer="ramp",
         assumptions=(
             *setting.assumptions, *ramp_assumptions(ramp, "1"),
             "the arm stays on its programmed path within the tracking error, braking as hard as the weakest drive allows",
@@ -272,11 +341,3 @@ def _ends(model: Model, setting: Setting, q: Array) -> Array:
     chain = model.robot.chain
     R, o = link_frames(chain, q)
     return np.array([*o[1:], o[-1] + R[-1] @ model.robot.tip, o[-1] + R[-1] @ setting.payload_com])
-
-
-def _held(setting: Setting, poses: Array) -> Array:
-    """(n,) [N m]: least holding margin where the path stop ends."""
-    p = setting.plant
-    g = [gravity_torque(p.chain, p.pi + s * p.pi_half, poses[-1]) for s in (-1.0, 1.0)]
-    low, high = np.minimum(*g) - p.u_hi, np.maximum(*g) - p.u_lo
-    return np.asarray(p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high)))

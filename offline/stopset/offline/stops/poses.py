@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.robot import Robot
 from stopset.robot.rigid import Chain, gravity_torques, link_frames
+from stopset.sets import Box
 
 Array = NDArray[np.float64]
 SAMPLES = 6000
@@ -17,33 +17,30 @@ SWEEPS = 40  # of coordinate ascent
 SLACK = 0.02  # of the full reach: poses this close to the wanted extension count
 
 
-@njit(cache=True)
 def _radii(chain: Chain, q: Array, tip: Array) -> Array:
     """Distance of the tool centre point from the first axis [m], for rows of ``q``."""
-    out = np.empty(q.shape[0])
-    n = q.shape[1]
-    for k in range(q.shape[0]):
-        R, o = link_frames(chain, q[k])
-        z = R[0] @ chain.axis[0]
-        d = o[n - 1] + R[n - 1] @ tip - o[0]
-        along = z[0] * d[0] + z[1] * d[1] + z[2] * d[2]
-        out[k] = np.sqrt(max(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 - along**2, 0.0))
-    return out
+    R, o = link_frames(chain, q)
+    z = R[0, 0] @ chain.axis[0]  # which turns about itself alone
+    d = o[:, -1] + R[:, -1] @ tip - o[:, 0]
+    return np.asarray(np.sqrt(np.maximum((d**2).sum(axis=1) - (d @ z) ** 2, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Poses of an arm by extension: ``q`` (N, n) sorted arbitrarily, ``extension`` (N,) share of the full reach."""
+    """Poses of an arm by extension: ``q`` (N, n) sorted arbitrarily, ``extension`` (N,) share of the full reach; ``seen`` (N,):
+    whether the model's recordings hold them."""
 
     robot: Robot
     tip: Array
     reach: float  # [m] largest distance of the tool centre point from the first axis
     q: Array
     extension: Array
+    seen: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, robot: Robot, tip: Array, seed: int = 1) -> Poses:
-        """Random poses within the limits, and the fully stretched ones found from the best of them."""
+    def of(cls, robot: Robot, tip: Array, domain: Box, seed: int = 1) -> Poses:
+        """Random poses within the limits, as many within the ``domain`` of angles where that is narrower, and the fully stretched
+        ones found from the best of them."""
         rng = np.random.default_rng(seed)
         lo, hi = np.maximum(robot.q_limit[:, 0], -np.pi), np.minimum(robot.q_limit[:, 1], np.pi)
         q = rng.uniform(lo, hi, (SAMPLES, robot.n))
@@ -51,12 +48,24 @@ class Poses:
         radius = _radii(robot.chain, q, tip)
         best = _stretched(robot, q[np.argsort(radius)[-12:]], lo, hi, tip)
         q = np.vstack([q, best])
+        inner_lo, inner_hi = np.maximum(lo, domain.lo), np.minimum(hi, domain.hi)
+        if np.any(inner_lo > lo) or np.any(inner_hi < hi):
+            share = rng.uniform(0.0, 1.0, (SAMPLES, robot.n))
+            inner = inner_lo + share * np.maximum(inner_hi - inner_lo, 0.0)
+            top = inner[np.argsort(_radii(robot.chain, inner, tip))[-12:]]
+            q = np.vstack([q, inner, _stretched(robot, top, inner_lo, np.maximum(inner_hi, inner_lo), tip)])
         radius = _radii(robot.chain, q, tip)
-        return cls(robot, tip, float(radius.max()), q, radius / radius.max())
+        seen = np.all((q >= domain.lo) & (q <= domain.hi), axis=1)
+        return cls(robot, tip, float(radius.max()), q, radius / radius.max(), seen)
 
     def worst_for(self, joint: int, extension: float, pi: Array) -> Array:
-        """The pose near an extension (share of the reach) where gravity loads ``joint`` most; ``pi``: with payload."""
+        """The pose near an extension (share of the reach) where gravity loads ``joint`` most; ``pi``: with payload.
+
+        Of those that recordings hold, where there are any near the extension.
+        """
         near = np.abs(self.extension - extension) <= SLACK
+        if np.any(near & self.seen):
+            near &= self.seen
         if not np.any(near):
             near = np.abs(self.extension - extension) <= np.abs(self.extension - extension).min() + SLACK
         candidates = self.q[near]

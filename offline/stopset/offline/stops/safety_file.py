@@ -5,11 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stopset.artifact import Model
-from stopset.offline.report import DISCLAIMER
+from stopset.offline.report.page import DISCLAIMER
+from stopset.offline.report.pdf import PICTURE, Document, Plot
 from stopset.offline.stops.measured import Measured
-from stopset.offline.stops.pdf import PICTURE, Document, Plot
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.shown import NAMES, QUANTITIES, axis_name, joints_of, lines, of_category, poses, seen, terms, up, worst
+from stopset.offline.stops.shown import (
+    NAMES,
+    QUANTITIES,
+    axis_name,
+    extrapolations,
+    joints_of,
+    lines,
+    of_category,
+    poses,
+    seen,
+    terms,
+    up,
+    worst,
+)  # fmt: skip
 from stopset.offline.stops.table import Row, holding
 
 
@@ -23,6 +36,9 @@ def build_pdf(
     doc.heading(f"Stops of {model.robot.name}", 16.0)
     doc.text(f"Model {model.sha256[:16] or 'unsaved'}. {model.guarantee.text}")
     doc.text(DISCLAIMER)
+    beyond = extrapolations(rows)
+    if beyond:
+        doc.text(beyond)
     doc.heading("Worst stops")
     head = ("category", "axis", "time s", "angle rad", "TCP m", "proved")
     doc.table(head, list(worst(rows)), (2, 3, 1.2, 1.2, 1.2, 1.5))

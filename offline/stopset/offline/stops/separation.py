@@ -25,12 +25,14 @@ ASKED = {
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """A distance [m] and the terms it is the sum of: (symbol, value, unit, what it is); ``category``: of the stop."""
+    """A distance [m] and the terms it is the sum of: (symbol, value, unit, what it is); ``category``: of the stop;
+    ``extrapolated``: whether its stops are bounded beyond what recordings have seen."""
 
     standard: str
     distance: float
     terms: tuple[tuple[str, float, str, str], ...]
     category: str = ""
+    extrapolated: bool = False
 
 
 def _complete(given: Mapping[str, float | None], needed: tuple[str, ...]) -> dict[str, float]:

@@ -63,18 +63,31 @@ def of_category(rows: Sequence[Row], category: Category) -> list[Row]:
 
 
 def worst(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
-    """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved."""
+    """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved or extrapolated."""
     for category in dict.fromkeys(r.category for r in rows):
         for joint in joints_of(rows, category):
             mine = [r for r in rows if r.category == category and r.joint == joint]
-            good = [r for r in mine if r.certified]
+            good = [r for r in mine if r.answered]
+            beyond = sum(bool(r.extrapolated) for r in mine)
+            proved = f"{sum(r.certified for r in mine)} of {len(mine)}"
             if len(good) == len(mine):
                 numbers = [up(max(x), d) for x, d in (
                     ([r.time_s or 0.0 for r in good], 3), ([r.angle_rad or 0.0 for r in good], 3), ([r.tcp_m or 0.0 for r in good], 3)
                 )]  # fmt: skip
             else:
                 numbers = ["-", "-", "-"]
-            yield category, axis_name(joint), *numbers, f"{len(good)} of {len(mine)}"
+            yield category, axis_name(joint), *numbers, f"{proved}, {beyond} EXTRAPOLATED" if beyond else proved
+
+
+def extrapolations(rows: Sequence[Row]) -> str:
+    """One sentence where rows have numbers beyond what recordings have seen, else empty."""
+    said = list(dict.fromkeys(r.extrapolated.split(":")[0].split(",")[0] for r in rows if r.extrapolated))
+    count = sum(bool(r.extrapolated) for r in rows)
+    return (
+        f"{' and '.join(said)}: {count} of {len(rows)} rows have numbers that no recording supports; not certified"
+        if said
+        else ""
+    )
 
 
 def up(x: float, digits: int) -> str:
@@ -90,7 +103,8 @@ def terms(separations: Sequence[Separation]) -> Iterator[tuple[str, tuple[str, .
         for k, (symbol, _, unit, what) in enumerate(mine[0].terms):
             rows.append((symbol, *(f"{s.terms[k][1]:.4g}" for s in mine), unit, what))
         rows.append(("S", *(up(s.distance, 3) for s in mine), "m", "separation distance, rounded up"))
-        yield standard, ("term", *(f"STOP {s.category}" for s in mine), "unit", "what"), rows
+        heads = (f"STOP {s.category}{' EXTRAPOLATED' if s.extrapolated else ''}" for s in mine)
+        yield standard, ("term", *heads, "unit", "what"), rows
 
 
 def poses(rows: Sequence[Row], model: Model) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -21,17 +21,21 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
-from stopset.reach.stops.plant import OUTSIDE, beyond_payload
+from stopset.reach.stops.plant import HEAVIEST, OUTSIDE, beyond_payload
 
 Array = NDArray[np.float64]
 SHARES = (33, 66, 100)
 PIECES = 64
+LIGHTEST = 1e-3  # [kg] of a rated payload
 LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table. ``joint``: the axis, or several joined by '+'; None where nothing can be proved."""
+    """One line of a table. ``joint``: the axis, or several joined by '+'; numbers are None where nothing can be proved.
+
+    ``extrapolated``: where filled, the numbers are beyond what recordings have seen, as it says, and not certified.
+    """
 
     category: Category
     joint: str
@@ -51,14 +55,22 @@ class Row:
     far_speed: float | None = None  # [m/s] the fastest of them
     margin: tuple[float, ...] = ()  # [N m] holding margin of each joint
     fallback: tuple[float, float] | None = None  # STOP 2: (rad, s) that a STOP 0 adds if the standstill window is left
+    extrapolated: str = ""
+    assumptions: tuple[str, ...] = ()  # of this row
+
+    @property
+    def answered(self) -> bool:
+        """Whether there are numbers, certified or extrapolated."""
+        return self.time_s is not None
 
     def as_json(self) -> dict[str, Any]:
-        """With the keys that others rely on."""
+        """With the keys that others rely on; an extrapolated row says so, with what it rests on."""
         keys = (
             "category", "joint", "speed_percent", "payload_percent", "extension_percent", "time_s", "angle_rad", "tcp_m",
             "certified", "why",
         )  # fmt: skip
-        return {k: getattr(self, k) for k in keys}
+        told = {k: getattr(self, k) for k in keys}
+        return told | {"extrapolated": True, "assumptions": list(self.assumptions)} if self.extrapolated else told
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +83,7 @@ class Question:
     payload_com: Array | None = None
     rated: float | None = None  # [kg] what 100 % payload means, default the largest of the model's domain
     extrapolate: bool = False  # payloads beyond the domain are computed and marked, else refused
+    extrapolate_state: bool = False  # and so are angles and speeds beyond it, else not covered
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +97,9 @@ class Table:
 
 
 def top_speed(model: Model) -> Array:
-    """(n,) [rad/s]: 100 % speed: the robot's limit, or the fastest the model has seen if that is less (trap P25)."""
-    seen = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
+    """(n,) [rad/s]: 100 % speed: the robot's limit, or the fastest seen in both directions if that is less (trap P25)."""
+    back, ahead = np.maximum(-model.domain.dq.lo, 0.0), np.maximum(model.domain.dq.hi, 0.0)
+    seen = np.where((back > 0) & (ahead > 0), np.minimum(back, ahead), np.maximum(back, ahead))
     return np.minimum(model.robot.dq_limit, np.where(seen > 0, seen, np.inf))
 
 
@@ -93,6 +107,10 @@ def loads(model: Model, question: Question) -> list[tuple[float, float]]:
     """(percent, kg) of the payloads of a table. Raises `NotCovered` beyond the model's domain, unless extrapolated."""
     lo, hi = model.domain.payload
     top = hi if question.rated is None else question.rated
+    if question.rated is not None and not LIGHTEST <= question.rated <= HEAVIEST:
+        raise NotCovered(
+            f"a rated payload of {question.rated:g} kg; expected {LIGHTEST:g} to {HEAVIEST:g} kg: give what 100 % payload means in kg"
+        )
     if question.payload is not None:
         chosen = [(100.0 * question.payload / top if top > 0 else 100.0 * (question.payload > 0), question.payload)]
     elif top <= 0:
@@ -100,8 +118,10 @@ def loads(model: Model, question: Question) -> list[tuple[float, float]]:
     else:
         chosen = [(float(s), max(lo, top * s / 100.0)) for s in SHARES]
     for _, kg in chosen:
-        if not 0.0 <= kg < np.inf:
-            raise NotCovered(f"a payload of {kg:g} kg; expected a finite mass of at least 0 kg")
+        if not 0.0 <= kg <= HEAVIEST:
+            raise NotCovered(
+                f"a payload of {kg:g} kg; expected a mass of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
+            )
         if not (question.extrapolate or lo - 1e-9 <= kg <= hi + 1e-9):
             raise NotCovered(beyond_payload(kg, kg, (lo, hi)))
     return chosen
@@ -116,7 +136,8 @@ def prepared(model: Model, kg: float, question: Question) -> StopBounds:
     else:
         between = kg * (1.0 - LOAD_TOLERANCE), kg * (1.0 + LOAD_TOLERANCE)
     return StopBounds.of(
-        model, between, question.payload_com, question.ramp, pieces=PIECES, extrapolate=question.extrapolate
+        model, between, question.payload_com, question.ramp, pieces=PIECES, extrapolate=question.extrapolate,
+        extrapolate_state=question.extrapolate_state,
     )  # fmt: skip
 
 
@@ -144,7 +165,7 @@ def _tip(model: Model, q: Array, tip: Array) -> Array:
 def stop_table(model: Model, question: Question, progress: Callable[[Sequence[Any], str], Iterator[Any]]) -> Table:
     """The whole table; ``progress(items, what)`` passes the items through and may tell how far it is."""
     tip = model.robot.tip if question.payload_com is None else question.payload_com
-    poses = Poses.of(model.robot, tip)
+    poses = Poses.of(model.robot, tip, model.domain.q)
     speed = top_speed(model)
     axes = three_axes(model, poses, speed)
     rows: list[Row] = []
@@ -162,7 +183,7 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
         bounds = ready.setdefault(kg, prepared(model, kg, question))
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
-        outside |= {model.joints[j] for j in np.nonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))[0]}
+        outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
         for share in SHARES:
             told = _worst_direction(bounds, q, group, speed * share / 100.0, question.categories)
             for bound, dq in told:
@@ -178,10 +199,14 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
             "no recording carried a payload, so every row is without; --rated-payload KG --extrapolate-payload computes 33/66/100 % of it",
         )
     if outside:
-        assumptions += (
-            f"EXTRAPOLATED POSES: {', '.join(sorted(outside))} lie outside the angles of the recordings in some test poses; there the "
-            f"rigid body is computed, and friction and U are taken not to change",
+        names = ", ".join(sorted(outside))
+        what = (
+            f"EXTRAPOLATED POSES: {names} lie outside the angles of the recordings in some test poses; there the rigid body is computed, "
+            "and friction and U are taken not to change"
+            if question.extrapolate_state
+            else f"no recording shows {names} at the angles of some test poses: those are not covered"
         )
+        assumptions += (what,)
     return Table(tuple(rows), assumptions, speed, poses.reach)
 
 
@@ -211,10 +236,6 @@ def _row(
     extension: float,
 ) -> Row:  # fmt: skip
     angle = bound.angle
-    lo, hi = model.domain.payload
-    why = bound.why
-    if bound.certified and not lo - 1e-9 <= kg <= hi + 1e-9:
-        why = "; ".join(x for x in (why, f"payload extrapolated beyond the identified {lo:g} to {hi:g} kg") if x)
     far = bound.tcp if bound.tcp is None or bound.links is None else max(bound.tcp, float(bound.links.max()))
     fast = bound.tcp_speed
     if fast is not None and bound.link_speed is not None:
@@ -225,8 +246,9 @@ def _row(
         time_s=None if bound.time is None else _up(float(bound.time.max())),
         angle_rad=None if angle is None else _up(float(angle[list(group)].max())),
         tcp_m=None if bound.tcp is None else _up(bound.tcp), tcp_speed=bound.tcp_speed, certified=bound.certified,
-        why=why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
+        why=bound.why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
         margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)), fallback=bound.fallback,
+        extrapolated=bound.extrapolated if bound.time is not None else "", assumptions=bound.assumptions,
     )  # fmt: skip
 
 
@@ -238,19 +260,19 @@ def _up(x: float, digits: int = 6) -> float:
 def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list[Row], dict[Category, StopBound]]:
     """Rows for one pose and the speeds of all axes at once: one per joint and category, and the bounds behind them.
 
-    Raises `NotCovered` for a pose beyond the limits or a payload outside the domain.
+    Raises `NotCovered` for a state beyond the data sheet's limits or a payload outside the domain.
     """
-    limit = top_speed(model)
-    if np.any(np.abs(dq) > limit * (1 + 1e-9)):
-        j = int(np.argmax(np.abs(dq) / limit))
-        sheet = limit[j] >= model.robot.dq_limit[j]
-        what = "its limit of" if sheet else "what its recordings have seen (not covered by the model),"
-        raise NotCovered(f"{model.joints[j]} at {dq[j]:.4g} rad/s is beyond {what} {limit[j]:.4g} rad/s; give a speed within it")
+    limit, sheet = top_speed(model), model.robot.dq_limit
+    if np.any(np.abs(dq) > sheet * (1 + 1e-9)):
+        j = int(np.argmax(np.abs(dq) / sheet))
+        raise NotCovered(
+            f"{model.joints[j]} at {dq[j]:.4g} rad/s is beyond its limit of {sheet[j]:.4g} rad/s; give a speed within it"
+        )
     tip = model.robot.tip if question.payload_com is None else question.payload_com
     percent, kg = loads(model, question)[-1]
     bounds = prepared(model, kg, question)
     told = {c: bounds.bound(q, dq, c) for c in question.categories}
-    extension = 100.0 * Poses.of(model.robot, tip).extension_of(q)
+    extension = 100.0 * Poses.of(model.robot, tip, model.domain.q).extension_of(q)
     rows = []
     for bound in told.values():
         for j in range(model.n):
@@ -271,12 +293,13 @@ def along_path(
 
     percent, kg = loads(model, question)[-1]
     ready = prepared(model, kg, question)
-    ramp = ready.ramp or Ramp.stated(model.n, time=1.0)  # only its control delay and tracking errors count here
+    # of a ramp only its control delay, tracking errors and settling count here
+    ready = replace(ready, ramp=ready.ramp or Ramp.stated(model.n, time=1.0))
     path = Path.through(waypoints)
-    lo, hi = ready.setting.payload if ready.setting is not None else (kg, kg)
-    found = path_stop(model, path, start, rate, ramp, (lo, hi), question.extrapolate)
+    found = path_stop(ready, path, start, rate)
     q, dq = path.p(np.array([start]), 0)[0], path.p(np.array([start]), 1)[0] * rate
-    extension = 100.0 * Poses.of(model.robot, model.robot.tip).extension_of(q)
+    tip = model.robot.tip if question.payload_com is None else question.payload_com
+    extension = 100.0 * Poses.of(model.robot, tip, model.domain.q).extension_of(q)
     limit = top_speed(model)
     rows = [
         replace(_row(model, found.bound, [j], q, dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension), speed=float(dq[j]))
@@ -307,12 +330,12 @@ def as_csv(rows: Sequence[Row]) -> str:
     out = csv.writer(text, lineterminator="\n")
     out.writerow(
         ["category", "joint", "speed [%]", "speed [rad/s]", "payload [%]", "payload [kg]", "extension [%]", "time [s]",
-         "angle [rad]", "TCP [m]", "TCP speed [m/s]", "certified", "why", "pose [rad]", "holding margin [N m]"]
+         "angle [rad]", "TCP [m]", "TCP speed [m/s]", "certified", "why", "pose [rad]", "holding margin [N m]", "extrapolated"]
     )  # fmt: skip
     for r in rows:
         out.writerow(
             [r.category, r.joint, r.speed_percent, r.speed, r.payload_percent, r.payload, r.extension_percent, r.time_s,
              r.angle_rad, r.tcp_m, r.tcp_speed, r.certified, r.why, " ".join(f"{x:.4f}" for x in r.pose),
-             " ".join(f"{x:.2f}" for x in r.margin)]
+             " ".join(f"{x:.2f}" for x in r.margin), r.extrapolated]
         )  # fmt: skip
     return text.getvalue()

@@ -17,14 +17,14 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.effects import names
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable
-from stopset.offline.compare import answer, check_effort, compare
-from stopset.offline.compare_page import page as compare_page
+from stopset.offline.compare.compare import answer, check_effort, compare
+from stopset.offline.compare.page import page as compare_page
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose.page import page as diagnose_page
-from stopset.offline.history_page import FIGURES
-from stopset.offline.history_page import page as history_page
-from stopset.offline.report import DISCLAIMER, Page
-from stopset.offline.revise import add
+from stopset.offline.report.page import DISCLAIMER, Page
+from stopset.offline.revise.page import FIGURES
+from stopset.offline.revise.page import page as history_page
+from stopset.offline.revise.revise import add
 from stopset.recording import read_recordings, stream_recordings
 
 Answer = dict[str, Any]

@@ -1,0 +1,160 @@
+"""The compensation of eq. (11) as the compiled core computes it: a model's laws on tape, and what they look at.
+
+Each law is recorded once, with its parameters' values in it, and then played for every sample, here, in the monitor and in
+the FMU alike.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.library import check, ffi, given, lib, view
+from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.registry import get
+from stopset.errors import EffectError
+from stopset.ring import Tape
+from stopset.robot.rigid import torques
+
+if TYPE_CHECKING:
+    from stopset.artifact.inputs import InputMap
+
+Array = NDArray[np.float64]
+# numbers of the signals a law may look at, in the order of the core's inputs.h; pairs of tilt, ten of tip, then the states
+SIGNALS = (
+    "q", "dq", "ddq", "way", "load", "tau", "dtau", "link", "temp", "warm", "t", "stiff", "inertia", "coriolis", "dq_other",
+)  # fmt: skip
+TILT, TIP, MEMORY = len(SIGNALS), len(SIGNALS) + 2, len(SIGNALS) + 12
+RIGID = {
+    "load": lib.STOPSET_NEEDS_LOAD, "coriolis": lib.STOPSET_NEEDS_LOAD | lib.STOPSET_NEEDS_LINK, "tau": lib.STOPSET_NEEDS_LINK,
+    "link": lib.STOPSET_NEEDS_LINK, "stiff": lib.STOPSET_NEEDS_STIFF, "inertia": lib.STOPSET_NEEDS_INERTIA,
+    "tilt": lib.STOPSET_NEEDS_TILT, "tip": lib.STOPSET_NEEDS_TIP,
+}  # fmt: skip
+
+
+def _signals(tape: Tape, states: int) -> Signals:
+    named = {name: tape.signal(k) for k, name in enumerate(SIGNALS)}
+    return Signals(
+        **named, tilt=tuple(tape.signal(TILT + k) for k in range(2)), tip=tuple(tape.signal(TIP + k) for k in range(10)),
+        memory=tuple(tape.signal(MEMORY + k) for k in range(states)),
+    )  # fmt: skip
+
+
+@dataclass(slots=True)
+class Kept:
+    """C structs, and what they point at."""
+
+    held: list[Any]
+
+    def array(self, x: Any, dtype: Any = np.float64) -> Any:
+        """A pointer to the numbers of ``x``, a copy of them where they are not contiguous."""
+        return self.shared(np.ascontiguousarray(x, dtype))
+
+    def shared(self, x: NDArray[Any]) -> Any:
+        """A pointer to the memory of ``x`` itself, which lives as long as this."""
+        kind = {"f8": "double *", "i4": "int32_t *", "i8": "int64_t *", "u1": "uint8_t *", "b1": "uint8_t *"}[x.dtype.str[1:]]
+        self.held.append(ffi.from_buffer(x))
+        return ffi.cast(kind, self.held[-1])
+
+    def program(self, effect: Effect, values: Mapping[str, float], rate: bool = False) -> tuple[int, Any, Any]:
+        """``StopsetProgram`` of an effect's torque, or of its (only) state's rate; raises `EffectError` where it has no steps."""
+        tape = Tape()
+        try:
+            s = _signals(tape, len(effect.states))
+            steps, numbers = tape.finished(effect.rates(s, values)[0] if rate else effect.torque(s, values))
+        except (TypeError, ValueError, AttributeError) as e:
+            raise EffectError(
+                f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
+                "functions of stopset.ring: write it with those"
+            ) from e
+        return len(steps), self.array(steps, np.int32), self.array(numbers)
+
+
+def places(f: Fitted, effect: Effect, joints: Sequence[str]) -> list[tuple[int, int]]:
+    """(joint, partner or -1) of every torque of a fitted effect."""
+    if effect.scope == "arm" or f.joint is None:
+        return [(j, -1) for j in range(len(joints))]
+    names = f.joint.split("+")
+    i = joints.index(names[0])
+    if effect.scope != "pair":
+        return [(i, -1)]
+    k = joints.index(names[1]) if len(names) > 1 else min(i + 1, len(joints) - 1)
+    return [(i, k), (k, i)]
+
+
+@dataclass(frozen=True, slots=True)
+class Taped:
+    """``StopsetInputs`` of an `InputMap`; ``first``: column of the first state of each effect with memory, by its place."""
+
+    struct: Any
+    kept: Kept
+    first: Mapping[int, int]
+    columns: int
+    uses_dtau: bool
+
+    @classmethod
+    def of(cls, m: InputMap) -> Taped:
+        """Raises `EffectError` for a law that cannot be taken apart."""
+        kept, laws, first, columns, needs = Kept([]), [], {}, 0, set()
+        for k, f in enumerate(m.effects):
+            effect = get(f.effect)
+            needs |= set(effect.needs)
+            if effect.states:
+                if len(effect.states) > lib.STOPSET_MEMORIES:
+                    raise EffectError(
+                        f"effect {f.label} has {len(effect.states)} states; expected {lib.STOPSET_MEMORIES} at most"
+                    )
+                first[k], columns = columns, columns + len(effect.states)
+            program = kept.program(effect, f.values)
+            laws += [(j, other, first.get(k, 0), len(effect.states), program) for j, other in places(f, effect, m.robot.joints)]
+        c, table = m.robot.chain, ffi.new("StopsetLaw[]", laws or 1)
+        arm = (m.robot.n, *(kept.array(x) for x in (c.R, c.p, c.axis, c.gravity, m.robot.pi)))
+        mask = 0
+        for name in needs:
+            mask |= RIGID.get(name, 0)
+        if "dtau" in needs:
+            mask |= lib.STOPSET_NEEDS_LINK
+        struct = ffi.new("StopsetInputs *", (
+            arm, int(m.effort != "compensated_torque"), mask, columns, len(laws), table,
+            kept.array(m.gain), kept.array(m.offset), kept.array(m.standstill), REFERENCE_TEMPERATURE,
+        ))  # fmt: skip
+        kept.held += [table]
+        return cls(struct, kept, first, columns, "dtau" in needs)
+
+    def __call__(
+        self, m: InputMap, q: Array, dq: Array, tau: Array, temp: Array | None, warm: float, t: Array | None,
+        memories: Mapping[int, tuple[Array, ...]],
+    ) -> Array:  # fmt: skip
+        """``u`` (N, n) [N m], see `InputMap.__call__`."""
+        n = m.robot.n
+        if q.shape != dq.shape or q.shape != tau.shape or q.shape[1:] != (n,) or (temp is not None and temp.shape != q.shape):
+            raise ValueError(f"samples of shapes {q.shape}, {dq.shape}, {tau.shape} for {n} joints; expected one shape (N, {n})")
+        states = np.zeros((len(q), self.columns))
+        for k, at in self.first.items():
+            for i, z in enumerate(memories[k]):
+                states[:, at + i] = z
+        dtau = None
+        if self.uses_dtau and t is not None and len(t) > 1:
+            dtau = np.gradient(torques(m.robot.chain, m.robot.pi, q, dq, np.zeros_like(q)), t, axis=0)
+        arrays = [None if x is None else given(x) for x in (q, dq, tau, temp, dtau, t, states)]
+        samples = ffi.new("StopsetSamples *", (*(ffi.NULL if x is None else view(x) for x in arrays), warm))
+        u = np.empty(q.shape)
+        check(lib.stopset_inputs(self.struct, len(q), samples, view(u)))
+        return u
+
+
+_recent: deque[tuple[InputMap, Taped]] = deque(maxlen=8)
+
+
+def taped(m: InputMap) -> Taped:
+    """The `Taped` of a map, recorded once."""
+    for seen, it in _recent:
+        if seen is m:
+            return it
+    _recent.appendleft((m, Taped.of(m)))
+    return _recent[0][1]

@@ -1,0 +1,64 @@
+/* Effects' laws, played step by step: one law for arrays, monitor and FMU, without a compiler where it is registered.
+ *
+ * The steps are those of stopset.ring.tape, in the order of the law's own operators, one rounding each.
+ */
+#include "law.h"
+
+#include <math.h>
+
+#include "maths.h"
+
+/* in the order of stopset.ring.tape */
+enum { CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, SIN, COS, EXP, TANH, MINIMUM, MAXIMUM };
+
+#define EACH(expression) \
+    for (int k = 0; k < rows; k++) z[k] = (expression); \
+    break
+
+void stopset_play(const StopsetProgram *law, const double (*signals)[ROWS], int rows, double *out) {
+    double r[STEPS][ROWS];
+    const int length = law->length < STEPS ? law->length : STEPS;
+    for (int i = 0; i < length; i++) {
+        const int32_t *step = law->steps + 3 * i;
+        double *z = r[i];
+        if (step[0] == CONSTANT) {
+            for (int k = 0; k < rows; k++) z[k] = law->numbers[step[1]];
+            continue;
+        }
+        if (step[0] == SIGNAL) {
+            for (int k = 0; k < rows; k++) z[k] = signals[step[1]][k];
+            continue;
+        }
+        const double *x = r[step[1]], *y = r[step[2]];
+        switch (step[0]) {
+        case ADD: EACH(x[k] + y[k]);
+        case SUB: EACH(x[k] - y[k]);
+        case MUL: EACH(x[k] * y[k]);
+        case DIV: EACH(x[k] / y[k]);
+        case NEG: EACH(-x[k]);
+        case ABSOLUTE: EACH(x[k] < 0.0 ? -x[k] : x[k]);
+        case SIGN: EACH(x[k] != x[k] ? x[k] : (double)((x[k] > 0.0) - (x[k] < 0.0)));
+        case SQUARE: EACH(x[k] * x[k]);
+        case SQRT: EACH(sqrt(x[k]));
+        case SIN: EACH(stopset_sin(x[k]));
+        case COS: EACH(stopset_cos(x[k]));
+        case EXP: EACH(stopset_exp(x[k]));
+        case TANH: EACH(stopset_tanh(x[k]));
+        /* what is not a number stays so, on either side */
+        case MINIMUM: EACH(x[k] != x[k] || x[k] < y[k] ? x[k] : y[k]);
+        default: EACH(x[k] != x[k] || x[k] > y[k] ? x[k] : y[k]);
+        }
+    }
+    for (int k = 0; k < rows; k++) out[k] = length > 0 ? r[length - 1][k] : 0.0;
+}
+
+int stopset_law(const StopsetProgram *law, int64_t N, const double *signals, double *out) {
+    double block[STOPSET_SIGNALS][ROWS];
+    for (int64_t k = 0; k < N; k += ROWS) {
+        const int rows = N - k < ROWS ? (int)(N - k) : ROWS;
+        for (int s = 0; s < STOPSET_SIGNALS; s++)
+            for (int i = 0; i < rows; i++) block[s][i] = signals[s * N + k + i];
+        stopset_play(law, (const double(*)[ROWS])block, rows, out + k);
+    }
+    return STOPSET_OK;
+}

@@ -1,0 +1,70 @@
+"""The loaded core, and how arrays go in and out of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.build import HERE, library_name
+from stopset.errors import StopsetError
+
+try:
+    from stopset.core import _binding
+except ImportError as e:  # a clone that was never installed
+    raise ImportError(
+        "the compiled core of stopset is missing beside stopset/core; expected it from the installation: "
+        "run pip install -e . (or python -m stopset.core.build) in the clone"
+    ) from e
+
+Array = NDArray[np.float64]
+ffi: Any = _binding.ffi
+lib: Any = ffi.dlopen(str(HERE / library_name()))
+_DOUBLES, _INTEGERS, _FLAGS = (ffi.typeof(f"{kind}[]") for kind in ("double", "int64_t", "uint8_t"))
+REASONS = {
+    lib.STOPSET_OUT_OF_RANGE: "a place outside its array; expected one within: please report this",
+    lib.STOPSET_TOO_MANY_JOINTS: f"the arm has too many joints; expected 1 to {lib.STOPSET_JOINTS}: "
+    "describe the chain that is monitored alone",
+}
+
+
+def view(x: Array) -> Any:
+    """The memory of ``x`` for a call: C-contiguous doubles, seen and not copied (what is not is refused by cffi)."""
+    if x.dtype != np.float64:
+        raise TypeError(f"array of {x.dtype}; expected float64")
+    return ffi.from_buffer(_DOUBLES, x)
+
+
+def integers(x: NDArray[np.int64]) -> Any:
+    """`view` of whole numbers."""
+    if x.dtype != np.int64:
+        raise TypeError(f"array of {x.dtype}; expected int64")
+    return ffi.from_buffer(_INTEGERS, x)
+
+
+def flags(x: NDArray[np.bool_]) -> Any:
+    """`view` of true and false."""
+    if x.dtype != np.bool_:
+        raise TypeError(f"array of {x.dtype}; expected bool")
+    return ffi.from_buffer(_FLAGS, x)
+
+
+def given(x: Array) -> Array:
+    """``x`` as contiguous doubles, copied only if it is not."""
+    return np.ascontiguousarray(x, np.float64)
+
+
+def check(code: int) -> None:
+    """Raise `StopsetError` for a code that is not 0."""
+    if code:
+        raise StopsetError(REASONS[code])
+
+
+def maths(name: str, x: Array) -> Array:
+    """``sin``, ``cos``, ``exp``, ``expm1``, ``tanh`` or ``log`` of ``x``, with the core's bits."""
+    x = given(x)
+    out = np.empty_like(x)
+    which = ("sin", "cos", "exp", "expm1", "tanh", "log").index(name)
+    check(lib.stopset_maths(which, x.size, view(x), view(out)))
+    return out

@@ -1,0 +1,1 @@
+"""Model against measurements: where it fails, and on what that depends."""

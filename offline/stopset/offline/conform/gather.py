@@ -1,0 +1,87 @@
+"""The heavy pass over all trials of a linear model: what it leaves, and what is kept of it for later recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.offline.campaign.map_reduce import Progress, Range, in_parts, within
+from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.survey import Source, Survey, Tally
+from stopset.offline.compare.metrics import Figures
+from stopset.offline.conform.bands import Bands
+from stopset.offline.conform.guarantee import split
+from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
+from stopset.offline.conform.zonotopes import Template, template
+from stopset.offline.identify.settings import Settings
+from stopset.offline.nominal.model import NominalPart, pairs_of, roller
+from stopset.recording import Meta, Recording, SuiteKey
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """What the heavy pass leaves: running envelopes, and errors trial by trial."""
+
+    gathered: Gathered
+    figures: Figures
+
+    def merge(self, later: Sums) -> Sums:
+        """Both together; ``later`` holds trials that come after this one's."""
+        return Sums(self.gathered.merge(later.gathered), self.figures.merge(later.figures))
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """All that an update needs of recordings that are read no more, for one nominal model."""
+
+    tally: Tally
+    sums: Sums
+    nominal: NominalPart
+    meta: Meta
+    learnt: frozenset[SuiteKey]  # suites the nominal model was fitted to
+    session: Session  # what it counts warming in
+    dt: float  # [s] the sets' grid
+    bands: Bands | None
+    template: Template | None  # of zonotopes
+    motion: dict[SuiteKey, int]
+    fitted_files: int  # how many of the files the nominal model was fitted to
+    stops: tuple[Recording, ...] = ()  # brakes and ramps do not fold: their recordings, which are short, are kept whole
+
+
+def template_of(found: Survey, nominal: NominalPart, effort: str) -> Template:
+    """What a zonotope is made of, from the trials in memory that judge nothing."""
+    sample = [r for r in found.sample if r.suite_key not in found.held_out]
+    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: sample, found, nominal, effort)()]
+    return template(trials, nominal.abstraction, nominal.robot, found.dt)
+
+
+def sums_of(
+    source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None,
+    zonotope: Template | None, keep: bool, scheduler: str | None = None, progress: Progress | None = None,
+) -> Sums:  # fmt: skip
+    """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
+    found = replace(found, sample=())  # what a part needs, without the trials kept in memory
+    horizon = settings.horizon if keep else found.within(settings.horizon)
+    halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
+
+    here = progress if scheduler is None else None  # a cluster's parts come back whole
+
+    def part(trials: Range) -> tuple[Gathered, Figures]:
+        figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, found))
+
+        def pairs() -> Iterator[tuple[int, Recording, Array]]:
+            for motion, r, u in pairs_of(within(source, trials), found, nominal, effort)():
+                figures.add(r, u)
+                yield motion, r, u
+                if here is not None:
+                    here.step()
+
+        in_bands = None if bands is None else bands.of
+        return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands, zonotope), figures
+
+    return Sums(*in_parts(part, found.places, scheduler, (lambda _: None) if progress is None else progress.tell))

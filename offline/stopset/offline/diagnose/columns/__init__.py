@@ -1,0 +1,1 @@
+"""What a law looks like in the rows."""

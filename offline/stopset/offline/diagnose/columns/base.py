@@ -1,0 +1,39 @@
+"""Rows and columns of the base model, joint by joint: rigid body, rotor, Coulomb and viscous friction, stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.rows.rows import JointRows, joint_rows, pose_scatter
+
+
+def all_rows(source: Source) -> list[JointRows]:
+    d, Ys = source.data, source.regressor_still
+    thin = slice(None, None, max(1, len(d.q) // 500))
+    typical = np.sqrt(np.mean(source.mass[thin] ** 2, axis=0)) + np.diag(source.robot.rotor)
+    scatter = [pose_scatter(Ys[:, j], d.tau_still[:, j]) if len(Ys) else float("inf") for j in range(d.n)]
+    return [joint_rows(d, j, typical[j], scatter[j]) for j in range(d.n)]
+
+
+def base_columns(source: Source, rows: JointRows) -> Array:
+    """y (against the description), rigid body, and the joint's rotor, friction, friction left in the poses, stamps."""
+    d, j = source.data, rows.joint
+    y = d.tau[:, j] - source.link[:, j] - source.robot.rotor[j] * d.ddq[:, j]
+    moving = [y, d.ddq[:, j], d.way[:, j], d.dq[:, j], np.zeros(len(d.q)), -source.rigid(j).dtau]
+    still = np.zeros((len(d.q_still), len(moving)))
+    still[:, 0] = d.tau_still[:, j] - (0.0 if source.compensated else 1.0) * source.load_still[:, j]
+    still[:, 4] = 1.0
+    own = rows.column(np.stack(moving, axis=1), still)
+    share = 0.0 if source.compensated else 1.0
+    body = rows.column(share * source.regressor[:, j], share * source.regressor_still[:, j])
+    return np.column_stack([own[:, 0], body, own[:, 1:]])
+
+
+def first_friction(X: Array, sd: Array) -> Array:
+    """Coulomb and viscous coefficients of a joint fitted alone: the shape of its friction's random scale."""
+    A = X[:, 1:].T @ X[:, 1:] + np.diag(1.0 / sd**2 + 1e-9)
+    theta = np.linalg.lstsq(A, X[:, 1:].T @ X[:, 0], rcond=1e-14)[0]
+    out: Array = np.maximum(theta[-4:-2], 0.0)
+    return out

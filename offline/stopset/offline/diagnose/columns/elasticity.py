@@ -1,0 +1,163 @@
+"""The column of an elastic gear: a link that swings behind its motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stopset.core.library import ffi, flags, given, lib, view
+from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.smooth import calm
+from stopset.robot.rigid import bent_torques
+
+SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
+ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
+RATHER_NOT = 1e-6  # share of the rows' largest pattern below which one is not told from the others
+SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
+
+
+def swing(source: Source, joint: int, shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
+    """A link that swings behind its motor: row ``i`` sees ``M_ij x'' + dg_i/dq_j x``.
+
+    The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.  ``shapes``: ``K, D``;
+    the link torque is calmed unless ``exact``, see `calm`; ``begun``: a trial may begin in the middle of a swing, see `_begun`.
+    """
+    d, g, K, D = source.data, source.stiff(joint, False), shapes["K"], shapes["D"]
+    if not np.all(source.mass[:, joint, joint] > 0):  # described without inertia: a link that cannot swing leaves no trace
+        return {i: (np.zeros((len(d.q), 1)), np.zeros((len(d.q_still), 1))) for i in range(d.n)}
+    if "exact" in shapes:
+        moving = _true_swing(source, joint, K, D, "begun" in shapes)
+    else:
+        filtered = _Filter.of(source, joint, K, D)
+        quiet = calm(np.ascontiguousarray(source.link[:, joint]), source.first)
+        x, _, ddx = filtered(quiet, *filtered.at_rest(quiet))
+        moving = source.mass[:, :, joint] * ddx[:, None] + g * x[:, None]
+    g_still = source.stiff(joint, True)
+    x_still = -source.load_still[:, joint] / (K + g_still[:, joint])
+    return {i: (moving[:, i, None], (g_still[:, i] * x_still)[:, None]) for i in range(d.n)}
+
+
+@dataclass(frozen=True, slots=True)
+class _Filter:
+    """The equation of the swing: inertia ``M`` (N,), gravity's stiffness ``g`` (N,), ``K``, ``D``, ``dt`` [s] between rows."""
+
+    M: Array
+    g: Array
+    K: float
+    D: float
+    dt: float
+    first: Mask
+    rest: Array
+    lead: float
+
+    @staticmethod
+    def of(source: Source, joint: int, K: float, D: float) -> _Filter:
+        d = source.data
+        M = np.ascontiguousarray(source.mass[:, joint, joint])
+        g = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
+        return _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, *source.start(joint))
+
+    def __call__(self, link: Array, x0: Array, dx0: Array) -> tuple[Array, Array, Array]:
+        """Position, speed, acceleration (N,) of the swing that ``link`` [N m] drives, from its state at each trial's first row."""
+        return _swung(link, self.M, self.g, self.first, x0, dx0, self.K, self.D, self.dt, SUBSTEPS)
+
+    def at_rest(self, link: Array) -> tuple[Array, Array]:
+        """(N,) state at each trial's first row where the trial began at rest; bent by the present torque where it began in motion."""
+        return _led(link, self.M, self.g, self.first, self.rest, self.lead, self.K, self.D, self.dt / SUBSTEPS)
+
+
+def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = False) -> Array:
+    """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
+
+    A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small
+    bend is solved for, so that a round only mends what is not linear in it.
+    """
+    d = source.data
+    filtered = _Filter.of(source, joint, K, D)
+    x = ddx = np.zeros(len(d.q))
+    bent = source.link.copy()
+    more = source.regressor[:, joint] @ source.body * begun  # what a fit says beyond the description
+    for k in range(SWING_ROUNDS):
+        driving = bent[:, joint] + more - filtered.M * ddx - filtered.g * x
+        state = filtered.at_rest(driving)
+        if begun:
+            state = _begun(source, joint, filtered, driving, state)
+        x, dx, ddx = filtered(driving, *state)
+        lowest = joint if k + 1 < SWING_ROUNDS else 0
+        _bend(source, joint, x, dx, ddx, lowest, bent)
+    out: Array = bent - source.link
+    return out
+
+
+def _bend(source: Source, joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array) -> None:
+    """`bent_torques` of all rows, two halves side by side: the kernel releases the interpreter."""
+    d = source.data
+
+    def part(r: slice) -> None:
+        bent_torques(source.robot.chain, source.robot.pi, d.q[r], d.dq[r], d.ddq[r], joint, x[r], dx[r], ddx[r], lowest, out[r])
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(part, (slice(len(x) // 2), slice(len(x) // 2, None))))
+
+
+def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    """(N,) state at each trial's first row that its own torque speaks for; swings as large as later ones are expected.
+
+    What the link did before is in no channel, and a swing that is hardly damped lasts longer than a stop.  Two numbers for each
+    trial fit a part of anything: this is for a gear whose elasticity is beyond doubt.
+    """
+    d, (x0, dx0) = source.data, (part.copy() for part in state)
+    j, first, nothing = joint, np.flatnonzero(source.first), np.zeros(len(d.q))
+    K, M = filtered.K, float(np.median(filtered.M))
+    x, dx, _ = filtered(driving, x0, dx0)
+    # beside rotor and friction the motor carries the gear, which is bent by -x
+    own = np.stack([d.ddq[:, j], d.way[:, j], d.dq[:, j]], axis=1) @ source.drive[j]
+    left = d.tau[:, j] - own + K * x + filtered.D * dx
+    usual = max(float(np.std((K * x + driving)[d.ok[:, j]])), 1e-9)  # torque of the swing beyond that of a rigid gear
+    unit = np.where(source.first, usual / K, 0.0)
+    free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit * np.sqrt(K / M))]
+    torques = [-K * x - filtered.D * dx for x, dx, _ in free]
+    A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
+    noise = float(d.torque_noise[j] * np.linalg.norm(d.kernel.h))
+    for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
+        rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
+        if len(rows) > ROWS_TO_BEGIN:
+            expected = noise * np.eye(2, A.shape[1])  # of each start swing: the usual size
+            found = np.linalg.lstsq(np.vstack([A[rows], expected]), np.append(left[rows], np.zeros(2)), rcond=RATHER_NOT)[0]
+            x0[at] += found[0] * unit[at]
+            dx0[at] += found[1] * unit[at] * np.sqrt(K / M)
+    return x0, dx0
+
+
+def _struct(M: Array, g: Array, first: Mask, K: float, D: float) -> Any:
+    if M.shape != first.shape or g.shape != first.shape:
+        raise ValueError(f"inertia {M.shape} and stiffness {g.shape} for {first.shape} rows")
+    return ffi.new("StopsetSwing *", (view(M), view(g), flags(first), K, D))
+
+
+def _swung(
+    link: Array, M: Array, g: Array, first: Mask, x0: Array, dx0: Array, K: float, D: float, dt: float, sub: int
+) -> tuple[Array, Array, Array]:
+    """Position, speed, acceleration of the link against the motor, by Newmark's rule."""
+    out, rate, acc = np.empty((3, len(link)))
+    lib.stopset_swung(
+        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(x0)), view(given(dx0)), dt, sub, view(out), view(rate),
+        view(acc),
+    )  # fmt: skip
+    return out, rate, acc
+
+
+def _led(
+    link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, h: float
+) -> tuple[Array, Array]:
+    """State at the first rows: from rest, ``lead`` [s] under the torque of the row; see `Source.start`."""
+    x0, dx0 = np.empty((2, len(link)))
+    lib.stopset_led(
+        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(rest)), round(lead / h), h, view(x0), view(dx0)
+    )
+    return x0, dx0

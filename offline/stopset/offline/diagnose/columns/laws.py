@@ -1,0 +1,69 @@
+"""Columns of every law over the prepared rows, for one joint or pair of joints or the whole arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.effects import Effect
+from stopset.offline.diagnose.columns.delay import lagged
+from stopset.offline.diagnose.columns.elasticity import swing
+from stopset.offline.diagnose.columns.memory import memory
+from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.rows.prepare import Array
+
+RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
+
+
+def columns(
+    source: Source, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
+) -> dict[int, tuple[Array, Array]]:
+    """Columns of an effect by the joint whose row they stand in: moving rows (N, k) and poses (P, k)."""
+    d = source.data
+    if effect.name == "elasticity":
+        return swing(source, joints[0], shapes)
+    if effect.name == "encoder_offset":
+        j = joints[0]
+        return {i: (source.stiff(j, False)[:, i, None], source.stiff(j, True)[:, i, None]) for i in range(d.n)}
+    if effect.enters == "input_delay" and shapes.get("d0"):
+        return {joints[0]: (lagged(source, joints[0], shapes["d0"]), np.zeros((len(d.q_still), 1)))}
+    out = {}
+    rows = range(d.n) if effect.scope == "arm" else joints
+    for i in rows:
+        other = [j for j in joints if j != i]
+        if RIGID & set(effect.needs):
+            moving = np.stack([np.broadcast_to(c, (len(d.q),)) for c in effect.columns(source.rigid(i), shapes)], axis=1)
+        else:
+            s = source.fine(i)
+            if other:
+                s = replace(s, dq_other=d.dq_fine[:, other[0]], ddq_other=_rate(source, other[0]))
+            if effect.states:
+                s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
+            moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
+        gain = source.gain if effect.name == "payload" else 1.0
+        out[i] = (gain * moving, gain * _at_rest(source, effect, i, shapes))
+    return out
+
+
+def _rate(source: Source, joint: int) -> Array:
+    """(M,) acceleration of a joint at the recording's rate [rad/s^2], trial by trial."""
+    d, out = source.data, np.zeros(len(source.data.t_fine))
+    for trial in d.trials:
+        out[trial.fine] = np.gradient(d.dq_fine[trial.fine, joint], d.kernel.dt)
+    return out
+
+
+def _at_rest(source: Source, effect: Effect, joint: int, shapes: Mapping[str, float]) -> Array:
+    """(P, k) columns of the poses: the mean over approaches from both sides, as far as friction had built up there."""
+    P = len(source.data.q_still)
+    rest = replace(source.still(joint), memory=tuple(np.zeros(P) for _ in effect.states))
+
+    def law(way: float) -> Array:
+        made = effect.columns(replace(rest, way=np.full(P, way), memory=tuple(np.full(P, way) for _ in effect.states)), shapes)
+        return np.stack([np.broadcast_to(np.asarray(c, float), (P,)) for c in made], axis=1)
+
+    none, both = law(0.0), 0.5 * (law(1.0) + law(-1.0))
+    out: Array = none + source.built_up[joint] * (both - none)
+    return out

@@ -1,0 +1,83 @@
+"""The search for torque ripple: which cycles per turn a joint's residual holds, from a fine grid of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from stopset.core.library import ffi, flags, given, lib, view
+from stopset.effects import Effect
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.rows.noise import whiten_adjoint
+from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.rows import JointRows
+from stopset.offline.diagnose.search.wanted import Wanted
+
+STEP = 0.5  # [cycles per turn]
+RIPPLES = np.arange(12.0, 161.0, STEP)  # [cycles per turn]
+
+
+class Power(NamedTuple):
+    """Sums over one joint's rows of the whitened sines and cosines of every ripple: ``ss, cc, sc`` (R,)."""
+
+    ss: Array
+    cc: Array
+    sc: Array
+
+
+@dataclass(slots=True)
+class Ripples:
+    """Ripples in the residuals of an engine's joints; what depends on the rows alone is computed once."""
+
+    engine: Engine
+    effect: Effect
+    _power: dict[int, tuple[JointRows, Power]] = field(default_factory=dict)
+
+    def strongest(self, theta: Array, hyper: Hyper) -> list[Wanted]:
+        """The strongest two cycles per turn in each joint's residual, beyond what chance gives."""
+        out: list[Wanted] = []
+        view, d = self.engine.view(), self.engine.data
+        full = np.concatenate([[1.0], -theta])
+        spread = d.kernel.dt * np.sqrt(np.sum(d.kernel.h * np.arange(-d.kernel.half, d.kernel.half + 1) ** 2))
+        for j, rows in enumerate(self.engine.rows):
+            k = len(rows.take)
+            if k < 100:
+                continue
+            gram = view.grams[j]
+            r = gram.residual(full[gram.index], hyper.sigma[j], hyper.kappa[j])[:k]
+            q, fade = d.q[rows.take, j], 0.5 * (d.dq[rows.take, j] * spread) ** 2
+            if j not in self._power or self._power[j][0] is not rows:
+                self._power[j] = rows, Power(*_power(q, fade, rows.start, rows.a, rows.sd, RIPPLES, STEP))
+            ss, cc, sc = self._power[j][1]
+            a, b = _products(q, fade, whiten_adjoint(r, rows.start, rows.a, rows.sd), RIPPLES, STEP)
+            power = (cc * a * a - 2 * sc * a * b + ss * b * b) / np.maximum(ss * cc - sc * sc, 1e-9 * ss * cc + 1e-12)
+            power = power / hyper.kappa[j]
+            for _ in range(2):
+                top = int(np.argmax(power))
+                if power[top] < 2 * np.log(len(RIPPLES)):
+                    break
+                out.append((self.effect, (j,), {"n": float(RIPPLES[top])}))
+                power[np.abs(RIPPLES - RIPPLES[top]) < 4.0] = 0.0
+        return out
+
+
+def _products(q: Array, fade: Array, r: Array, n: Array, step: float) -> tuple[Array, Array]:
+    """Sums over the rows of ``r`` times sine and cosine, (R,) each, of ripples ``n`` (R,), evenly spaced by ``step``."""
+    a, b, work = np.empty(len(n)), np.empty(len(n)), np.empty((2, len(n)))
+    lib.stopset_ripple_products(
+        len(r), view(given(q)), view(given(fade)), view(given(r)), len(n), n[0], step, view(work), view(a), view(b)
+    )
+    return a, b
+
+
+def _power(q: Array, fade: Array, start: Mask, a: Array, sd: Array, n: Array, step: float) -> tuple[Array, Array, Array]:
+    """Sums of squares and products of the whitened sines and cosines."""
+    ss, cc, sc = np.empty((3, len(n)))
+    work, predictor = np.empty((2 * len(sd) + 2, len(n))), ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+    lib.stopset_ripple_power(
+        predictor, len(start), view(given(q)), view(given(fade)), flags(start), len(n), n[0], step, view(work), view(ss), view(cc),
+        view(sc),
+    )  # fmt: skip
+    return ss, cc, sc

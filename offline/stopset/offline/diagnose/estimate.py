@@ -1,0 +1,76 @@
+"""Numbers of effects that were asked for, with the error before and after each: what the diagnosis itself says of them.
+
+The whole catalogue is searched, so an effect gets the numbers it has beside all others, whichever command asks.  One that the
+search does not name is looked for alone; what is then found is what these recordings give it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.effects.base import Fitted
+from stopset.offline.diagnose.diagnose import Examination, Ranked, examine, moves
+from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.search.held_out import judged_on
+from stopset.recording import Recordings
+from stopset.recording.types import Array
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An effect where it was found: ``before``, ``after`` (n,) [N m] held-out torque error without and with it."""
+
+    name: str  # as it was asked for
+    found: Ranked
+    before: Array
+    after: Array
+
+    @property
+    def fitted(self) -> Fitted:
+        return self.found.fitted
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """What was found of what was asked for, ``before`` (n,) [N m] the error without any of it, and what it was judged on."""
+
+    found: tuple[Estimate, ...]
+    before: Array | None
+    words: str
+
+
+def estimates(
+    robot: Robot, recordings: Recordings, names: Sequence[str], fitted: Sequence[Fitted] = (), known: Known | None = None
+) -> Estimates:
+    """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
+
+    ``fitted``: effects the model has already; ``known``: a model from other recordings, as for `examine`.
+    """
+    if not any(map(moves, recordings)):
+        return Estimates((), None, "nothing: no joint moves in these recordings")
+    x = examine(robot, recordings, fitted, known=known)
+    out = _of(x, [(name, _claims(x, name)) for name in names])
+    named = {e.name for e in out}
+    for name in names:
+        if name in named:
+            continue
+        beside = (*fitted, *(e.fitted for e in out))
+        alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known)
+        out += _of(alone, [(name, _claims(alone, name))])
+    return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
+
+
+def _claims(x: Examination, name: str) -> tuple[int, ...]:
+    effect, _, joint = name.partition(":")
+    return x.matching(effect, joint.split("+") if joint else None)
+
+
+def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:
+    order = list(dict.fromkeys(k for _, claims in wanted for k in claims))
+    errors = x.errors(order)
+    by = {k: name for name, claims in reversed(wanted) for k in claims}
+    return [Estimate(by[k], x.ranked[k], np.asarray(errors[at]), np.asarray(errors[at + 1])) for at, k in enumerate(order)]

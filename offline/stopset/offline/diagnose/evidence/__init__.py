@@ -1,0 +1,1 @@
+"""How likely an effect is, given the rows."""

@@ -1,0 +1,79 @@
+"""A candidate: an effect at its joints with fixed shapes, and how it stands against the model without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.effects import Effect
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.evidence import gain
+from stopset.offline.diagnose.rows.prepare import Array, Index
+
+HELD = 1e12  # prior precision of a term held at zero
+MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
+SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a group, in units of its terms' prior deviations; each is charged for the choice
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect at its joints with fixed shapes; ``cols``: its global columns; ``sd``: prior deviation of each term."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    shapes: Mapping[str, float]
+    cols: Index
+    sd: Array
+    charge: float = 0.0  # evidence to pay for having searched many shapes
+
+    @property
+    def key(self) -> tuple[str, tuple[int, ...]]:
+        return (self.effect.name, self.joints)
+
+    @property
+    def given(self) -> float | None:
+        """The coefficient where it is not free: a record is shifted as a whole or not at all."""
+        return self.shapes.get("d0") if self.effect.enters == "input_delay" else None
+
+    @property
+    def price(self) -> float:
+        """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
+        if self.given is not None:
+            return (self.given / float(self.sd[0])) ** 2 + limit.LAG_PRICE
+        return limit.SWING_PRICE if self.effect.name == "elasticity" else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A candidate against the current model: ``score`` twice the log Bayes factor; ``theta``, ``cov`` of its terms."""
+
+    candidate: Candidate
+    score: float
+    theta: Array
+    cov: Array
+
+    @property
+    def admissible(self) -> bool:
+        """Every term within its range, two standard deviations allowed beyond it."""
+        sd = np.sqrt(np.maximum(np.diag(self.cov), 0.0))
+        return all(t.lo - 2 * s <= v <= t.hi + 2 * s for t, v, s in zip(self.candidate.effect.terms, self.theta, sd, strict=True))
+
+
+def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
+    """`gain`; of several terms those that come out beyond their range are held at zero, where that lies in it."""
+    terms = c.effect.terms
+    if c.given is not None:
+        value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
+        return value, np.array([c.given]), np.zeros((1, 1))
+    if len(terms) >= MANY:
+        value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in SIZES), key=lambda g: g[0])
+        value -= 2 * float(np.log(len(SIZES)))
+    else:
+        value, theta, cov = gain(S, s, 1.0 / c.sd**2)
+    beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])
+    if len(terms) == 1 or not beyond.any() or beyond.all():
+        return value - c.price, theta, cov
+    value, theta, cov = gain(S, s, np.where(beyond, HELD, 1.0 / c.sd**2))
+    return value - c.price, theta, cov

@@ -1,0 +1,169 @@
+"""How much better an effect explains the rows than the model without it: a mixed model's evidence.
+
+Each joint's rows are independent after whitening, but for one thing: from trial to trial the friction of a joint scales by a
+per cent or two, its Coulomb and its viscous part each on its own.  Those scales are random effects of the trial with
+deviation ``sigma`` (one per joint, found by maximum likelihood for each hypothesis on its own).  So a cause that only differs
+between trials, like warming, is judged by the number of trials, not of samples.  All else is linear algebra on sums over
+rows ("Grams"), built once and bordered when columns are added.
+
+Source: Laird & Ware (1982), Random-effects models for longitudinal data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from stopset.offline.diagnose.rows.prepare import Array, Index
+
+SIGMAS = np.array([0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2])  # [1] friction scales to choose from
+
+
+@dataclass(slots=True)
+class JointGram:
+    """One joint's whitened columns ``X`` (K, c) and their sums: ``G`` (F, c, c) by fold; per trial ``g`` (T, r, c) = f'X and
+    ``ff`` (T, r) = f'f with the random effects' columns ``f`` (K, r), turned within each trial so that these are orthogonal;
+    ``index`` (c,): the columns' numbers in the whole."""
+
+    X: Array
+    f: Array
+    row_fold: Index  # (K,)
+    starts: Index  # (T,) first row of each trial
+    ends: Index
+    trial: Index  # (T,)
+    trial_fold: Index  # (T,)
+    index: Index
+    G: Array
+    g: Array
+    ff: Array
+    _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(X: Array, f: Array, trial: Index, fold_of_trial: Index, folds: int, index: Index) -> JointGram:
+        """Sums of ``X``; ``trial`` (K,) of each row, trials together, -1 for poses at the end (they count to fold 0)."""
+        moving = trial >= 0
+        starts = np.flatnonzero(np.diff(trial[moving], prepend=-2) != 0)
+        ends = np.append(starts[1:], moving.sum()).astype(np.intp)
+        used = trial[moving][starts]
+        r = f.shape[1]
+        empty = JointGram(
+            X[:, :0], f, np.where(moving, fold_of_trial[trial], 0), starts, ends, used, fold_of_trial[used], index[:0],
+            np.zeros((folds, 0, 0)), np.zeros((len(starts), r, 0)), np.zeros((len(starts), r)),
+        )  # fmt: skip
+        empty._orthogonal()
+        return empty.bordered(X, index)
+
+    def _orthogonal(self) -> None:
+        """Turn the two columns of each trial into orthogonal ones: their scales have equal priors, so nothing else changes."""
+        last = int(self.ends[-1]) if len(self.ends) else 0
+        self.ff, turns = np.linalg.eigh(self._by_trial(self.f))
+        turned = np.einsum("kr,krs->ks", self.f[:last], np.repeat(turns, self.ends - self.starts, axis=0))
+        self.f = np.concatenate([turned, self.f[last:]])
+
+    def _by_trial(self, w: Array) -> Array:
+        """(T, r, k): f'w of each trial."""
+        if not len(self.starts):
+            return np.zeros((0, self.f.shape[1], w.shape[1]))
+        last = int(self.ends[-1])
+        out = [np.add.reduceat(w[:last] * self.f[:last, c, None], self.starts, axis=0) for c in range(self.f.shape[1])]
+        return np.stack(out, axis=1)
+
+    def bordered(self, w: Array, index: Index, rows: bool = True) -> JointGram:
+        """With the further columns ``w`` (K, k); without any ``rows`` where only the sums are asked for."""
+        k, c = w.shape[1], self.X.shape[1]
+        G = np.zeros((len(self.G), c + k, c + k))
+        G[:, :c, :c] = self.G
+        runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
+        for start, end in zip(runs, np.append(runs[1:], len(w)), strict=True):
+            G[self.row_fold[start], :c, c:] += self.X[start:end].T @ w[start:end]
+            G[self.row_fold[start], c:, c:] += w[start:end].T @ w[start:end]
+        G[:, c:, :c] = G[:, :c, c:].transpose(0, 2, 1)
+        X = np.concatenate([self.X, w], axis=1) if rows else self.X[:, :0]
+        return JointGram(
+            X, self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
+            np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
+        )  # fmt: skip
+
+    def keep(self, local: Index, rows: bool = True) -> JointGram:
+        """The same sums over some of the columns; without their ``rows`` where only the sums are asked for."""
+        return JointGram(
+            self.X[:, local] if rows else self.X[:, :0], self.f, self.row_fold, self.starts, self.ends, self.trial,
+            self.trial_fold, self.index[local], self.G[:, local][:, :, local], self.g[:, :, local], self.ff,
+        )  # fmt: skip
+
+    def at(self, sigma: float, kappa: float, folds: NDArray[np.bool_] | None = None) -> tuple[Array, float]:
+        """Gram (c, c) and log determinant with friction scale ``sigma`` and noise variance ``kappa``; of some ``folds``."""
+        if folds is not None:
+            chosen = folds[self.trial_fold]
+            return self._marginal(self.G[folds].sum(axis=0), self.g[chosen], self.ff[chosen], sigma, kappa)
+        if (sigma, kappa) not in self._at:
+            self._at[sigma, kappa] = self._marginal(self.G.sum(axis=0), self.g, self.ff, sigma, kappa)
+        return self._at[sigma, kappa]
+
+    @staticmethod
+    def _marginal(G: Array, g: Array, ff: Array, sigma: float, kappa: float) -> tuple[Array, float]:
+        """The trials' friction scales integrated out."""
+        ratio = kappa / sigma**2
+        w = (g / np.sqrt(ff + ratio)[:, :, None]).reshape(-1, G.shape[0])
+        logdet = np.log(ff + ratio).sum() - ff.size * np.log(ratio)
+        return (G - w.T @ w) / kappa, float(logdet)
+
+    def residual(self, theta: Array, sigma: float, kappa: float) -> Array:
+        """(K,) whitened residual at the coefficients ``theta`` (c,), each trial's friction scales taken out."""
+        out = self.X @ theta
+        b = (self.g @ theta) / (self.ff + kappa / sigma**2)
+        last = int(self.ends[-1]) if len(self.ends) else 0
+        out[:last] -= np.sum(self.f[:last] * np.repeat(b, self.ends - self.starts, axis=0), axis=1)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Projection:
+    """What is left of columns and y after the nuisance: ``S`` (m, m), ``s`` (m,), ``rss``; its fit; its log determinant."""
+
+    S: Array
+    s: Array
+    rss: float
+    theta: Array
+    logdet: float
+
+
+def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, mean: Array) -> Projection:
+    """Take the ``nuisance`` (with prior ``mean`` and ``precision``) out of the columns ``rest`` and of ``y``."""
+    at = np.flatnonzero(mean)
+    known, m = nuisance[at], mean[at]
+    y_nuisance, y_rest = G[nuisance, y] - G[np.ix_(nuisance, known)] @ m, G[rest, y] - G[np.ix_(rest, known)] @ m
+    square = float(G[y, y] - 2 * m @ G[known, y] + m @ G[np.ix_(known, known)] @ m)
+    A = G[np.ix_(nuisance, nuisance)] + np.diag(precision)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
+    # 1e-10: columns that repeat each other (a joint that never turns) leave the matrix singular
+    L = np.linalg.cholesky(A * np.outer(scale, scale) + 1e-10 * np.eye(len(A)))
+    B = np.column_stack([G[np.ix_(nuisance, rest)], y_nuisance]) * scale[:, None]
+    W = solve_triangular(L, B, lower=True, check_finite=False)
+    S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]
+    s = y_rest - W[:, :-1].T @ W[:, -1]
+    rss = float(square - W[:, -1] @ W[:, -1])
+    theta = mean + scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)
+    return Projection(S, s, rss, theta, float(2 * np.log(np.diag(L)).sum() - 2 * np.log(scale).sum()))
+
+
+def gain(S: Array, s: Array, precision: Array) -> tuple[float, Array, Array]:
+    """Twice the log Bayes factor of a group, its parameters (k,) and their covariance (k, k).
+
+    ``S, s``: the group's part of a `Projection`; ``precision`` (k,): of the parameters' zero-mean normal prior.
+    """
+    if len(s) == 1:
+        total = max(float(S[0, 0] + precision[0]), 1e-300)
+        value = float(s[0] ** 2 / total - max(np.log(total / precision[0]), 0.0))
+        return value, s / total, np.array([[1.0 / total]])
+    A = S + np.diag(precision)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A * np.outer(scale, scale)
+    cov = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    theta = cov @ s
+    sign, logdet = np.linalg.slogdet(scaled)
+    occam = (logdet if sign > 0 else 0.0) - 2 * np.log(scale).sum() - np.log(precision).sum()
+    return float(s @ theta - max(occam, 0.0)), theta, cov

@@ -1,0 +1,37 @@
+"""What is known of the arm before the question is asked, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.thresholds import DRIVES
+from stopset.offline.nominal.prior import Tolerance
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What a model from other recordings adds to the description: then only what has *changed* is asked for.
+
+    ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
+    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as
+    `SCALES` of the thresholds.
+    """
+
+    friction: Array
+    gain: float = 1.0
+    gain_std: float = DRIVES
+    spread: float = 0.15
+    scales: tuple[float, ...] = (0.1, 0.3)
+
+
+def link_tolerance(robot: Robot, tol: Tolerance) -> Array:
+    """(n, 10) standard deviations of the links' standard parameters from the description's tolerance."""
+    pi = robot.pi
+    m = pi[:, :1]
+    first = np.sqrt((tol.mass * pi[:, 1:4]) ** 2 + (tol.centre * m) ** 2)
+    size = np.maximum(np.abs(pi[:, [4, 6, 9]]).max(axis=1, keepdims=True), 1e-4)
+    return np.concatenate([tol.mass * m, first, np.repeat(tol.inertia * size, 6, axis=1)], axis=1)

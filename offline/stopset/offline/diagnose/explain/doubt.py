@@ -1,0 +1,35 @@
+"""Why a claim is none after all: numbers smaller than their own error, beyond what they can be, or at the edge of the search."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stopset.effects import Effect
+
+SURE = 2.0  # standard deviations: some number of an effect must be larger, or the recordings give it no size
+EDGE = 1e-3  # relative: a shape this near to the end of its range was stopped there, not found
+
+
+def doubt(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
+    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
+    sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
+    if all(abs(v) <= SURE * s for v, s in sizes.values() if s > 0) and any(s > 0 for _, s in sizes.values()):
+        said = ", ".join(f"{k} = {v:.3g} +- {s:.2g}" for k, (v, s) in sizes.items())
+        return f"no number of it is larger than twice its error ({said})"
+    for t in effect.terms:
+        v, s = sizes[t.symbol]
+        if v < t.lo - SURE * s or v > t.hi + SURE * s:
+            return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
+    for p in effect.shapes:
+        v = values[p.symbol]
+        if v <= p.lo * (1 + EDGE) or v >= p.hi * (1 - EDGE):
+            return f"{p.symbol} = {v:.3g} {p.unit} is at the end of what was searched ({p.lo:g} to {p.hi:g})"
+        if p.unit == "s" and v > seconds:
+            return f"{p.symbol} = {v:.3g} s is longer than the {seconds:.3g} s recorded"
+    return ""
+
+
+def within(effect: Effect, symbol: str, value: float) -> float:
+    """A term's value moved to the nearest that it can have: beyond by its error only, the end of its range is as likely."""
+    term = next((t for t in effect.terms if t.symbol == symbol), None)
+    return value if term is None else min(max(value, term.lo), term.hi)

@@ -1,0 +1,95 @@
+"""How sure the parameters of the claims are: shapes and all else estimated together, errors of a trial not taken as independent.
+
+The evidence takes rows as independent once the sensors' noise and each trial's friction scales are off.  What a law leaves over
+is not: it is alike within a motion.  So the scores of whole trials (of some seconds, where trials are few) are added up before
+they are squared, and a standard deviation is the larger one of the two.  A shape (a Stribeck speed, a stiffness) stands in the
+fit with the derivative of the law's torque by it.
+
+Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
+from stopset.offline.diagnose.rows.prepare import Array, Index
+
+FEW_TRIALS = 20  # below which parts of trials are taken as independent
+PART = 10.0  # [s] length of such a part: some motions
+TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
+STEP = 0.01  # relative step of a shape's numerical derivative
+
+
+def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
+    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of the engine's nuisance, claims included."""
+    view = engine.view()
+    place = {column: k for k, column in enumerate(engine.nuisance.tolist())}
+    grams, precision, shapes = list(view.grams), [view.precision(hyper)], []
+    size = view.size
+    for number, c in enumerate(claims):
+        value = theta[[place[k] for k in c.cols.tolist()]]
+        varied = [(s.symbol, s.hi - s.lo) for s in (c.effect.shapes if c.given is None else c.effect.terms)]
+        for symbol, span in varied:
+            parts = _slope(engine, c, symbol, value)
+            if parts:
+                for j, w in parts.items():
+                    grams[j] = grams[j].bordered(w[:, None], np.array([size]))
+                shapes.append((number, symbol, size - 1))
+                precision.append(np.array([4.0 / span**2]))
+                size += 1
+    wide = replace(view, grams=grams, size=size)
+    full = np.concatenate([theta, np.zeros(size - view.size)])
+    P = np.concatenate(precision)
+    A = wide.total(hyper)[0][1:, 1:] + np.diag(P)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))  # a column that these motions leave empty tells nothing
+    inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    S = _scores(engine, wide, hyper, full)
+    clustered = inverse @ (S.T @ S * len(S) / max(1, len(S) - 1) + np.diag(P)) @ inverse
+    sd = np.sqrt(np.maximum(np.diag(inverse), np.diag(clustered)))
+    out = [{t.symbol: float(sd[place[k]]) for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True)} for c in claims]
+    for number, symbol, at in shapes:
+        out[number][symbol] = float(sd[at])
+    for c, told in zip(claims, out, strict=True):
+        if c.effect.name == "payload":  # a load is known no better than the torque it is weighed with
+            for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
+                told[t.symbol] = float(np.hypot(told[t.symbol], engine.source.gain_std * theta[place[k]]))
+        if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
+            symbol = c.effect.terms[0].symbol
+            told[symbol] = float(np.hypot(told[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
+    return out
+
+
+def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int, Array]:
+    """Whitened derivative (K,) by joint of a claim's torque by one of its shapes; empty where it has no such shape."""
+    if c.given is not None:  # the law's first order: a slope of the record would hold its noise
+        made = engine.make(c.effect, c.joints, {})
+        return {} if made is None else {j: w[:, 0] for j, w in made[1].items()}
+    if symbol not in c.shapes:
+        return {}
+    x = c.shapes[symbol]
+    up, down = (engine.make(c.effect, c.joints, {**c.shapes, symbol: x * (1 + k * STEP)}) for k in (1, -1))
+    if up is None or down is None or x == 0:
+        return {}
+    return {j: (up[1][j] - down[1][j]) @ value / (2 * STEP * x) for j in up[1]}
+
+
+def _scores(engine: Engine, wide: Engine, hyper: Hyper, theta: Array) -> Array:
+    """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
+    d, few = engine.data, len(engine.data.trials) < FEW_TRIALS
+    parts = (d.t / PART).astype(np.intp) * few
+    _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
+    count = int(cluster.max()) + 1
+    poses = max(r.still for r in engine.rows)
+    out = np.zeros((count + poses, wide.size - 1))
+    v = np.concatenate([[1.0], -theta])
+    for gram, rows, sigma, kappa in zip(wide.grams, engine.rows, hyper.sigma, hyper.kappa, strict=True):
+        r = gram.residual(v[gram.index], sigma, kappa) / kappa
+        of: Index = np.concatenate([cluster[rows.take], count + np.arange(rows.still)]).astype(np.intp)
+        first = np.flatnonzero(np.diff(of, prepend=-1))
+        mine = gram.index > 0
+        out[np.ix_(of[first], gram.index[mine] - 1)] += np.add.reduceat(gram.X[:, mine] * r[:, None], first, axis=0)
+    return out

@@ -1,0 +1,1 @@
+"""The rows a diagnosis stands on, and their noise."""

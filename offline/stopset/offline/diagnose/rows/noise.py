@@ -1,0 +1,72 @@
+"""The noise that the sensors themselves leave in a smoothed row, and the filter that makes its rows independent.
+
+Nothing here looks at the model's residual, so a hidden effect can't be taken for noise: the torque's white noise and the
+position's, which reaches the row through the acceleration times the inertia, are measured from fourth differences.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.library import ffi, flags, given, lib, view
+from stopset.offline.diagnose.rows.prepare import Kernel
+
+Array = NDArray[np.float64]
+ORDER = 6  # rows the prediction looks back: the kernel's correlation is below 1e-4 after 5 rows
+
+
+def autocovariance(kernel: Kernel, step: int, torque: float, acceleration: float) -> Array:
+    """(ORDER + 1,) autocovariance [N m]^2 of a row of one joint at lags of whole rows.
+
+    ``torque``: white noise of the torque [N m]; ``acceleration``: white noise of the position times inertia [N m s^2].
+    """
+    out = np.zeros(ORDER + 1)
+    for k in range(ORDER + 1):
+        lag = k * step
+        for h, s in ((kernel.h, torque), (kernel.h2, acceleration)):
+            if lag < len(h):
+                out[k] += s**2 * float(h[lag:] @ h[: len(h) - lag])
+    return out
+
+
+def predictor(c: Array) -> tuple[Array, Array]:
+    """Levinson's recursion: coefficients (ORDER + 1, ORDER) and deviations (ORDER + 1,) for 0, 1, ... rows of history."""
+    n = len(c) - 1
+    a, var = np.zeros((n + 1, n)), np.zeros(n + 1)
+    var[0] = c[0]
+    for m in range(1, n + 1):
+        k = (c[m] - a[m - 1, : m - 1] @ c[m - 1 : 0 : -1]) / var[m - 1]
+        a[m, : m - 1] = a[m - 1, : m - 1] - k * a[m - 1, : m - 1][::-1]
+        a[m, m - 1] = k
+        var[m] = var[m - 1] * max(1.0 - k * k, 1e-6)
+    return a, np.sqrt(var)
+
+
+def _struct(start: NDArray[np.bool_], a: Array, sd: Array, rows: int) -> Any:
+    if a.shape != (len(sd), len(sd) - 1) or len(start) != rows:
+        raise ValueError(f"a predictor of shapes {a.shape}, {sd.shape} for {rows} rows with {len(start)} beginnings")
+    return ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+
+
+def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
+    """Rows minus their prediction from the rows before, in units of its deviation; ``start``: a new run of rows begins."""
+    out = np.empty(X.shape)
+    lib.stopset_whiten(_struct(start, a, sd, len(X)), *X.shape, view(given(X)), flags(start), view(out))
+    return out
+
+
+def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
+    """The rows again out of their whitened values: the inverse of `whiten` for one column."""
+    out = np.empty(e.shape)
+    lib.stopset_coloured(_struct(start, a, sd, len(e)), len(e), view(given(e)), flags(start), view(out))
+    return out
+
+
+def whiten_adjoint(r: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
+    """The rows whose product with plain columns equals that of ``r`` with the whitened ones."""
+    out = np.empty(r.shape)
+    lib.stopset_whiten_adjoint(_struct(start, a, sd, len(r)), len(r), view(given(r)), flags(start), view(out))
+    return out

@@ -1,0 +1,253 @@
+"""Recordings made ready for diagnosis: smoothed, thinned to about 50 Hz, with the rows that say nothing marked.
+
+One Gaussian kernel smooths everything alike: its derivatives give speed and acceleration from the position, and each
+column of a law passes through the same kernel as the torque, so that smoothing itself can't look like an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.library import check, given, integers, lib, view
+from stopset.errors import RecordingError
+from stopset.offline.campaign.session import Session
+from stopset.recording import Recording, Recordings, SuiteKey
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
+LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
+ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
+CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """Smoothing over ``+-half`` samples; ``h, h1, h2``: value, first and second derivative; ``sigma`` [s] its width."""
+
+    dt: float
+    sigma: float
+    half: int
+    h: Array
+    h1: Array
+    h2: Array
+
+    @staticmethod
+    def gaussian(dt: float, sigma: float) -> Kernel:
+        """A Gaussian of standard deviation ``sigma`` [s], its derivatives exact on polynomials up to second degree."""
+        half = int(np.ceil(4 * sigma / dt))
+        x = np.arange(-half, half + 1) * dt
+        h = np.exp(-0.5 * (x / sigma) ** 2)
+        h /= h.sum()
+        h1 = x * h
+        h1 /= np.sum(x * h1)
+        h2 = (x**2 / sigma**2 - 1.0) * h
+        h2 -= h2.mean()
+        h2 *= 2.0 / np.sum(h2 * x * x)
+        return Kernel(dt, sigma, half, h, h1, h2)
+
+    def later(self, part: float) -> Array:
+        """``h`` about a point ``part`` of a sample later: unlike interpolation it leaves white noise as it is."""
+        x = (np.arange(-self.half, self.half + 1) - part) * self.dt
+        h = np.exp(-0.5 * (x / self.sigma) ** 2)
+        out: Array = h / h.sum()
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Where one moving trial lies: ``fine`` samples at the recording's rate, ``rows`` after thinning."""
+
+    key: tuple[int, str, int, int]
+    fine: slice
+    rows: slice
+
+    @property
+    def unit(self) -> SuiteKey | tuple[int, str, int, int]:
+        """What is held out together: repetitions of one open-loop suite, else the trial."""
+        return self.key[:3] if self.key[1] == "open_loop" else self.key
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """All moving trials one after another, and the poses held still.
+
+    Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``way`` smoothed direction, ``ok`` the row of this joint says
+    something, ``temp`` [degC] or None, ``warm`` (N,) place in the session, ``trial`` (N,) index, ``centre`` (N,) its sample.
+    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine``; as recorded: ``tau_fine, temp_fine``; (M,)
+    ``warm_fine, t_fine``.
+    Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
+    difference.
+    ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
+    """
+
+    joints: tuple[str, ...]
+    kernel: Kernel
+    step: int
+    trials: tuple[Trial, ...]
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    way: Array
+    ok: Mask
+    temp: Array | None
+    warm: Array
+    trial: Index
+    centre: Index
+    q_fine: Array
+    dq_fine: Array
+    way_fine: Array
+    tau_fine: Array
+    temp_fine: Array | None
+    warm_fine: Array
+    t_fine: Array
+    start_fine: Mask
+    q_still: Array
+    tau_still: Array
+    spread_still: Array
+    torque_noise: Array
+    position_noise: Array
+
+    @property
+    def n(self) -> int:
+        return len(self.joints)
+
+    def thin(self, fine: Array) -> Array:
+        """A column at the recording's rate (M, ...), smoothed like the torque and thinned to the rows (N, ...)."""
+        return _at(fine, self.centre, self.kernel.h)
+
+    def torque_at(self, joint: int, lag: float) -> Array:
+        """(N,) recorded torque of a joint ``lag`` [s] after each row (before it where negative), held beyond a trial's ends."""
+        off = lag / self.kernel.dt
+        whole = round(off)
+        h, reach = self.kernel.later(off - whole), self.kernel.half + abs(whole)
+        out = np.empty(len(self.centre))
+        for trial in self.trials:
+            x = self.tau_fine[trial.fine, joint]
+            padded = np.concatenate([np.full(reach, x[0]), x, np.full(reach, x[-1])])
+            out[trial.rows] = _at(padded, self.centre[trial.rows] - trial.fine.start + reach + whole, h)
+        return out
+
+
+def _at(x: Array, centre: Index, h: Array) -> Array:
+    """``x`` weighted by the kernel ``h`` about each sample of ``centre``."""
+    flat = np.ascontiguousarray(x.reshape(len(x), -1))
+    return _weighted(flat, centre, h).reshape(len(centre), *x.shape[1:])
+
+
+def _weighted(x: Array, centre: Index, h: Array) -> Array:
+    out = np.empty((len(centre), x.shape[1]))
+    check(
+        lib.stopset_weighted(
+            *x.shape, view(x), len(centre), integers(np.ascontiguousarray(centre, np.int64)), len(h), view(given(h)), view(out)
+        )
+    )
+    return out
+
+
+def prepare(recordings: Recordings) -> Prepared:
+    """Make recordings ready. Raises `RecordingError` if no trial is long enough to say anything."""
+    moving = [c for r in recordings if r.phase != "static" and (c := _before_brake(r)) is not None]
+    if not moving:
+        raise RecordingError("no moving trial longer than 0.1 s in these recordings; diagnosis needs closed- or open-loop motion")
+    dt = float(np.median([np.median(np.diff(r.t)) for r in moving]))
+    kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
+    step = max(1, round(ROW_STEP / dt))
+    grids = [(r, _on_grid(r, dt)) for r in moving]
+    grids = [(r, g) for r, g in grids if len(g["t"]) > 2 * kernel.half + step]
+    if not grids:
+        raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
+    session = Session.of(recordings)
+    fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
+    temps: list[Array] = []
+    trials, centres, offset, rows = [], [], 0, 0
+    for r, g in grids:
+        m = len(g["t"])
+        q = g["q"]
+        padded = np.concatenate([2 * q[:1] - q[light.half : 0 : -1], q, 2 * q[-1:] - q[-2 : -light.half - 2 : -1]])
+        inside = np.arange(m) + light.half
+        fine_parts["raw"].append(q)
+        fine_parts["q"].append(_at(padded, inside, light.h))
+        fine_parts["dq"].append(_at(padded, inside, light.h1))
+        fine_parts["tau"].append(g["tau"])
+        fine_parts["t"].append(g["t"])
+        fine_parts["warm"].append(np.full(m, session.warm(r)))
+        if "temp" in g:
+            temps.append(g["temp"])
+        centre = np.arange(kernel.half, m - kernel.half, step) + offset
+        trials.append(Trial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
+        centres.append(centre)
+        offset, rows = offset + m, rows + len(centre)
+    fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
+    temp_fine = np.concatenate(temps) if len(temps) == len(grids) else None
+    centre = np.concatenate(centres)
+    dq, way = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
+    start = np.zeros(offset, bool)
+    start[[x.fine.start for x in trials]] = True
+    q_still, tau_still, spread_still = _standstill(recordings)
+    noise = [(_white(g["tau"]), _white(g["q"])) for _, g in grids if len(g["t"]) > 20]
+    return Prepared(
+        joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
+        q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
+        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel),
+        temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
+        trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
+        q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
+        warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
+        torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
+    )  # fmt: skip
+
+
+def _before_brake(r: Recording) -> Recording | None:
+    """The part of a trial whose torque the drive made: after a power cut the brake's torque is in no channel."""
+    if r.phase == "stop0" and r.stop_trigger is not None and r.stop_trigger.any():
+        r = r.cut(0, int(np.argmax(r.stop_trigger)))
+    return r if len(r.t) > 8 else None
+
+
+def _on_grid(r: Recording, dt: float) -> dict[str, Array]:
+    """The trial's signals on an even grid of step ``dt``; interpolated only where its clock asks for it."""
+    signals = {"q": r.q, "tau": r.tau} | ({} if r.temp is None else {"temp": r.temp})
+    if np.max(np.abs(np.diff(r.t) - dt)) < 0.1 * dt:
+        return {"t": r.t, **signals}
+    t = np.arange(r.t[0], r.t[-1], dt)
+    return {"t": t, **{k: np.stack([np.interp(t, r.t, c) for c in x.T], axis=1) for k, x in signals.items()}}
+
+
+def _moving(dq_fine: Array, way: Array, centre: Index, kernel: Kernel) -> Mask:
+    """Rows whose joint keeps one direction and moves faster than `CREEP` all through the kernel's inner half."""
+    slow = np.zeros(way.shape, bool)
+    reach = kernel.half // 2
+    for k in range(-reach, reach + 1):
+        slow |= np.abs(dq_fine[centre + k]) < CREEP
+    return (np.abs(way) > 1 - 1e-6) & ~slow
+
+
+def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
+    """One row per pose approached at least twice: friction is what the controller left, but its mean is small."""
+    poses: dict[SuiteKey, list[Recording]] = {}
+    for r in recordings:
+        if r.phase == "static":
+            poses.setdefault(r.suite_key, []).append(r)
+    kept: Sequence[list[Recording]] = [rs for rs in poses.values() if len(rs) > 1]
+    n = len(recordings.meta.joints)
+    if not kept:
+        return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
+    q = np.array([np.mean([r.q.mean(axis=0) for r in rs], axis=0) for rs in kept])
+    tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in kept])
+    spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in kept])
+    return q, tau, spread
+
+
+def _white(x: Array) -> Array:
+    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps."""
+    d = np.diff(x, 4, axis=0)
+    return np.sqrt(np.median(d**2, axis=0) / 0.4549 / 70.0)  # 0.4549: median of chi2_1; 70: sum of squared binomials

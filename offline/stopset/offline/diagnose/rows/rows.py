@@ -1,0 +1,71 @@
+"""The rows of one joint, made independent: sensor noise whitened within each run, poses beside the moving rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten
+from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared
+
+FEW_POSES = 12  # below this the poses' own scatter can't be told
+
+
+@dataclass(frozen=True, slots=True)
+class JointRows:
+    """Rows of joint ``j``: ``take`` (K,) rows of `Prepared`; ``trial`` (K + P,) its trial, -1 for poses; noise filter."""
+
+    joint: int
+    take: Index
+    start: Mask
+    trial: Index
+    a: Array
+    sd: Array
+    still: int
+    still_sd: float
+
+    @property
+    def size(self) -> int:
+        return len(self.take) + self.still
+
+    def column(self, moving: Array, still: Array | None = None) -> Array:
+        """Whitened columns (K + P, k) from row values (N, k) of the whole of `Prepared` and pose values (P, k)."""
+        x = np.ascontiguousarray(moving[self.take].reshape(len(self.take), -1))
+        w = whiten(x, self.start, self.a, self.sd)
+        if not self.still:
+            return w
+        rest = np.zeros((self.still, w.shape[1])) if still is None else still.reshape(self.still, -1)
+        return np.concatenate([w, rest / self.still_sd])
+
+    def plain(self, moving: Array) -> Array:
+        """The rows' unwhitened values."""
+        return moving[self.take]
+
+
+def joint_rows(data: Prepared, joint: int, inertia: Array, still_sd: float) -> JointRows:
+    """Rows of a joint; ``inertia`` (n,) typical row of the mass matrix with rotor [kg m^2], for the position's noise."""
+    take = np.flatnonzero(data.ok[:, joint])
+    jump = np.diff(take, prepend=-9) != 1
+    jump |= np.diff(data.trial[take], prepend=-1) != 0
+    c = autocovariance(
+        data.kernel, data.step, float(data.torque_noise[joint]), float(np.linalg.norm(inertia * data.position_noise))
+    )
+    a, sd = predictor(c)
+    poses = len(data.q_still) if np.isfinite(still_sd) else 0
+    trial = np.concatenate([data.trial[take], np.full(poses, -1)]).astype(np.intp)
+    return JointRows(joint, take, jump, trial, a, sd, poses, still_sd)
+
+
+def pose_scatter(Y: Array, tau: Array) -> float:
+    """Robust deviation [N m] of the poses' torque from any rigid body's gravity; ``inf`` where there are too few poses."""
+    if len(tau) < FEW_POSES:
+        return float("inf")
+    u, s, _ = np.linalg.svd(Y, full_matrices=False)
+    u = u[:, s > 1e-9 * max(s[0], 1e-300)] if s[0] > 0 else u[:, :0]
+    basis = np.linalg.qr(np.column_stack([u, np.ones(len(tau))]))[0]
+    if len(tau) < basis.shape[1] + FEW_POSES:
+        return float("inf")
+    r = tau - basis @ (basis.T @ tau)
+    spread = np.sqrt(len(tau) / (len(tau) - basis.shape[1]))
+    return float(max(1.4826 * np.median(np.abs(r)) * spread, 1e-6))

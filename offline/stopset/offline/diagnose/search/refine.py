@@ -1,0 +1,127 @@
+"""Shapes searched off their grid: the best contenders refined, and a claimed elasticity made exact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
+from stopset.offline.diagnose.evidence.scores import score_new
+
+CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
+
+
+def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
+    """The best distinct contenders with their shapes refined, best first."""
+    contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
+    out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
+    for s in scored:
+        if len(contenders) < CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
+            contenders.setdefault(s.candidate.key, s)
+    refined = [refine(engine, s, hyper) for s in contenders.values()]
+    return sorted((s for s in refined if possible(engine, s)), key=lambda s: -s.score)
+
+
+def possible(engine: Engine, s: Scored) -> bool:
+    """Within its range; friction that builds up after a reversal is part of its joint's own."""
+    c = s.candidate
+    return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < limit.BUILT_UP * engine.friction[c.joints[0], 0])
+
+
+def _out_of_step(s: Scored) -> bool:
+    """An elasticity between two stiffnesses of the grid: out of step with the true swing its own explains a part only."""
+    return s.candidate.effect.name == "elasticity" and not s.admissible and float(s.theta[0]) > 0
+
+
+def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Candidate:
+    """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+    c = scored.candidate
+    return c if c.effect.name != "elasticity" or "exact" in c.shapes else _climbed(engine, c, "exact", 0.4, hyper)
+
+
+def begun(engine: Engine, elasticity: Candidate, hyper: Hyper) -> Candidate:
+    """An elasticity that has been claimed, with the swings that its trials began with."""
+    return _climbed(engine, elasticity, "begun", 0.06 if "begun" in elasticity.shapes else 0.16, hyper)
+
+
+def _climbed(engine: Engine, c: Candidate, how: str, step: float, hyper: Hyper) -> Candidate:
+    """The stiffness and damping of most evidence when the column is made as ``how`` says; ``step``: how far off they may be."""
+
+    def value(shapes: Mapping[str, float]) -> Scored | None:
+        return score_new(engine, c.effect, c.joints, shapes, hyper, quick=True)
+
+    best = value({**c.shapes, how: 1.0})
+    if best is None:
+        return c
+    steps, enough = {"K": step, "D": 2.5 * step}, {"K": 0.01, "D": 0.06}  # damping matters less
+    while any(steps[symbol] > enough[symbol] for symbol in steps):
+        for symbol in steps:
+            here = best.candidate.shapes
+            trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
+            better = [t for t in trials if t is not None and t.score > best.score]
+            if better:
+                best = max(better, key=lambda t: t.score)
+            else:
+                steps[symbol] *= 0.4
+    return best.candidate
+
+
+def _shifted(engine: Engine, start: Scored, hyper: Hyper) -> float:
+    """The lag of most evidence near the one of ``start``, to half a millisecond; the stamps would take a share of it."""
+    c = start.candidate
+    held = (int(engine.stamps[c.joints[0]]),)
+    seen: dict[float, float] = {}
+
+    def value(lag: float) -> float:
+        lag = round(lag, 6)
+        if lag not in seen:
+            s = score_new(engine, c.effect, c.joints, {"d0": lag}, hyper, quick=True, held=held) if lag else None
+            seen[lag] = s.score if s is not None else -np.inf
+        return seen[lag]
+
+    best, step = c.shapes["d0"], 0.008
+    while step > 0.0004:
+        better = max((best + step, best - step), key=value)
+        if value(better) > value(best):
+            best = better
+        else:
+            step *= 0.5
+    return best
+
+
+def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+    """Search the shapes off their grid: compass search with shrinking steps, in the logarithm (linear for the ripple's n)."""
+    effect, joints, charge = scored.candidate.effect, scored.candidate.joints, scored.candidate.charge
+    shapes = dict(scored.candidate.shapes)
+
+    def value(trial: Mapping[str, float]) -> Scored | None:
+        s = score_new(engine, effect, joints, trial, hyper, quick=True)
+        return s if s is not None and (possible(engine, s) or _out_of_step(s)) else None
+
+    if "d0" in shapes:
+        shapes = {"d0": _shifted(engine, scored, hyper)}
+        if abs(shapes["d0"]) < limit.SHORTEST_LAG:
+            return replace(scored, score=0.0)
+    elif effect.shapes:
+        best_value = value(shapes)
+        steps = {p.symbol: (0.35 if effect.name == "torque_ripple" else 0.6) for p in effect.shapes}
+        finest = 0.06 if "exact" in shapes else 0.02  # an exact swing costs a rigid-body pass per trial value
+        while best_value is not None and max(steps.values()) > finest:
+            for p in effect.shapes:
+                for side in (1.0, -1.0):
+                    x, h = shapes[p.symbol], side * steps[p.symbol]
+                    moved = x + h if effect.name == "torque_ripple" else x * float(np.exp(h))
+                    trial = {**shapes, p.symbol: float(np.clip(moved, p.lo, p.hi))}
+                    s = value(trial)
+                    if s is not None and s.score > best_value.score:
+                        shapes, best_value = trial, s
+                        break
+                else:
+                    steps[p.symbol] *= 0.4
+    final = score_new(engine, effect, joints, shapes, hyper)
+    if final is None:
+        return scored
+    return replace(final, score=final.score - charge, candidate=replace(final.candidate, charge=charge))

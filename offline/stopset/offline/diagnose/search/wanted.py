@@ -1,0 +1,72 @@
+"""What to look for: every effect of the catalogue at every place, with start values of its shapes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stopset.effects import Effect, catalogue
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+
+LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
+
+NEIGHBOURS = "coupled_wrist"  # a shaft through a joint drives the next one
+
+Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
+
+
+def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
+    """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes."""
+    n, d = engine.data.n, engine.data
+    out: list[Wanted] = []
+    for effect in catalogue().values():
+        if effect.base or (names is not None and effect.name not in names) or effect.name == "torque_ripple":
+            continue
+        if effect.name == "residual_gravity" and not engine.source.compensated:
+            continue  # the whole rigid body is in the base model
+        if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):
+            continue
+        places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > 50]
+        if effect.scope == "arm":
+            places = [()]
+        elif effect.scope == "pair":
+            places = [(a[0], b[0]) for a, b in itertools.combinations(places, 2)]
+            if effect.name == NEIGHBOURS:
+                places = [(a, b) for a, b in places if b == a + 1]
+        grids = [s.grid for s in effect.shapes]
+        for place in places:
+            if effect.enters == "input_delay":
+                out.extend((effect, place, {"d0": lag}) for lag in LAGS)
+                continue
+            for values in itertools.product(*grids):
+                shapes = dict(zip([s.symbol for s in effect.shapes], values, strict=True))
+                if effect.name != "elasticity" or _swings(engine, place[0], shapes["K"]):
+                    out.append((effect, place, shapes))
+    return out
+
+
+def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wanted]:
+    """Uncalmed columns of elasticity, for the joints whose rows hold far more than the position's noise.
+
+    There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
+    """
+    loudest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > limit.LOUD), key=lambda j: -hyper.kappa[j])[:3]
+    out: list[Wanted] = []
+    for effect in catalogue().values():
+        if names is not None and effect.name not in names:
+            continue
+        for j in loudest:
+            if effect.name == "elasticity":
+                M = float(np.median(engine.source.mass[:, j, j]))
+                grid = [K for K in effect.shapes[0].grid if _swings(engine, j, K)]
+                out.extend((effect, (j,), {"K": K, "D": 0.1 * float(np.sqrt(K * M)), "exact": 1.0}) for K in grid)
+    return out
+
+
+def _swings(engine: Engine, joint: int, K: float) -> bool:
+    """Whether a stiffness gives a period that rows can show: 0.1 to 1.5 s."""
+    M = float(np.median(engine.source.mass[:, joint, joint]))
+    return bool(4.0**2 * M < K < 70.0**2 * M)  # a link described without inertia swings at no frequency

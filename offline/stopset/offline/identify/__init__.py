@@ -1,0 +1,1 @@
+"""From recordings to the model file, stage by stage."""

@@ -1,0 +1,204 @@
+"""Every constant that a model file rests on besides the user's settings, by a name of its own, and the hash over both (trap P18).
+
+Names belong to the constants, not to the files they stand in: moving a file changes an import here and no hash.  What is not a
+number that a result rests on (words, formats, budgets of memory) stays out; a test holds a reason for each of those.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from stopset.effects import base, bound, get, signals
+from stopset.effects.registry import catalogue
+from stopset.offline.abstraction import choose, forms, identified, models
+from stopset.offline.brakes import bands as spread_bands
+from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
+from stopset.offline.campaign import hold_out, independence, session, survey
+from stopset.offline.compare import metrics, tightness
+from stopset.offline.conform import (
+    bands,
+    corners,
+    guarantee,
+    linear_program,
+    monotone_sets,
+    noise,
+    nonlinear,
+    nonlinear_sets,
+    program,
+    reading_error,
+    zonotopes,
+)  # fmt: skip
+from stopset.offline.diagnose import compensated, thresholds
+from stopset.offline.diagnose.columns import elasticity, ripple
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
+from stopset.offline.diagnose.explain import doubt, uncertainty
+from stopset.offline.diagnose.rows import noise as row_noise
+from stopset.offline.diagnose.rows import prepare, rows
+from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.identify import absurd
+from stopset.offline.identify.settings import Settings
+from stopset.offline.nominal import (
+    delay,
+    fit,
+    floor,
+    friction,
+    friction_choice,
+    nominal,
+    normal_equations,
+    open_loop,
+    output_error,
+    pair_choice,
+    parameter_uncertainty,
+    physical,
+    preprocess,
+    prior,
+    qp,
+    scale,
+    unidentifiable,
+)  # fmt: skip
+from stopset.reach import nonlinear as flow
+from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
+from stopset.reach.stops import friction as stop_friction
+from stopset.recording import reader
+from stopset.ring import interval
+from stopset.robot import arm, generic
+
+SCHEMA = 1  # of the hash: counted up when a name changes or the way values are written
+
+# (name of the group, module its constants stand in today, their names)
+TABLE: tuple[tuple[str, ModuleType, str], ...] = (
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
+    ("robot", arm, "STANDARD_GRAVITY"),
+    ("rigid body", generic, "_SNAP"),
+    ("interval", interval, "_ULPS _TWO_PI"),
+    ("effects", base, "REFERENCE_TEMPERATURE"),
+    ("effect signals", signals, "_STEP"),
+    ("survey", survey, "JITTER DRIFT KEEP STOPS"),
+    ("session", session, "REPEATED POWERED"),
+    ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES SEAM SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY"),
+    ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
+    ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
+    ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
+    ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
+    ("inertia floor", floor, "FASTEST WEAK POSES"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
+    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
+    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
+    ("friction", friction, "CREEP DRY ENDS DENSE"),
+    ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
+    ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
+    ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
+    ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
+    ("physical", physical, "MARGIN"),
+    ("prior", prior, "DOUBT"),
+    ("quadratic program", qp, "TOLERANCE"),
+    ("scale", scale, "SHARE"),
+    ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
+    ("abstraction choice", choose, "WINDOWS TIE"),
+    ("abstraction forms", forms, "ROUNDING"),
+    ("abstraction identified", identified, "HORIZON ORDERS"),
+    ("abstraction models", models, "ORDERS ROUNDING"),
+    ("flow", flow, "STEP _TERMS"),
+    ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
+    ("reading error", reading_error, "SMOOTH FEWEST"),
+    ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
+    ("absurd", absurd, "MOVES RANGES"),
+    ("drive gain", baseline, "POSES LOADED"),
+    ("temperature bands", bands, "MOST"),
+    ("corners", corners, "BUDGET CUTS RUNAWAY"),
+    ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
+    ("linear program", linear_program, "AGES"),
+    ("program", program, "SOLVER_SLACK ROUNDS FIRST MORE STOP_TIME CHARGE"),
+    ("monotone sets", monotone_sets, "ROUNDS SETTLED LARGEST"),
+    ("windows of nonlinear sets", nonlinear, "GRID WINDOWS AGES"),
+    ("nonlinear sets", nonlinear_sets, "KEEP MOST_LEFT_OUT TOLERANCE"),
+    ("zonotopes", zonotopes, "POSES SAME REACH"),
+    ("figures", metrics, "AVERAGING KINDS LONGEST"),
+    ("spread of stops", spread_bands, "RISK TIMES TORQUES WIDEN WIDENINGS"),
+    ("ramps", controlled, "KINDS START SOFT CONTROL"),
+    ("impulses", impulse, "SLIDING SHORTEST"),
+    ("judge of stops", judge, "BEFORE SLOW PIECES"),
+    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS APART ROUNDS STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
+    ("stops", stops, "HELD FEW REST"),
+    ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
+    ("stop bounds", bounds, "SWEEPS FEW"),
+    ("stop energy", energy, "CLAIMS ROUNDING"),
+    ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
+    ("stop accelerations", moving, "ROUNDING"),
+    ("effects in a stop", bound, "SIGMAS"),
+    ("stop brakes", brakes, "BRAKE_TOLERANCE"),
+    ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
+    ("stop ramp", ramp, "KNOTS POINTS STILL"),
+    ("stop tube", tube, "REDOS PASSES RECENTRE"),
+    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
+    ("stop windows", windows, "WIDTH TINY"),
+    ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
+    ("diagnosis poses", rows, "FEW_POSES"),
+    ("diagnosis noise", row_noise, "ORDER"),
+    ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
+    ("diagnosis ripple", ripple, "STEP RIPPLES"),
+    ("diagnosis candidate", candidate, "HELD MANY SIZES"),
+    ("diagnosis engine", engine, "GIVEN"),
+    ("diagnosis evidence", evidence, "SIGMAS"),
+    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
+    ("diagnosis doubt", doubt, "SURE EDGE"),
+    ("diagnosis hold-out", held_out, "BLOCK"),
+    ("diagnosis refinement", refine, "CONTENDERS"),
+    ("diagnosis search", search, "UNHEARD"),
+    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
+    ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
+)
+
+
+def constants() -> dict[str, Any]:
+    """``group.NAME`` -> value, as written in the code of this version."""
+    out = {f"{group}.{name}": getattr(module, name) for group, module, names in TABLE for name in names.split()}
+    return out | {
+        "preprocessing defaults": preprocess.Preprocessing(),
+        "description tolerance": prior.Tolerance(),
+        "changes since": {f: priors.Known.__dataclass_fields__[f].default for f in ("gain", "spread", "scales")},
+    }
+
+
+def ranges(effects: tuple[str, ...]) -> dict[str, Any]:
+    """Admissible ranges, usual sizes and start values of base friction and of the ``effects`` asked for."""
+    asked = {name.partition(":")[0] for name in effects} | {e.name for e in catalogue().values() if e.base}
+    return {name: (get(name).terms, get(name).shapes, get(name).states) for name in sorted(asked)}
+
+
+def settings_sha256(settings: Settings) -> str:
+    """What a model rests on besides its recordings and its robot: settings, constants, ranges of its effects."""
+    return digest({"settings": settings, "constants": constants(), "effects": ranges(settings.effects)})
+
+
+def digest(values: Mapping[str, Any], schema: int = SCHEMA) -> str:
+    """SHA-256 of named values, whatever their order; arrays by their numbers, to the last bit."""
+    text = json.dumps({"schema": schema, "values": plain(values)}, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON has it. Raises `TypeError` for what has no such form."""
+    if isinstance(value, np.ndarray):
+        return {"shape": list(value.shape), "numbers": [plain(x) for x in value.ravel().tolist()]}
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, frozenset):
+        return sorted(map(plain, value))
+    if isinstance(value, (tuple, list)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise TypeError(f"{value!r} is no number, text or collection of these")

@@ -1,0 +1,151 @@
+"""The model file's content put together: sets, guarantee, figures, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+from stopset.artifact import Domain, Model, Revision, UncertaintySets
+from stopset.offline.brakes import identify_stops, with_stops
+from stopset.offline.brakes.data_sheet import assumed_brakes
+from stopset.offline.campaign.survey import Survey, Tally
+from stopset.offline.compare.metrics import Figures
+from stopset.offline.compare.tightness import Tightness, of_tube
+from stopset.offline.conform.bands import Bands, band_sets
+from stopset.offline.conform.gather import Kept, Sums
+from stopset.offline.conform.guarantee import union
+from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
+from stopset.offline.conform.program import STOP_TIME
+from stopset.offline.conform.zonotopes import Template
+from stopset.offline.identify.absurd import absurd
+from stopset.offline.identify.constants import settings_sha256
+from stopset.offline.identify.settings import Settings
+from stopset.offline.nominal.model import NominalPart
+from stopset.offline.nominal.parameter_uncertainty import notes as doubts
+from stopset.offline.nominal.parameter_uncertainty import widened
+from stopset.offline.update.signals_file import Signals
+from stopset.reach.flowpipe import deviation_tube
+from stopset.recording import Meta, Recording
+from stopset.robot import Robot
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """The model and what was found on the way to it, for the command's printout and the report."""
+
+    model: Model
+    conformance: Conformance
+    survey: Survey
+    settings: Settings
+    tightness: Tightness
+    absurd: tuple[str, ...]
+    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
+
+
+def concluded(
+    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, bands: Bands | None,
+    zonotope: Template | None, sums: Sums, tally: Tally | None = None,
+) -> Identification:  # fmt: skip
+    """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
+    options = Options(settings.conform, settings.windows, settings.margin)
+    horizon = found.within(settings.horizon)
+    steps = round(horizon / found.dt)
+    gathered = sums.gathered.mapped(lambda env: env.upto(steps))
+    shared = (nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options)
+    learnt = found.learnt_motions
+    result = conform(gathered, *shared, found.trials, learnt, zonotope)
+    by_band = {}
+    if bands is not None and found.temp is not None:
+        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt, zonotope)
+    everything = union(list(gathered.parts.values()))
+    across = None if zonotope is None else zonotope.directions
+
+    def tight(sets: UncertaintySets) -> Tightness:
+        return of_tube(deviation_tube(nominal.abstraction, sets, across), everything.hi, everything.lo, robot.n)
+
+    out = packed(robot, meta, found, nominal, settings, sums.figures, result, by_band, tight)
+    if tally is None:
+        return out
+    # what may judge the model later must stay what it was when the nominal model was fitted
+    fitted = found.learnt or frozenset(found.motion) - found.held_out
+    nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
+    files = len(meta.sources)
+    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, bands, zonotope, found.motion, files)
+    return replace(out, kept=kept)
+
+
+def packed(
+    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, figures: Figures, result: Conformance,
+    by_band: dict[str, UncertaintySets], tight: Callable[[UncertaintySets], Tightness],
+) -> Identification:  # fmt: skip
+    errors, u_hull = figures.result(robot.joints), figures.u
+    assert u_hull is not None
+    seen = result.sets
+    if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
+        result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
+        by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
+    tightness, odd = tight(result.sets), absurd(result.sets, errors, found)
+    bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
+    widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
+    total = widths | _sums(errors)
+    notes = list(result.notes)
+    if by_band:
+        notes.append(
+            "the sets of temperature bands have the margin of the whole and enclose all that was recorded at these temperatures; "
+            "of motions not yet seen only the whole's sets promise anything"
+        )
+    model = Model(
+        robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
+        abstraction=nominal.abstraction,
+        sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
+        domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
+        provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *tightness.words(robot.joints), *odd),
+    )  # fmt: skip
+    return Identification(model, result, found, settings, tightness, tuple(odd))
+
+
+def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
+    """With brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
+    kept = replace(found.kept, stops=tuple(stops)) if isinstance(found.kept, Kept) else None
+    if not stops or found.model.effort == "compensated_torque":
+        return replace(found, kept=kept)
+    tell(f"brakes and ramps from {len(stops)} recorded stops")
+    return replace(found, model=with_stops(found.model, identify_stops(found.model, stops)), kept=kept)
+
+
+def _sums(errors: dict[str, dict[str, Any]]) -> dict[str, float]:
+    keys = ("torque_rmse", "velocity_rmse", "position_rmse")
+    return {f"sum_{k}": float(sum(row[k] for row in errors.values() if row[k] is not None)) for k in keys}
+
+
+def _sources(meta: Meta) -> dict[str, str]:
+    """File name -> SHA-256; files of one name in several folders are numbered."""
+    out: dict[str, str] = {}
+    for name, sha256 in meta.sources:
+        again = sum(other == name or other.startswith(f"{name} (") for other in out)
+        out[f"{name} ({again + 1})" if again else name] = sha256
+    return out
+
+
+def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
+    return {
+        "tool": f"stopset {version('stopset')}",
+        "settings": asdict(settings),
+        "settings_sha256": settings_sha256(settings),
+        # rad and rad/s are not addable (trap P11): what a velocity was weighted by when widths were traded
+        "cost": {"velocity_counts_for_s": STOP_TIME, "age_weight": f"1 / (age + {STOP_TIME} s)"},
+        "data": _sources(meta),
+        "phase": found.phase,
+        "trials": found.trials,
+        "samples": found.samples,
+        "motions": len(set(found.motion.values())),
+        "session_trials": found.places,
+        "velocity": meta.velocity,
+        "chosen": [g.name for g in nominal.chosen],
+        "clock": "resampled to the grid" if found.irregular else meta.clock,
+    }

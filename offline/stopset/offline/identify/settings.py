@@ -1,0 +1,24 @@
+"""What the user chooses for an identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+HORIZON = 5.0  # [s] the paper's test suites are "up to 5 seconds long" (sec. V-B)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the user chose; its hash, with the constants of the algorithm (`constants`), goes into the model file (trap P18)."""
+
+    model: int = 1
+    order: int | None = None
+    effects: tuple[str, ...] = ()
+    conform: str = "all"
+    windows: str = "sliding"
+    margin: float | None = None
+    horizon: float = HORIZON
+    bands: int = 0  # temperature bands beside the whole; 0: none
+    shape: str = "box"  # or "zonotope": of the torque set
+    mixed: bool = False  # recordings of several conditions are taken as one
+    friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for

@@ -1,0 +1,51 @@
+"""Effects that are known with their numbers: how they change the robot's description and a recording, before a fit.
+
+What is inertial becomes part of the robot, a wrong torque scale is undone, a late torque is shifted back, and every other
+torque is taken off.  What is left is a recording of the plain arm with plain friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stopset.artifact.inputs import effect_torques
+from stopset.effects.base import Fitted
+from stopset.effects.registry import get
+from stopset.recording import Recording
+from stopset.robot import Robot
+
+
+def described(robot: Robot, known: Sequence[Fitted]) -> Robot:
+    """The robot with known payloads and rotor inertias in its description."""
+    pi, drives = robot.pi.copy(), list(robot.drives)
+    for f in known:
+        effect = get(f.effect)
+        if effect.carried:
+            pi[-1] += [f.values[t.symbol] for t in effect.terms]
+        elif f.effect == "rotor_inertia" and f.joint is not None:
+            j = robot.joints.index(f.joint)
+            drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + f.values["dJ"])
+    return replace(robot.with_parameters(pi), drives=tuple(drives))
+
+
+def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> Recording:
+    """The recording as the arm without the ``known`` effects would have made it; ``robot`` as `described`."""
+    if not known:
+        return r
+    tau = r.tau.copy()
+    for f in known:
+        effect = get(f.effect)
+        if effect.enters == "input_delay" and f.joint is not None:
+            j = robot.joints.index(f.joint)
+            tau[:, j] = np.interp(r.t + f.values[effect.terms[0].symbol], r.t, tau[:, j])
+        elif effect.enters == "input_gain" and f.joint is not None:
+            tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values[effect.terms[0].symbol]
+    torques = [f for f in known if get(f.effect).compensated()]
+    if torques:
+        # what acts on accelerations (a motor that two joints share) needs them; their noise passes the torque's own filter later
+        ddq = np.gradient(r.dq, r.t, axis=0) if any("ddq_other" in get(f.effect).needs for f in torques) else None
+        tau -= effect_torques(robot, torques, r.q, r.dq, ddq, temp=r.temp, warm=warm, t=r.t)
+    return replace(r, tau=tau)

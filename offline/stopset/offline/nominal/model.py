@@ -1,0 +1,194 @@
+"""The nominal part of a model: arm, rotors, effects and abstraction, all that must be known before the sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Abstraction, Model
+from stopset.artifact.inputs import compensated, input_map
+from stopset.effects.base import Effect, Fitted
+from stopset.errors import EffectError
+from stopset.offline.campaign.survey import Source, Survey, on_grid
+from stopset.offline.conform.linear_sets import Pairs
+from stopset.offline.effect_names import matches, parse_effect
+from stopset.offline.identify.settings import Settings
+from stopset.offline.inspect.gate import check_torque
+from stopset.offline.nominal.friction_choice import BASE, Gain, choose
+from stopset.offline.nominal.known_effects import described, plain
+from stopset.offline.nominal.normal_equations import NormalEquations
+from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
+from stopset.offline.nominal.output_error import fit_joint
+from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
+from stopset.recording import Meta, Recording, Recordings
+from stopset.robot import Robot
+from stopset.robot.rigid import mass_matrix
+
+Array = NDArray[np.float64]
+
+NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estimated; leave it out"
+
+
+@dataclass(frozen=True, slots=True)
+class NominalPart:
+    """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was.
+
+    ``doubt`` (n,) [N m]: torque that the recordings leave open, see `stopset.offline.nominal.parameter_uncertainty`.
+    """
+
+    robot: Robot
+    rotor: Array
+    effects: tuple[Fitted, ...]
+    abstraction: Abstraction
+    notes: tuple[str, ...]
+    data: NormalEquations | None = None
+    doubt: Array = field(default_factory=lambda: np.zeros(1))
+    chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
+
+
+def fit_nominal(
+    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...] = ()
+) -> NominalPart:
+    """Everything that must be known before the sets, from all trials of ``source``."""
+    if meta.effort == "compensated_torque":
+        return _compensated(robot, found, settings)
+    return _motor(robot, meta, source, found, settings, known)
+
+
+def known_effects(
+    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = ()
+) -> tuple[Fitted, ...]:
+    """Numbers of the effects that ``settings`` ask for beyond friction, estimated from the motor torque of ``source``.
+
+    ``known`` ones are kept; friction of single joints is regressed with the rigid body, see `regressed`.
+    Raises `EffectError` for an effect that these recordings show no trace of.
+    """
+    if meta.effort == "compensated_torque":
+        return ()  # fitted with everything else, by output error
+    wanted = [
+        name for name in settings.effects
+        if not regressed(parse_effect(name, robot)[0]) and not any(matches(f, name) for f in known)
+    ]  # fmt: skip
+    if not wanted:
+        return tuple(known)
+    from stopset.offline.diagnose.estimate import estimates
+
+    trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
+    found = estimates(robot, trials, wanted, known).found
+    for name in wanted:
+        if not any(e.name == name for e in found):
+            raise EffectError(f"{name}: {NO_TRACE}")
+    return (*known, *(e.fitted for e in found))
+
+
+def regressed(effect: Effect) -> bool:
+    """Whether an effect is friction that the nominal regression can hold: at one joint, of speed and load, linear, no memory."""
+    return effect.scope == "joint" and not effect.states and not effect.shapes and set(effect.needs) <= {"dq", "load"}
+
+
+def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart:
+    """Torque that already is ``u``: one lag per joint with its effects, by output error."""
+    sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
+    batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
+    wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
+    expected = np.diag(_mean_inertia(robot, robot.rotor, found))
+    fits = []
+    for joint, batch, J in zip(robot.joints, batches, expected, strict=True):
+        terms = [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
+        fits.append(fit_joint(batch, joint, terms, float(J)))
+    inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
+    abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
+    viscous = tuple(Fitted("viscous", j, {"F_v": f.damping}, {"F_v": f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
+    notes = (
+        "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
+        "off before recording and are not known to this model",
+        *(
+            f"undetermined: inertia and damping of {j}, which moves over {np.ptp(b.q[b.inside > 0]):.2f} rad only; kept near the "
+            "description's inertia and a usual damping: record motions that move it"
+            for j, b, f in zip(robot.joints, batches, fits, strict=True)
+            if not f.determined
+        ),
+    )
+    doubt = of_lags(np.array([f.std for f in fits]), sample)
+    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes, doubt=doubt)
+
+
+def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
+    """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
+    from stopset.offline.nominal import identify_nominal
+
+    cad = described(robot, known)
+    asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
+
+    def trials() -> Iterator[Recording]:
+        return (plain(r, cad, known, found.warm(r)) for r in source())
+
+    chosen: tuple[Gain, ...] = ()
+    if settings.friction == "evidence":
+        barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
+        chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
+    nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*BASE, *asked, *(g.name for g in chosen)))))
+    strange = check_torque(cad, meta, nominal.data)
+    for name in asked:
+        if not any(_shows(f) for f in nominal.friction if matches(f, name)):
+            raise EffectError(f"{name}: {NO_TRACE}")
+    arm = nominal.robot(cad)
+    # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
+    # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
+    inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
+    damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
+    still = found.readings.least.hi[robot.n :]
+    abstraction = Abstraction(
+        1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
+    )
+    notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    doubt = of_regression(cad, nominal, found.sample)
+    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen)
+
+
+def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
+    """(n, n) [kg m^2]: ``M(q) + rotor`` in the mean over the poses seen."""
+    poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
+    mean: Array = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
+    return mean
+
+
+def shared_inertia(robot: Robot, effects: Sequence[Fitted]) -> Array:
+    """(n, n) [kg m^2]: inertia of motors that turn with two joints, beside the diagonal."""
+    out = np.zeros((robot.n, robot.n))
+    for f in effects:
+        if f.effect == "coupled_wrist" and len(f.joints) == 2:
+            i, j = map(robot.joints.index, f.joints)
+            out[i, j] = out[j, i] = f.values["J"]
+    return out
+
+
+def _shows(fitted: Fitted) -> bool:
+    """Whether some number of an effect is larger than twice its standard error."""
+    return any(abs(fitted.values[k]) > 2 * std for k, std in fitted.std.items())
+
+
+def pairs_of(source: Source, found: Survey, nominal: NominalPart, effort: str) -> Pairs:
+    """(motion, trial on the grid, input) of the surveyed phase, anew at every call."""
+    to_input = input_map(nominal.robot, nominal.effects, effort, nominal.abstraction)
+
+    def pairs() -> Iterator[tuple[int, Recording, Array]]:
+        for r in source():
+            if r.phase == found.phase and len(r.t) >= 3:
+                g = on_grid(r, found.dt)
+                if len(g.t) < 3:  # samples closer than the grid
+                    continue
+                yield found.motion[r.suite_key], g, to_input(g.q, g.dq, g.tau, g.temp, found.warm(r), g.t)
+
+    return pairs
+
+
+def roller(nominal: NominalPart | Model, effort: str, found: Survey) -> RollOut | None:
+    """Open-loop simulation with effects at the simulated state, for compensated torque; None: the abstraction alone says it."""
+    abstraction = nominal.abstraction
+    if effort != "compensated_torque" or not abstraction.decoupled or not compensated(nominal.effects, abstraction):
+        return None
+    return RollOut(nominal.robot, abstraction, nominal.effects, found.warm)

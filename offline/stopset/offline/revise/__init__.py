@@ -1,0 +1,1 @@
+"""A new revision of a model: one effect more, judged on held-out motions."""

@@ -1,0 +1,164 @@
+"""Whether effects help on data that the fit has not seen: the rule of `stopset add`, and of what `stopset diagnose` names.
+
+Motor torque is judged by the diagnosis itself: its estimate, its held-out torque error, before and after.  Compensated torque is
+judged by simulation: the nominal model with and without the effect is fitted on one part of the recordings and predicts the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.artifact.inputs import entry
+from stopset.effects import get
+from stopset.effects.base import Fitted
+from stopset.offline.campaign.hold_out import HoldOut
+from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.source import Campaign
+from stopset.offline.diagnose.estimate import estimates
+from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.effect_names import parse_effect
+from stopset.offline.identify.settings import Settings
+from stopset.offline.revise.held_out import nominal_figures
+from stopset.recording import Recordings
+from stopset.robot import Robot
+
+Tell = Callable[[str], None]
+
+# an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
+# (a single joint's error scatters more), while none rises by as much
+HELPS, HELPS_THERE = 0.02, 0.05
+HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
+SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
+NO_TRACE = "the data show no trace of it, so there are no numbers to add"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken."""
+
+    name: str
+    before: dict[str, float]
+    after: dict[str, float]
+    helps: bool
+    enters: str  # where it goes in the model
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """All that was judged; ``first``: errors without any; what to identify the revision with; ``words``: what judged."""
+
+    judged: tuple[Judged, ...]
+    first: dict[str, float]
+    settings: Settings
+    known: tuple[Fitted, ...]
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """What judges: a model's recordings, and how they are divided."""
+
+    model: Model
+    robot: Robot
+    campaign: Campaign
+    division: HoldOut
+    session: Session
+    tell: Tell
+
+    def simulated(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
+        """Errors of the nominal model fitted to one part of the recordings, on the other."""
+        return _flat(nominal_figures(self.robot, self.campaign, settings, self.division, self.session, known))
+
+
+def by_simulation(
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+) -> Verdict:
+    """Judge effects on compensated torque; ``first``: errors that are known already."""
+    errors = start = dict(first) if first else judge.simulated(settings, ())
+    judged = []
+    for name in names:
+        judge.tell(f"judging {name} on held-out data")
+        more = replace(settings, effects=(*settings.effects, name))
+        after = judge.simulated(more, ())
+        effect, joints = parse_effect(name, judge.robot)
+        helps = _helps(errors, after, joints, effect.enters in SHIFTS)
+        why = "" if helps or force else "it does not lower the error on held-out data"
+        judged.append(Judged(name, errors, after, helps, entry(effect), why))
+        if not why:
+            settings, errors = more, after
+    return Verdict(tuple(judged), start, settings, (), judge.division.words)
+
+
+def by_evidence(
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+) -> Verdict:
+    """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
+    judge.tell("estimating what was asked for, beside every effect of the catalogue")
+    recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
+    base = baseline(judge.model, recordings)
+    had = settled(judge.model)
+    kept = tuple(f for f in had if not get(f.effect).base)
+    answer = estimates(base.robot, recordings, names, had, base.known)
+    found = answer.found
+    joints = judge.model.joints
+    judge.tell("simulating without and with it")
+    wanted = [n for n in names if any(e.name == n for e in found)]
+    more = replace(settings, effects=(*settings.effects, *wanted))
+    taken = (*kept, *(e.fitted for e in found))
+    simulated = [dict(first)] if first else [judge.simulated(settings, kept)]
+    simulated.append(judge.simulated(more, taken) if found else simulated[0])
+    rows = [found[0].before if found else answer.before, *(e.after for e in found)]
+    errors = [_with_torque(simulated[min(k, 1)], joints, row) for k, row in enumerate(rows)]
+    judged = []
+    for name in names:
+        mine = [k for k, e in enumerate(found) if e.name == name]
+        if not mine:
+            judged.append(Judged(name, errors[0], errors[0], False, "", NO_TRACE))
+            continue
+        enters = entry(get(name.partition(":")[0]))
+        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], True, enters))
+    return Verdict(tuple(judged), errors[0], more, taken, answer.words)
+
+
+def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:
+    """Simulated errors with the torque errors (n,) of the diagnosis in place of their own."""
+    if row is None:
+        return dict(simulated)
+    key = HELD_OUT[0]
+    each = {f"{key}:{j}": float(e) for j, e in zip(joints, row, strict=True)}
+    return dict(simulated) | {key: _rms(each.values())} | each
+
+
+def _flat(figures: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Torque [N m], velocity [rad/s] and position [rad]: RMS over the joints, and of each joint after a colon."""
+    out: dict[str, float] = {}
+    for key in HELD_OUT:
+        each = {j: float(row[key.removeprefix("held_out_")]) for j, row in figures.items()}
+        out |= {key: _rms(each.values())} | {f"{key}:{j}": e for j, e in each.items()}
+    return out
+
+
+def _rms(errors: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(errors)))))
+
+
+def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
+    """Whether held-out errors fall, over the arm or at the effect's own ``joints``; a ``shift`` need only not raise them.
+
+    A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:
+    the evidence for it is the description it contradicts, which the diagnosis has weighed before it gave any numbers.
+    """
+    everywhere, there = [], []
+    for key in ("held_out_torque_rmse", "held_out_position_rmse"):
+        everywhere.append(after[key] / before[key] - 1.0)
+        own = [_rms(errors[f"{key}:{j}"] for j in joints) for errors in (before, after)]
+        there.append(own[1] / own[0] - 1.0)
+    falls = min(everywhere) <= -HELPS or min(there) <= -HELPS_THERE
+    # at its own joint one error may rise if the other falls by more: warming of a joint that gravity is not yet right for
+    rises = max(everywhere) >= HELPS or max(there) >= max(HELPS_THERE, -min(there))
+    return not rises and (shift or falls)

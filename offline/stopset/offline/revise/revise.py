@@ -1,0 +1,179 @@
+"""Add effects to a model: a new revision that re-identifies everything, judged on data the fit has not seen.
+
+The judgement comes first and is cheap (`stopset.offline.revise.judge`).  Several effects are judged one after another, each beside
+those that were taken before it.  Only then is the whole model identified again, once.  An effect that does not help is refused,
+with the numbers, unless forced; so is a revision whose torque sets are wider than before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stopset.artifact import Model, Revision
+from stopset.errors import EffectError, ModelFileError, NotCovered
+from stopset.offline.campaign.conditions import one_condition, tagged
+from stopset.offline.campaign.hold_out import hold_out
+from stopset.offline.campaign.source import campaign_of
+from stopset.offline.campaign.survey import survey
+from stopset.offline.effect_names import parse_effect
+from stopset.offline.identify.pipeline import Keep, Settings, identify
+from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
+from stopset.reach.stops import stop
+from stopset.recording import read_meta
+from stopset.robot import Robot
+from stopset.robot.arm import robot_from_text
+
+if TYPE_CHECKING:
+    from stopset.offline.conform.gather import Kept
+    from stopset.offline.update.signals_file import Signals
+
+Tell = Callable[[str], None]
+
+WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
+
+
+@dataclass(frozen=True, slots=True)
+class Revised:
+    """Outcome of `add`: the new model (None if all was refused), held-out errors and model figures before and after."""
+
+    model: Model | None
+    before: dict[str, float]
+    after: dict[str, float]
+    judged: tuple[Judged, ...]
+    judged_on: str
+    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
+
+    @property
+    def helps(self) -> bool:
+        """Whether all that was asked for lowers the error on held-out data."""
+        return all(j.helps for j in self.judged)
+
+
+def add(
+    model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
+    tell: Tell = lambda _: None, keep: Keep = None, conditions: Sequence[str] = (),
+) -> Revised:  # fmt: skip
+    """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
+
+    Several effects are given as ``effect`` or ``effect:joint`` each, in the order to try them; ``joint`` is then left out.
+    ``keep``: also keep what later recordings can be added to (`stopset.offline.update.update`).
+    Raises `EffectError` if an effect or joint is unknown or already part of the model.
+    """
+    robot, settings = description(model), settings_of(model)
+    names = _names(effect, joint, robot, settings)
+    campaign = tagged(campaign_of(robot, paths), conditions, paths)
+    if not settings.mixed:
+        one_condition(r.condition for r in campaign.trials())
+    surveyed = survey(campaign.trials)
+    judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, tell)
+    first = _judged_before(model, paths)
+    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
+    taken = [j for j in verdict.judged if not j.why]
+    if not taken:
+        return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
+    tell("identifying the new revision")
+    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep, conditions=conditions)
+    fresh = identified.model
+    tell("bounding stops before and after")
+    before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
+    after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
+    after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
+    refused = "" if force else widened(before, after)
+    if refused:
+        judged = tuple(replace(j, helps=False, why=j.why or refused) for j in verdict.judged)
+        return Revised(None, before, after, judged, verdict.words)
+    number = model.revisions[-1].number + 1 if model.revisions else 1
+    revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
+    revised = replace(fresh, revisions=(*model.revisions, revision))
+    return Revised(revised, before, after, verdict.judged, verdict.words, identified.kept)
+
+
+def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """Why a revision whose torque sets grew is refused; empty where they did not.
+
+    The rule: an effect that is truly there takes uncertainty away, so the widths of U, summed over the joints and before any
+    margin, may not grow by more than `WIDER`.  They do where recordings of different conditions are identified as one.
+    """
+    a, b = (x.get("sum_U_width_without_margin") for x in (before, after))
+    if a is None or b is None or b <= (1.0 + WIDER) * a:
+        return ""
+    return (
+        f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {WIDER:.0%}, for what is known of an "
+        "arm cannot make it less certain: are these recordings all of one condition (payload, tool, day)? give the others apart"
+    )
+
+
+def _names(effect: str | Sequence[str], joint: str | None, robot: Robot, settings: Settings) -> tuple[str, ...]:
+    """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
+    wanted = (effect,) if isinstance(effect, str) else tuple(effect)
+    if joint and (len(wanted) > 1 or ":" in wanted[0]):
+        raise EffectError(
+            f"{' '.join(wanted)} with --joint {joint}: expected a joint for one effect only; write {wanted[0].partition(':')[0]}:{joint}"
+        )
+    names = tuple(f"{w}:{joint}" if joint else w for w in wanted)
+    for k, name in enumerate(names):
+        parse_effect(name, robot)
+        if name in settings.effects:
+            raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
+        if name in names[:k]:
+            raise EffectError(f"{name} is named twice; name every effect once")
+    return names
+
+
+def _judged_before(model: Model, paths: Sequence[str | Path]) -> dict[str, float] | None:
+    """Held-out errors of this very model on these very recordings, where its last revision was judged on them."""
+    same = set(dict(model.provenance.get("data", {})).values()) == {sha for p in paths for _, sha in read_meta(p).sources}
+    tool = model.provenance.get("tool") == f"stopset {version('stopset')}"
+    last = dict(model.revisions[-1].after) if model.revisions else {}
+    found = {k: v for k, v in last.items() if k.partition(":")[0] in HELD_OUT}
+    return found if same and tool and len(found) == len(HELD_OUT) * (model.n + 1) else None
+
+
+def _note(taken: Sequence[Judged], judged_on: str) -> str:
+    """What the model file says of a revision: where each effect went, and which were forced."""
+    parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
+    return "; ".join([*parts, f"judged on {judged_on}"])
+
+
+def description(model: Model) -> Robot:
+    """The robot as it was described (CAD and data sheet), from the texts in the model."""
+    return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
+
+
+def stop_figures(model: Model, seen: Model) -> dict[str, float]:
+    """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that ``seen`` saw: ``stop0_angle``
+    the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved, as with an effect that no stop
+    is bounded with."""
+    angles = {}
+    for joint, name in enumerate(model.joints):
+        speed = np.zeros(model.n)
+        speed[joint] = max(seen.domain.dq.lo[joint], seen.domain.dq.hi[joint], key=abs)
+        try:
+            bound = stop(model, seen.domain.q.centre, speed, "0").angle
+        except NotCovered:
+            return {}
+        if bound is None:
+            return {}
+        angles[f"stop0_angle:{name}"] = float(bound[joint])
+    return {"stop0_angle": float(np.mean(list(angles.values())))} | angles
+
+
+def settings_of(model: Model) -> Settings:
+    """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
+    kept = dict(model.provenance.get("settings", {}))
+    kept["effects"] = tuple(kept.get("effects", ()))
+    kept.setdefault("friction", "plain")  # models older than the choice had none
+    try:
+        return Settings(**kept)
+    except TypeError as e:
+        unknown = ", ".join(sorted(kept.keys() - {f.name for f in fields(Settings)}))
+        raise ModelFileError(
+            f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
+            "identify again"
+        ) from e

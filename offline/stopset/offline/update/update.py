@@ -1,0 +1,200 @@
+"""Add recordings to a model without reading its old ones again: what they left is kept in a file beside the model.
+
+*Signals* are kept whole and compressed (`signals_file`): everything is identified anew from them and the new recordings, so the
+model is that of all recordings read together, to the last bit, its history aside.
+
+*Sums* have a constant size (`adaptive_file`), for campaigns without end.  For a given nominal model the envelopes by motion,
+the figures by trial and the survey's counts are all that the sets, margin and guarantee are made from.  They are maxima,
+minima and rows summed in campaign order, so these equal those of all recordings read together with this nominal model
+(`from_scratch`) to the last bit.  Recorded stops are kept whole, and brakes and ramps identified from old and new ones.
+The nominal model stays as it is, and so do the settings (trap P18); motions it was fitted to are never held out to judge it.
+`staleness` says when it is time for a new one.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from stopset.artifact import Model, Revision
+from stopset.errors import ModelFileError, RecordingError
+from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.session import POWERED
+from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
+from stopset.offline.campaign.survey import STOPS, Survey, Tally
+from stopset.offline.conform.gather import Kept, Sums, sums_of
+from stopset.offline.identify.model_file import Identification, concluded, stopped
+from stopset.offline.identify.pipeline import identified
+from stopset.offline.inspect.gate import check_signals
+from stopset.offline.revise.revise import description, settings_of
+from stopset.offline.update import staleness
+from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
+from stopset.offline.update.sums_file import load_sums, save_sums
+from stopset.recording import Recording, suite_label
+
+__all__ = ["from_scratch", "load_state", "save_state", "update"]
+
+Tell = Callable[[str], None]
+UPDATED = "updated: "  # begins the note of an update
+
+
+def save_state(path: str | Path, kept: Kept | Signals, model: Model) -> None:
+    """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
+    if isinstance(kept, Signals):
+        save_signals(path, kept, model)
+    else:
+        save_sums(path, kept, model)
+
+
+def load_state(path: str | Path, model: Model) -> Kept | Signals:
+    """Read what was kept for ``model``.
+
+    Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            whole = file.read(len(MAGIC)) == MAGIC
+    except OSError as e:
+        raise ModelFileError(
+            f"{path} cannot be read ({e.strerror}); expected what `stopset identify --keep` wrote: identify again with it"
+        ) from e
+    return load_signals(path, model) if whole else load_sums(path, model)
+
+
+def update(
+    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+) -> Identification:
+    """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
+
+    From signals the result is that of all recordings, history aside; from sums that of all recordings with this nominal model.
+    Raises `RecordingError` for recordings that are part of it already or hold another kind of torque.
+    """
+    if isinstance(kept, Signals):
+        return _again(model, kept, paths, tell, scheduler)
+    return _folded(model, kept, paths, tell, scheduler)
+
+
+def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+    """Everything identified anew from the kept signals and the new recordings."""
+    robot, old = description(model), kept.campaign.meta
+    campaign = continued(kept.campaign, robot, paths, kept.places)
+    fresh = identified(robot, campaign, settings_of(model), tell, scheduler, kept.known, "signals")
+    names = ", ".join(name for name, _ in campaign.meta.sources[len(old.sources) :])
+    note = (
+        f"{names} added to {', '.join(name for name, _ in old.sources)}; everything is identified from all of these, as if they had "
+        "been read together"
+    )
+    return replace(fresh, model=_next_revision(model, fresh.model, f"recordings {names}", note))
+
+
+def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+    """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
+    settings, robot = settings_of(model), replace(description(model), notes=())
+    meta, files = joined(kept.meta, paths), len(kept.meta.sources)
+
+    def source() -> Iterator[Recording]:
+        return numbered_on(kept.meta, robot, paths, kept.tally.places)
+
+    tell("reading the new recordings")
+    tally = copy.deepcopy(kept.tally)
+    phases: Counter[str] = Counter()
+    stops = list(kept.stops)
+    for r in source():
+        phases[r.phase] += 1
+        tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
+    _check_phases(phases, tally, kept)
+    found = tally.survey(kept.learnt, kept.session, kept.dt)
+    check_signals(robot, meta, found.sample)
+    numbers = _numbers(kept, found)
+    new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(kept.tally.steps)
+    tell(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")
+    nominal, difference = kept.nominal, None
+    if nominal.data is not None:
+        nominal = replace(nominal, data=staleness.folded(nominal.data, robot, model, source(), found))
+        assert nominal.data is not None
+        difference = staleness.apart(nominal.data, robot, model)
+    progress = Progress(trials, tell)
+    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler, progress)
+    earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
+    tell("identifying the sets")
+    fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
+    assert isinstance(fresh.kept, Kept)
+    names = ", ".join(name for name, _ in meta.sources[files:])
+    note = (
+        f"{UPDATED}{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
+        f"{', '.join(dict.fromkeys(name for name, _ in kept.meta.sources[: kept.fitted_files]))}"
+    )
+    if trials:
+        note += "; " + staleness.note(model, kept.sums.figures, later.figures, difference)
+    if len(stops) > len(kept.stops):
+        note += f"; {len(stops) - len(kept.stops)} stops added to {len(kept.stops)}"
+    fresh = stopped(replace(fresh, kept=replace(fresh.kept, fitted_files=kept.fitted_files)), stops, tell)
+    return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
+
+
+def from_scratch(
+    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+) -> Identification:
+    """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
+
+    ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
+    """
+    settings, robot = settings_of(model), replace(description(model), notes=())
+    meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
+    tell("reading the recordings")
+    tally = Tally(kept.tally.phase)
+    stops = []
+    for r in source():
+        tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
+    found = tally.survey(kept.learnt, kept.session, kept.dt)
+    sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
+    return stopped(concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally), stops, tell)
+
+
+def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
+    best = next((p for p in POWERED if phases[p]), None)
+    if best is not None and POWERED.index(best) < POWERED.index(tally.phase):
+        raise RecordingError(
+            f"the new recordings hold {best} trials, the model's sets rest on {tally.phase} ones; identify again from all recordings"
+        )
+    if len(tally.steps) > len(kept.tally.steps) or any(phases[p] for p in STOPS):
+        return
+    raise RecordingError(
+        f"the new recordings hold only {', '.join(sorted(phases))} trials and none of three samples that the model rests on; "
+        f"expected {tally.phase} trials or stops: record some"
+    )
+
+
+def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
+    """Old number of each motion -> new one; a new recording may show two old motions to be one."""
+    out: dict[int, int] = {}
+    for suite, number in kept.motion.items():
+        if out.setdefault(number, found.motion[suite]) != found.motion[suite]:
+            raise ModelFileError(
+                f"motion {number} of the kept state falls apart ({suite_label(suite)}); expected motions to be told apart as "
+                "before: identify again from all recordings"
+            )
+    return out
+
+
+def _revised(old: Model, fresh: Model, added: str, note: str) -> Model:
+    """``fresh`` as the next revision of ``old``, with what no recording tells anything about; the note is among its notes too."""
+    fresh = replace(
+        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
+        notes=(*fresh.notes, note),
+    )  # fmt: skip
+    return _next_revision(old, fresh, added, note.removeprefix(UPDATED))
+
+
+def _next_revision(old: Model, fresh: Model, added: str, note: str) -> Model:
+    number = old.revisions[-1].number + 1 if old.revisions else 1
+    before = dict(old.revisions[-1].after) if old.revisions else {}
+    revision = Revision(number, added, before, dict(fresh.revisions[-1].after), note)
+    return replace(fresh, revisions=(*old.revisions, revision))

@@ -1,0 +1,103 @@
+"""The core as a library: what it is made from, what it leans on, what a call costs, what happens without a compiler."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import timeit
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.core import build
+from stopset.core.library import ffi, lib, view
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_library_is_made_from_the_sources_as_they_are() -> None:
+    assert ffi.string(lib.stopset_sources()).decode() == build.sources_hash()
+    assert build.current()
+
+
+@pytest.mark.skipif(sys.platform != "linux" or shutil.which("nm") is None, reason="reads the symbols of an ELF file with nm")
+def test_it_needs_nothing_of_the_platforms_mathematics_and_never_allocates() -> None:
+    done = subprocess.run(
+        ["nm", "-D", "--undefined-only", build.HERE / build.library_name()], capture_output=True, text=True, check=True
+    )
+    needed = {line.split()[-1].split("@")[0] for line in done.stdout.splitlines()}
+    assert needed <= {
+        "memcpy",
+        "memset",
+        "memmove",
+        "_ITM_deregisterTMCloneTable",
+        "_ITM_registerTMCloneTable",
+        "__cxa_finalize",
+        "__gmon_start__",
+        "__stack_chk_fail",
+    }
+
+
+def test_flags_keep_the_order_of_operations() -> None:
+    assert "-ffp-contract=off" in build.FLAGS
+    assert not [f for f in build.FLAGS if "fast" in f or "march" in f or "unsafe" in f or "associative" in f]
+
+
+def test_a_call_costs_less_than_a_microsecond() -> None:
+    """With the pointers at hand, as the monitor has them; the best of several runs, for the machine may be busy."""
+    from stopset.robot import load_robot
+    from stopset.robot.rigid import arm_struct
+
+    arm = load_robot("lwa4p")
+    struct = arm_struct(arm.chain, arm.pi)
+    none = view(np.zeros(0))
+    call = lib.stopset_gravity_torques
+    assert min(timeit.repeat(lambda: call(struct, 0, none, none), number=2000, repeat=20)) / 2000 < 1e-6
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
+@pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="runs what it compiles for linux-x86_64")
+def test_zig_makes_the_same_bits_as_the_systems_compiler(tmp_path: Path) -> None:
+    """Two compilers, one result: as many numbers as a regressor and a mass matrix have, all equal."""
+    from stopset.robot import load_robot
+    from stopset.robot.rigid import arm_struct, mass_matrices, regressors
+
+    theirs = ffi.dlopen(str(build.compile_core(tmp_path, "linux-x86_64")))
+    assert ffi.string(theirs.stopset_sources()).decode() == build.sources_hash()
+    arm = load_robot("lwa4p")
+    q, dq, ddq = np.random.default_rng(5).normal(size=(3, 50, arm.n))
+    Y, M = np.empty((50, arm.n, 10 * arm.n)), np.empty((50, arm.n, arm.n))
+    theirs.stopset_regressors(arm_struct(arm.chain, arm.pi), 50, view(q), view(dq), view(ddq), view(Y))
+    theirs.stopset_mass_matrices(arm_struct(arm.chain, arm.pi), 50, view(q), view(M))
+    assert np.array_equal(Y, regressors(arm.chain, q, dq, ddq)) and np.array_equal(M, mass_matrices(arm.chain, arm.pi, q))
+
+
+def test_without_any_compiler_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RuntimeError, match="pip install ziglang"):
+        build.compiler()
+
+
+def test_the_wheels_build_asks_for_zig_only_where_it_is_needed() -> None:
+    """The hook itself, in a process whose PATH holds a compiler or none."""
+    pytest.importorskip("hatchling")
+    code = (
+        "import importlib.util as u; s = u.spec_from_file_location('h', 'hatch_build.py'); m = u.module_from_spec(s);"
+        "s.loader.exec_module(m); print(m.CustomBuildHook.dependencies(None))"
+    )
+    for path, target, want in (
+        ("/usr/bin:/bin", "", "[]"),
+        ("/nowhere", "", "ziglang"),
+        ("/usr/bin:/bin", "macos-arm64", "ziglang"),
+    ):
+        if want == "[]" and build.system_compiler() is None:
+            continue
+        env = {**os.environ, "PATH": path, "STOPSET_TARGET": target}
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+        assert want in done.stdout

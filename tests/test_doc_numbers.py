@@ -1,0 +1,124 @@
+"""Numbers are said once: what a page says of a constant is what the code has."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stopset.offline.campaign import session
+from stopset.offline.conform import guarantee
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.engine import FOLDS
+from stopset.offline.diagnose.explain.uncertainty import PART
+from stopset.offline.diagnose.rows import prepare
+from stopset.offline.identify import constants
+from stopset.offline.nominal import parameter_uncertainty, prior
+from stopset.offline.revise import judge
+from stopset.offline.update import staleness
+from stopset.reach.stops import failed, ramp, tubes
+
+ROOT = Path(__file__).parents[1]
+# page, what it says, the numbers in it
+SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
+    ("diagnosis", "One Gaussian kernel ({:g} ms)", (1e3 * prepare.KERNEL,)),
+    ("diagnosis", "one row per {:g} ms", (1e3 * prepare.ROW_STEP,)),
+    ("diagnosis", "Rows slower than {:g} rad/s", (prepare.CREEP,)),
+    (
+        "diagnosis",
+        "position error by {:g} %, and by {:g} % in each half",
+        (100 * limit.OPEN_LOOP_CLAIM, 100 * limit.OPEN_LOOP_HALVES),
+    ),
+    ("diagnosis", "explains {:g} times as much as the best one alone", (limit.TOGETHER,)),
+    ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * judge.HELPS, 100 * judge.HELPS_THERE)),
+    ("diagnosis", "A lag of less than {:g} ms is none", (1e3 * limit.SHORTEST_LAG,)),
+    ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS,)),
+    ("stops", "checked at {:g} points", (ramp.POINTS,)),
+    ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
+    ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),
+    ("stops", "a failed ramp into at most {:g} boxes", (failed.FAST_TUBES[1],)),
+    ("uncertainty-sets", "bound at {:g} %", (100 * guarantee.CONFIDENCE,)),
+    ("uncertainty-sets", "nominal torque at {:g} % of", (100 * parameter_uncertainty.SHARE,)),
+)
+WORDS = {2: "two", 4: "four", 5: "five", 6: "six", 8: "eight", 10: "ten", 12: "twelve"}
+# the same where the number is a word
+IN_WORDS: tuple[tuple[str, str, float], ...] = (
+    ("diagnosis", "with fewer than {} motions on every", FOLDS),
+    ("diagnosis", "(of {} seconds, where", PART),
+    ("diagnosis", "it takes {} as much", prior.DOUBT),
+    ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
+    ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
+    ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
+)
+
+
+def page(name: str) -> str:
+    return " ".join((ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8").split())
+
+
+@pytest.mark.parametrize(("name", "sentence", "numbers"), SAID, ids=lambda x: x if isinstance(x, str) and " " not in x else "")
+def test_a_page_says_what_the_code_has(name: str, sentence: str, numbers: tuple[float, ...]) -> None:
+    assert sentence.format(*numbers) in page(name)
+
+
+@pytest.mark.parametrize(("name", "sentence", "number"), IN_WORDS, ids=lambda x: x if isinstance(x, str) and " " not in x else "")
+def test_a_page_says_in_words_what_the_code_has(name: str, sentence: str, number: float) -> None:
+    word = WORDS[round(number)]
+    assert sentence.format(word) in page(name) or sentence.format({"two": "twice"}.get(word, word)) in page(name)
+
+
+@pytest.fixture(scope="module")
+def tables() -> Any:
+    spec = importlib.util.spec_from_file_location("doc_tables", ROOT / "benchmarks" / "doc_tables.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_tables_are_up_to_date(tables: Any) -> None:
+    stale = [p for p, text in tables.build().items() if (ROOT / p).read_text(encoding="utf-8") != text]
+    assert not stale, f"{stale} differ from the code; run python benchmarks/doc_tables.py"
+
+
+def test_a_changed_threshold_changes_the_table(tables: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = tables.build()
+    monkeypatch.setattr(limit, "QUIET", 3.25)
+    after = tables.build()
+    assert "| leftover variance | 3.25 |" in after["docs/diagnosis.md"] and before != after
+
+
+def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
+    written = [name for name in vars(limit) if name.isupper() and name != "TABLE"]
+    assert sorted(t.name for t in limit.TABLE) == sorted(written)
+    assert all(t.meaning and t.calibration for t in limit.TABLE)
+    assert len({t.meaning for t in limit.TABLE}) == len(limit.TABLE)
+
+
+def test_one_tolerance_of_a_description() -> None:
+    """Diagnosis and identification mean the same type; they differ by one factor that is said."""
+    from stopset.offline import diagnose
+
+    assert diagnose.Tolerance is prior.Tolerance
+    wide = prior.Tolerance().times(prior.DOUBT)
+    assert (wide.mass, wide.centre, wide.inertia, wide.rotor) == pytest.approx((0.072, 0.0036, 0.2, 0.06))
+    assert wide.rotor_unknown == prior.Tolerance().rotor_unknown
+
+
+def test_no_two_constants_of_the_pipeline_say_one_thing() -> None:
+    """A name and a value found twice is one number written twice: import it, or say here why it is two."""
+    two = {"FOLDS": "of the motions when friction laws are chosen, and when a claim is judged: each may change alone"}
+    seen: dict[tuple[str, str], str] = {}
+    double = []
+    for key, value in constants.constants().items():
+        group, _, name = key.rpartition(".")
+        before = seen.setdefault((name, repr(value)), group)
+        if before != group and name not in two:
+            double.append(f"{name} = {value!r} of {before} and of {group}")
+    assert not double, double
+
+
+def test_warming_is_counted_by_one_rule() -> None:
+    assert not hasattr(prepare, "REPEATED") and prepare.Session is session.Session
