@@ -21,6 +21,7 @@ from nominal_cases import arm as three_joints
 from stopset.cli.main import DEBUG, DEFECT, commands, main
 from stopset.errors import NotConformant
 from stopset.offline.conform import monotone_sets, program
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.baseline import drive_gain
 from stopset.offline.nominal import physical, qp
@@ -100,7 +101,7 @@ def test_a_linear_program_without_answer_is_told_in_our_words(status: int, monke
     monkeypatch.setattr(program, "linprog", lambda *a, **k: answer)
     G, h = np.ones((3, 10)), np.zeros(3)
     with pytest.raises(NotConformant, match="joint a") as e:
-        program.cheapest(G, h, np.ones(10), program.Bounds(Box.symmetric(np.ones(2)), 1), "joint a")
+        program.cheapest(G, h, np.ones(10), program.Bounds(ReadingError.exact(Box.symmetric(np.ones(2))), 1), "joint a")
     own_words(str(e.value))
     with pytest.raises(NotConformant, match="joint a") as e:
         program.solved(
@@ -175,13 +176,14 @@ def test_a_last_link_without_inertia_is_diagnosed(tmp_path: Path, capsys: pytest
 def test_a_scale_of_torque_beyond_reason_is_said() -> None:
     """Neither silently 1 nor believed: the description and the identified arm contradict each other."""
     described = three_joints()
-    recorded = campaign(Truth(described), seconds=3.0, static=2)
+    reach = Box.symmetric(np.full(3, 1.5))
     for factor in (0.6, 1.0, 1.9):
-        gain, notes = drive_gain(described, described.with_parameters(factor * described.pi), recorded)
-        assert gain == pytest.approx(factor) and not notes
+        (gain, _), notes = drive_gain(described, described.with_parameters(factor * described.pi), reach)
+        assert min(factor, 1.0) <= gain <= max(factor, 1.0) and (gain != 1.0 or factor == 1.0) and not notes
     for factor in (0.3, 2.5, -1.0):
-        gain, notes = drive_gain(described, described.with_parameters(factor * described.pi), recorded)
+        (gain, _), notes = drive_gain(described, described.with_parameters(factor * described.pi), reach)
         assert gain == 1.0 and len(notes) == 1
         assert f"{factor:.2g} times" in notes[0] and "expected 0.5 to 2" in notes[0] and "URDF" in notes[0]
     flat = replace(described, chain=described.chain._replace(gravity=np.zeros(3)))
-    assert drive_gain(flat, flat, recorded) == (1.0, ())
+    (gain, _), notes = drive_gain(flat, flat, reach)
+    assert gain == 1.0 and not notes
