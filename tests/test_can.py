@@ -20,6 +20,7 @@ from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
 from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
@@ -86,6 +87,18 @@ def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
     finally:
         hears.close()
         sender.close()
+
+
+def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
+    ours = Stamps()
+    assert ours(1e9, 1e9 + 0.01) == 1e9
+    assert ours(1e9, 1e9 + 70.0) == 1e9, "after standing still for long, what waited is old"
+    assert ours(float("nan"), 1e9) == 0.0 and ours(float("inf"), 1e9) == 0.0
+    theirs = Stamps()
+    assert theirs(5.0, 1e9) == 1e9
+    assert theirs(6.0, 1e9 + 1.3) == pytest.approx(1e9 + 1.0, abs=2e-3), "0.3 s late"
+    assert theirs(7.0, 1e9 + 70.0) == pytest.approx(1e9 + 2.0, abs=0.1)
+    assert theirs(70.0, 1e9 + 65.0 + 0.01) == pytest.approx(1e9 + 65.0, abs=0.02)
 
 
 def test_a_listener_has_nothing_to_send_with() -> None:
@@ -185,6 +198,19 @@ def test_a_lost_frame_costs_its_cycle_and_the_next() -> None:
     late = a + b[:-1] + [c[0], b[-1]] + c[1:]
     assert [x.counter for x in cycles(late)] == [1], "the doubled frame is seen"
     assert [x.counter for x in cycles(a[3:] + b + c)] == [3], "a cycle joined in the middle is not believed"
+
+
+def test_a_lost_sync_does_not_mix_two_cycles() -> None:
+    """The first PDO of a cycle is lost, and the SYNC after it: the next cycle's first PDO would complete this one."""
+    five = [one_cycle(k)[1] for k in range(5)]
+    stream = [(DT * k + 1e-5 * i, cob, data) for k, frames in enumerate(five) for i, (cob, data) in enumerate(frames)]
+    mixed = [f for f in stream if f not in (stream[1], stream[13])]
+    d = Decoder(PROFILE)
+    assert [c.counter for t, cob, data in mixed if (c := d.frame(cob, data, t)) is not None] == [4]
+    # a cycle that merely comes late, its sender having been held up, is given out with the next SYNC
+    d = Decoder(PROFILE)
+    late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
+    assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
 
 
 def test_other_nodes_and_emergencies_are_told_apart() -> None:

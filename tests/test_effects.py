@@ -47,7 +47,7 @@ NAMES = [
     "viscous",
 ]
 SCALARS = (
-    "q", "dq", "ddq", "load", "tau", "dtau", "link", "temp", "warm", "stiff", "inertia", "coriolis", "dq_other",
+    "q", "dq", "ddq", "load", "tau", "dtau", "link", "temp", "warm", "stiff", "inertia", "coriolis", "dq_other", "ddq_other",
 )  # fmt: skip
 RANGE = {"inertia": (0.1, 3.0), "warm": (0.0, 1.0), "temp": (-10.0, 30.0), "load": (-30.0, 30.0)}
 

@@ -38,13 +38,13 @@ def library_name(target: str = sys.platform) -> str:
 
 def c_files() -> list[Path]:
     """All C sources, in the order they are compiled."""
-    return sorted(SOURCES.glob("*.c"))
+    return sorted(SOURCES.rglob("*.c"))
 
 
 def sources_hash() -> str:
     """Of everything that decides the library's bits: sources, headers, flags."""
     h = hashlib.sha256(" ".join(FLAGS).encode())
-    for path in sorted(SOURCES.glob("*.[ch]")):
+    for path in sorted(SOURCES.rglob("*.[ch]")):
         h.update(path.name.encode() + b"\0" + path.read_bytes())
     return h.hexdigest()[:16]
 

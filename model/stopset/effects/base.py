@@ -67,7 +67,7 @@ class Signals:
     the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N
     m/rad];
     ``stiff``: by the joint's own position [N m/rad]; ``inertia``: ``M_jj`` [kg m^2]; ``coriolis`` [N m].
-    Of the partner of a pair: ``dq_other`` [rad/s].
+    Of the partner of a pair: ``dq_other, ddq_other`` [rad/s, rad/s^2].
     """
 
     q: Number = 0.0
@@ -88,6 +88,7 @@ class Signals:
     inertia: Number = 0.0
     coriolis: Number = 0.0
     dq_other: Number = 0.0
+    ddq_other: Number = 0.0
 
     @property
     def direction(self) -> Number:

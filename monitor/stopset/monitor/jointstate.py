@@ -5,6 +5,7 @@ JSON: ``{"stamp": seconds, "name": [...], "position": [...], "velocity": [...], 
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Sequence
@@ -129,7 +130,7 @@ def to_json(s: JointState) -> bytes:
     if any(not math.isfinite(x) for x in (*s.position, *s.velocity, *s.effort)):
         raise BusError("a joint state holds a value that is not a number; it cannot be sent")
     body = {"stamp_ns": s.stamp_ns, "name": s.name, "position": s.position, "velocity": s.velocity, "effort": s.effort}
-    return msgspec.json.encode(body)
+    return json.dumps(body, separators=(",", ":")).encode()
 
 
 def to_cdr(s: JointState) -> bytes:

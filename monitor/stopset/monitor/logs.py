@@ -41,7 +41,7 @@ def trials_of_log(path: Path, profile: Profile, cycle_s: float, suite: int = 0) 
 
     Raises `RecordingError` when the log holds no run, or no torque.
     """
-    decoder, count = Decoder(profile), CycleCount(cycle_s, profile.sync_overflow)
+    decoder, count = Decoder(profile, cycle_s), CycleCount(cycle_s, profile.sync_overflow)
     run: list[Sample] = []
     trial = 0
     for frame in read_log(path):

@@ -294,6 +294,54 @@ STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const doubl
 /* State at the first rows: from rest under `rest` (N,) [N m], `steps` steps of h [s] under the row's torque; not a number: bent. */
 STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double h,
                              double *x0, double *dx0);
+
+/* ---- simulation/: the arm that models are tested on; it shares no code with what bounds stops. At most 16 joints. */
+
+STOPSET_API int stopset_sim_mass_and_bias(const StopsetArm *arm, const double *q, const double *dq, double *M, double *bias);
+/* Torque (N, n) [N m] of rigid body and rotors for rows of q, dq, ddq. */
+STOPSET_API int stopset_sim_torques(const StopsetArm *arm, const double *rotor, int64_t N, const double *q, const double *dq,
+                                    const double *ddq, double *out);
+/* A w + p = b with friction p, see inclusion.c; mode (n,) is the guess who moves which way, then the answer. 1: solved to rounding,
+ * 0: not; negative: a code. */
+STOPSET_API int stopset_sim_inclusion(int n, const double *A, const double *b, const double *plus, const double *minus, int64_t *mode,
+                                      double *w);
+
+typedef struct {
+    StopsetArm arm;
+    const double *rotor;                  /* (n,) [kg m^2] */
+    const double *dry, *viscous;          /* (n,) [N m], [N m s/rad] */
+    const double *brake, *delay, *rise;   /* (n,) [N m], [s], [s] after the cut at t = 0 */
+} StopsetSimStop;
+
+/* Positions and velocities (steps + 1, n) every dt [s] of a power-off stop; disturbance (pieces, n) [N m], constant over equal
+ * pieces of the horizon. */
+STOPSET_API int stopset_sim_stop(const StopsetSimStop *stop, const double *q0, const double *v0, double dt, int64_t steps, int64_t pieces,
+                                 const double *disturbance, double *q, double *v);
+
+typedef struct {
+    StopsetArm arm;
+    int32_t states;        /* n + number of elastic joints */
+    double *table;         /* (n, columns) of stopset.simulation.plant; its friction warms */
+    const int64_t *motor;  /* (n,) the state that each joint's motor, friction and encoder belong to */
+    double *x, *v, *rate;  /* (states,) [rad, rad/s, rad/s^2] */
+    double *slip;          /* (n, 4) [N m] forces of the Maxwell elements */
+    double *load;          /* (n,) [N m] that the gears transmit */
+    double *temp, *film;   /* (n,) [degC]; how much the drives' own losses have warmed their oil */
+} StopsetSimArm;
+
+typedef struct {
+    double period;                              /* [s] of control and recording */
+    const double *feedforward, *q, *dq;         /* (ticks, n) [N m, rad, rad/s] */
+    const double *kp, *kd;                      /* (n,) [N m/rad, N m s/rad] */
+    int64_t brake_at, cut_at;                   /* ticks at which the brakes are told to close, the motors lose power */
+    const double *q_noise, *dq_noise, *walk;    /* (ticks, n) of the readings [rad, rad/s]; wander of dry friction [N m] */
+    double resolution;                          /* [rad] of the encoder */
+} StopsetSimScript;
+
+/* Logs (ticks, n): readings, their speed, reported torque, temperature, link angle and speed. */
+STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, int64_t ticks, int64_t steps_per_tick,
+                                const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
+                                double *link, double *speed);
 /* cffi end */
 
 #endif

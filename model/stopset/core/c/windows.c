@@ -29,7 +29,10 @@ typedef struct {
 
 static inline void begin(Lanes *l, double x) {
     const Four all = {x, x, x, x};
-    for (int j = 0; j < UNITS; j++) l->high[j] = l->low[j] = all;
+    for (int j = 0; j < UNITS; j++) {
+        l->high[j] = all;
+        l->low[j] = all;
+    }
 }
 
 static inline void finish(Lanes *l, double *top, double *bottom) {

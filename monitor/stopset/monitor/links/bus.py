@@ -14,6 +14,7 @@ import can
 
 from stopset.errors import BusError
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
 
 
 class Listener(Protocol):
@@ -61,7 +62,7 @@ class _CanListener:
     def __init__(self, spec: str) -> None:
         interface = parse(spec)[0]
         self._bus = _python_can(spec, **({"listen_only": True} if interface == "slcan" else {}))
-        self._own_clock = interface == "serial"  # its stamps are the sender's, in whole milliseconds
+        self._stamps = Stamps()
 
     def recv(self, timeout: float) -> Frame | None:
         try:
@@ -72,10 +73,7 @@ class _CanListener:
             return None
         if m.is_error_frame:
             raise BusError("error frame on the bus; check termination and bit rate")
-        now = time.time()
-        # nor is a stamp that is not a number within a minute of now
-        t = m.timestamp if not self._own_clock and abs(m.timestamp - now) <= 60 else now
-        return Frame(m.arbitration_id, m.data, t)
+        return Frame(m.arbitration_id, m.data, self._stamps(m.timestamp, time.time()))
 
     def close(self) -> None:
         self._bus.shutdown()

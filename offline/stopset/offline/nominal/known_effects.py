@@ -45,5 +45,7 @@ def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> R
             tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values[effect.terms[0].symbol]
     torques = [f for f in known if get(f.effect).compensated()]
     if torques:
-        tau -= effect_torques(robot, torques, r.q, r.dq, temp=r.temp, warm=warm, t=r.t)
+        # what acts on accelerations (a motor that two joints share) needs them; their noise passes the torque's own filter later
+        ddq = np.gradient(r.dq, r.t, axis=0) if any("ddq_other" in get(f.effect).needs for f in torques) else None
+        tau -= effect_torques(robot, torques, r.q, r.dq, ddq, temp=r.temp, warm=warm, t=r.t)
     return replace(r, tau=tau)

@@ -171,7 +171,7 @@ class Source:
         return Signals(
             q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
-            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z,
+            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip
 
     def _rate(self, x: Array) -> Array:
