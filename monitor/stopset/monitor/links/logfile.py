@@ -55,7 +55,7 @@ def _screen_lines(p: Path) -> Iterator[Frame] | None:
 
 
 def _opened(p: Path) -> TextIO:
-    return gzip.open(p, "rt", errors="replace") if p.suffix.lower() == ".gz" else p.open(errors="replace")  # type: ignore[return-value]
+    return gzip.open(p, "rt", errors="replace") if p.suffix.lower() == ".gz" else p.open(errors="replace")
 
 
 def _frames_of_screen(p: Path) -> Iterator[Frame]:
