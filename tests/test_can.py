@@ -213,6 +213,13 @@ def test_a_lost_sync_does_not_mix_two_cycles() -> None:
     d = Decoder(PROFILE)
     late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
     assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
+    d = Decoder(PROFILE)
+    assert (
+        not [c for t, cob, data in late[:13] if (c := d.frame(cob, data, t)) is not None]
+        and d.quiet(late[12][0] + 0.5 * DT) is None
+    )
+    last = d.quiet(late[12][0] + 1.5 * DT)
+    assert last is not None and last.counter == 1 and d.quiet(1e9) is None, "the last one of all, once"
 
 
 def test_other_nodes_and_emergencies_are_told_apart() -> None:

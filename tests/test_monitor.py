@@ -19,7 +19,7 @@ from stopset.monitor import plc, status
 from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
-from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward, outward_all, pack, unpack
+from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
@@ -387,6 +387,16 @@ def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> No
 
 def message(**more: Any) -> bytes:
     return pack({"data_id": 7, "boot_id": 1, "state": int(State.OK), **more})
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**32 - 1), st.floats(-1e9, 1e9)), min_size=1, max_size=5))
+def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int, float]]) -> None:
+    blocks = [{"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k} for k in range(3)]
+    packer = Packer()
+    for k, seq, room in rows:
+        values = {"seq": seq, "room_min": room, "nonces": (seq, 0, 0, k)}
+        assert packer.again(values, blocks[k]) == pack({**blocks[k], **values})
 
 
 def test_codes_differ_in_four_bits() -> None:
