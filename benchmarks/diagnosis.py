@@ -3,7 +3,8 @@
     python benchmarks/diagnosis.py --seed 100 --healthy 10 --out results.json
     python benchmarks/diagnosis.py --effects stribeck,delay --size hard
 
-Per case: what was hidden, the verdict, the ranked effects, the seconds of processor time.  The summary counts effect and
+Per case: what was hidden, the verdict, the ranked effects, the largest leftover variance, the seconds
+of processor time.  The summary counts effect and
 joint right together, false claims on healthy campaigns and abstentions on causes outside the catalogue.
 """
 
@@ -48,6 +49,7 @@ def case(robot: str, hide: list[str], seed: int, size: str, cad: str) -> dict[st
         "hidden": [f"{h['effect']}:{h['joint']}" for h in hidden], "seed": seed, "size": size, "cad": cad, "wanted": wanted,
         "reached": [h["ratio_achieved"] for h in hidden], "verdict": found.verdict, "right": right,
         "ranked": [[r.label, round(r.score, 1)] for r in found.ranked], "depends_on": found.depends_on, "seconds": spent,
+        "leftover": max(found.excess.values(), default=0.0),
     }  # fmt: skip
 
 
@@ -69,7 +71,7 @@ def main() -> None:
         rows.append(row)
         mark = "ok   " if row["right"] else "WRONG"
         print(mark, row["seed"], row["cad"], row["hidden"], row["reached"], "->", row["verdict"], row["ranked"],
-              row["depends_on"], f"{row['seconds']:.1f} s", flush=True)  # fmt: skip
+              row["depends_on"], f"leftover {row['leftover']:.2f}, {row['seconds']:.1f} s", flush=True)  # fmt: skip
     for verdict in ("none", "missing", "unknown"):
         group = [r["right"] for r in rows if r["wanted"] == verdict]
         if group:

@@ -40,7 +40,16 @@ LOOK: dict[str, tuple[str, Callable[[Signals], Array]]] = {
     "gravity load, joint 1 over q of joint 1": ("q [rad]", lambda s: s.q),
     "gravity load of all joints": ("gravity load [N m]", lambda s: s.load),
 }
-UNITS = {"q": "rad", "dq": "rad/s", "dq_other": "rad/s", "ddq": "rad/s^2", "dtau": "N m/s", "stiff": "N m/rad", "temp": "K"}
+UNITS = {
+    "q": "rad",
+    "dq": "rad/s",
+    "dq_other": "rad/s",
+    "ddq_other": "rad/s^2",
+    "ddq": "rad/s^2",
+    "dtau": "N m/s",
+    "stiff": "N m/rad",
+    "temp": "K",
+}
 
 
 def way(q: Array, dq: Array) -> Array:

@@ -5,15 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from stopset.artifact import load_model
+from stopset.monitor.authentication import Keys
+from stopset.monitor.config import load_config
+from stopset.monitor.consumer import MS, Consumer, Doubt, Expected
 from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.zenoh_link import ZenohLink
 
@@ -33,16 +42,17 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def stopset(*words: str) -> subprocess.Popen[str]:
+def stopset(*words: str, **more: str) -> subprocess.Popen[str]:
+    """A command as a process; ``more`` goes into its environment."""
     return subprocess.Popen(
         [sys.executable, "-m", "stopset.cli.main", *words],
-        env=environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**environment(), **more}, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
 
 
 @contextlib.contextmanager
-def running(*words: str) -> Iterator[subprocess.Popen[str]]:
-    process = stopset(*words)
+def running(*words: str, **more: str) -> Iterator[subprocess.Popen[str]]:
+    process = stopset(*words, **more)
     try:
         yield process
     finally:
@@ -54,6 +64,142 @@ def running(*words: str) -> Iterator[subprocess.Popen[str]]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
+
+
+def wait(what: Callable[[], Any], seconds: float = 20.0) -> bool:
+    """Until ``what`` holds; whether it did in time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if what():
+            return True
+        time.sleep(0.02)
+    return bool(what())
+
+
+def expected(config: Path, keys: Keys | None = None) -> Expected:
+    """What a consumer of the monitor of ``config`` is told."""
+    c = load_config(config)
+    return Expected.of(c.data_id, load_model(c.model).sha256, c.sha256, keys)
+
+
+class Reading:
+    """A consumer at work: ``said`` holds (time, state, doubt) of every look, once per few milliseconds."""
+
+    def __init__(self, ask: Callable[[bytes], None]) -> None:
+        self.said: list[tuple[float, State, int]] = [(time.monotonic(), State.FAULT, int(Doubt.NO_MESSAGE))]
+        self.ask = ask
+        self.on = True
+        self.thread = threading.Thread(target=self.work, daemon=True)
+
+    def take(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def work(self) -> None:
+        raise NotImplementedError
+
+    @property
+    def now(self) -> State:
+        return self.said[-1][1]
+
+    def since(self, t: float) -> set[State]:
+        """States believed at or after ``t``, that in force then included."""
+        before = [s for at, s, _ in self.said if at < t]
+        return {*before[-1:], *(s for at, s, _ in self.said if at >= t)}
+
+    def doubts(self, t: float) -> set[Doubt]:
+        """Doubts told after ``t``."""
+        return {Doubt(d) for at, _, d in self.said if at >= t and d}
+
+    def close(self) -> None:
+        self.on = False
+        self.thread.join(timeout=5)
+
+
+class PythonReading(Reading):
+    """`stopset.monitor.consumer.Consumer` in a thread."""
+
+    def __init__(self, ask: Callable[[bytes], None], expect: Expected, watchdog_ms: int) -> None:
+        super().__init__(ask)
+        self.consumer, self.lock = Consumer(expect, watchdog_ms * MS), threading.Lock()
+        self.thread.start()
+
+    def take(self, data: bytes) -> None:
+        with self.lock:
+            self.consumer.take(data, time.monotonic_ns())
+
+    def work(self) -> None:
+        while self.on:
+            with self.lock:
+                nonce = self.consumer.challenge(time.monotonic_ns(), secrets.randbits(64))
+                state = self.consumer.state(time.monotonic_ns())
+                doubt = int(self.consumer.why)
+            if nonce:
+                self.ask(nonce)
+            if (state, doubt) != self.said[-1][1:]:
+                self.said.append((time.monotonic(), state, doubt))
+            time.sleep(0.002)
+
+    @property
+    def refused(self) -> int:
+        return self.consumer.rejected
+
+    @property
+    def lost(self) -> int:
+        return self.consumer.lost
+
+
+class CReading(Reading):
+    """``deploy/plc/reader.c`` as a process."""
+
+    def __init__(self, ask: Callable[[bytes], None], expect: Expected, watchdog_ms: int, binary: Path) -> None:
+        super().__init__(ask)
+        keys = [w for k in expect.keys.by_id.values() for w in (str(k.key_id), k.secret.hex())] if expect.keys else []
+        words = [str(expect.data_id), f"{expect.model_hash:016x}", f"{expect.config_hash:016x}", str(watchdog_ms), *keys]
+        self.process = subprocess.Popen([str(binary), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.last: dict[str, str] = {}
+        self.thread.start()
+
+    def take(self, data: bytes) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError, ValueError):
+            self.process.stdin.write(len(data).to_bytes(2, "little") + data)
+            self.process.stdin.flush()
+
+    def work(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            words = line.decode().split()
+            if words[0] == "nonce":
+                self.ask(int(words[1], 16).to_bytes(8, "little"))
+            else:
+                self.last = dict(w.split("=") for w in words)
+                self.said.append((time.monotonic(), State(int(self.last["state"], 16)), int(self.last["why"])))
+
+    @property
+    def refused(self) -> int:
+        return int(self.last.get("refused", 0))
+
+    @property
+    def lost(self) -> int:
+        return int(self.last.get("lost", 0))
+
+    def close(self) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
+        self.process.wait(timeout=5)
+        super().close()
+
+
+def compiled(folder: Path, *source: str | Path, words: tuple[str, ...] = ()) -> Path:
+    """A C program or library of the test; skips where there is no compiler."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler here")
+    binary = folder / Path(source[0]).stem
+    plc = Path(__file__).resolve().parents[1] / "deploy/plc"
+    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-I", str(plc)]
+    subprocess.run(["cc", *flags, *words, *map(str, source), "-o", str(binary)], check=True)
+    return binary
 
 
 class Ear:
@@ -84,12 +230,7 @@ class Ear:
         return [State(unpack(d)["state"]) for d in list(self.raw)]
 
     def wait(self, what: Any, seconds: float = 20.0) -> bool:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            if what():
-                return True
-            time.sleep(0.02)
-        return bool(what())
+        return wait(what, seconds)
 
     def __enter__(self) -> Ear:
         return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import threading
 import time
@@ -20,6 +21,8 @@ from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
 from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
+from stopset.monitor.logs import play_log
 from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
@@ -86,6 +89,18 @@ def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
     finally:
         hears.close()
         sender.close()
+
+
+def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
+    ours = Stamps()
+    assert ours(1e9, 1e9 + 0.01) == 1e9
+    assert ours(1e9, 1e9 + 70.0) == 1e9, "after standing still for long, what waited is old"
+    assert ours(float("nan"), 1e9) == 0.0 and ours(float("inf"), 1e9) == 0.0
+    theirs = Stamps()
+    assert theirs(5.0, 1e9) == 1e9
+    assert theirs(6.0, 1e9 + 1.3) == pytest.approx(1e9 + 1.0, abs=2e-3), "0.3 s late"
+    assert theirs(7.0, 1e9 + 70.0) == pytest.approx(1e9 + 2.0, abs=0.1)
+    assert theirs(70.0, 1e9 + 65.0 + 0.01) == pytest.approx(1e9 + 65.0, abs=0.02)
 
 
 def test_a_listener_has_nothing_to_send_with() -> None:
@@ -187,6 +202,19 @@ def test_a_lost_frame_costs_its_cycle_and_the_next() -> None:
     assert [x.counter for x in cycles(a[3:] + b + c)] == [3], "a cycle joined in the middle is not believed"
 
 
+def test_a_lost_sync_does_not_mix_two_cycles() -> None:
+    """The first PDO of a cycle is lost, and the SYNC after it: the next cycle's first PDO would complete this one."""
+    five = [one_cycle(k)[1] for k in range(5)]
+    stream = [(DT * k + 1e-5 * i, cob, data) for k, frames in enumerate(five) for i, (cob, data) in enumerate(frames)]
+    mixed = [f for f in stream if f not in (stream[1], stream[13])]
+    d = Decoder(PROFILE)
+    assert [c.counter for t, cob, data in mixed if (c := d.frame(cob, data, t)) is not None] == [4]
+    # a cycle that merely comes late, its sender having been held up, is given out with the next SYNC
+    d = Decoder(PROFILE)
+    late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
+    assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
+
+
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
     d = Decoder(PROFILE)
     _, frames = one_cycle()
@@ -286,6 +314,39 @@ def test_import_of_a_log_returns_the_recording(suffix: str, tmp_path: Path) -> N
             # half a count, and the float32 of the file
             error = np.abs(getattr(a, name) - getattr(b, name)) - 2.0**-24 * np.abs(getattr(a, name))
             assert np.all(error <= PROFILE.quantum(name) * (1 + 1e-6) + 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["screen", "screen.gz", "log.gz"])
+def test_other_ways_to_keep_a_log(kind: str, tmp_path: Path) -> None:
+    trial, out = motion(0, 40), tmp_path / "rec.parquet"
+    frames = [(1.7e9 + f.t, f.cob_id, f.data) for f in recorded([trial]).frames]
+    if "screen" in kind:
+        lines = [f" ({t:.6f})  can0  {c:03X}   [{len(d)}]  {bytes(d).hex(' ').upper()}" for t, c, d in frames]
+    else:
+        lines = [f"({t:.6f}) can0 {c:03X}#{bytes(d).hex().upper()}" for t, c, d in frames]
+    path = tmp_path / ("bus.log.gz" if kind.endswith("gz") else "bus.log")
+    path.write_bytes(gzip.compress("\n".join(lines).encode()) if kind.endswith("gz") else "\n".join(lines).encode())
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    (back,) = read_recordings(out)
+    assert np.abs(back.q - trial.q).max() < 1e-5
+
+
+def test_replay_sends_what_drives_say_and_not_to_a_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = recorded([motion(0, 5)]).frames
+    commands = [(0x000, b"\1\0"), (0x603, bytes(8)), (0x583, bytes(8)), (0x203, bytes(8)), (0x701, b"\5"), (0x2A5, b"")]
+    said = [(0x703, b"\5"), (0x085, bytes(8))]
+    path = tmp_path / "bus.log"
+    lines = [
+        f"(1700000000.000000) can0 {c:03X}#{bytes(d).hex()}" for c, d in [*commands, *said, *((f.cob_id, f.data) for f in frames)]
+    ]
+    path.write_text("\n".join(lines))
+    tape = Tape()
+    assert play_log(path, tape.send, 1e6, PROFILE) == (len(frames) + 2, len(commands))
+    assert [f.cob_id for f in tape.frames] == [0x703, 0x085, *(f.cob_id for f in frames)]
+    assert main(["replay", str(path), "--to", "socketcan:can0"]) == 2
+    assert "--yes-this-bus-is-not-a-robot" in capsys.readouterr().err
+    assert main(["replay", str(path), "--to", "socketcan:nope0", "--yes-this-bus-is-not-a-robot"]) == 2
+    assert "cannot be opened" in capsys.readouterr().err
 
 
 def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

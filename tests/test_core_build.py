@@ -51,10 +51,10 @@ def test_flags_keep_the_order_of_operations() -> None:
 def test_a_call_costs_less_than_a_microsecond() -> None:
     """With the pointers at hand, as the monitor has them; the best of several runs, for the machine may be busy."""
     from stopset.robot import load_robot
-    from stopset.robot.rigid import _arm
+    from stopset.robot.rigid import arm_struct
 
     arm = load_robot("lwa4p")
-    struct = _arm(arm.chain, arm.pi)
+    struct = arm_struct(arm.chain, arm.pi)
     none = view(np.zeros(0))
     call = lib.stopset_gravity_torques
     assert min(timeit.repeat(lambda: call(struct, 0, none, none), number=2000, repeat=20)) / 2000 < 1e-6
@@ -65,15 +65,15 @@ def test_a_call_costs_less_than_a_microsecond() -> None:
 def test_zig_makes_the_same_bits_as_the_systems_compiler(tmp_path: Path) -> None:
     """Two compilers, one result: as many numbers as a regressor and a mass matrix have, all equal."""
     from stopset.robot import load_robot
-    from stopset.robot.rigid import _arm, mass_matrices, regressors
+    from stopset.robot.rigid import arm_struct, mass_matrices, regressors
 
     theirs = ffi.dlopen(str(build.compile_core(tmp_path, "linux-x86_64")))
     assert ffi.string(theirs.stopset_sources()).decode() == build.sources_hash()
     arm = load_robot("lwa4p")
     q, dq, ddq = np.random.default_rng(5).normal(size=(3, 50, arm.n))
     Y, M = np.empty((50, arm.n, 10 * arm.n)), np.empty((50, arm.n, arm.n))
-    theirs.stopset_regressors(_arm(arm.chain, arm.pi), 50, view(q), view(dq), view(ddq), view(Y))
-    theirs.stopset_mass_matrices(_arm(arm.chain, arm.pi), 50, view(q), view(M))
+    theirs.stopset_regressors(arm_struct(arm.chain, arm.pi), 50, view(q), view(dq), view(ddq), view(Y))
+    theirs.stopset_mass_matrices(arm_struct(arm.chain, arm.pi), 50, view(q), view(M))
     assert np.array_equal(Y, regressors(arm.chain, q, dq, ddq)) and np.array_equal(M, mass_matrices(arm.chain, arm.pi, q))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, Truth, moving
 from nominal_cases import arm as three_joints
+from stopset.cli.main import main
 from stopset.errors import EffectError
 from stopset.offline.abstraction import build
 from stopset.offline.abstraction import order_selection as order
@@ -23,7 +25,7 @@ from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.nominal.model import NominalPart, fit_nominal
 from stopset.reach.nonlinear import nominal
 from stopset.recording import Meta, Recording
-from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials
+from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials, urdf
 from test_abstraction import ROTOR, VISCOUS, two_link
 
 J7, V7 = (3.0, 2.5, 2.0, 1.5, 0.6, 0.4, 0.2), (12.0, 11.0, 9.0, 7.0, 4.0, 3.0, 1.5)
@@ -344,3 +346,20 @@ def test_friction_that_the_motions_do_not_show_is_refused() -> None:
     trials, robot = bent(3, np.zeros(3)), three_joints()
     with pytest.raises(EffectError, match="no trace"):
         fit_nominal(robot, Meta(joints=JOINTS), lambda: trials, survey(lambda: trials), Settings(effects=("load_coulomb:base",)))
+
+
+def test_answer_and_page_are_of_one_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Comparing reads every recording again: once is enough for both."""
+    module = sys.modules[compare.__module__]
+    counted: list[object] = []
+
+    def counting(*args: object) -> object:
+        counted.append(args)
+        return compare(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "compare", counting)
+    data = save_trials(tmp_path / "rec.parquet", recordings((2.0,), (4.0,), suites=2, trials=2), names(1))
+    (tmp_path / "robot.urdf").write_text(urdf(names(1)))
+    words = ["--robot", str(tmp_path / "robot.urdf"), "--data", str(data), "--out", str(tmp_path / "m.json")]
+    assert main(["identify", *words, "--json", str(tmp_path / "a.json"), "--report", str(tmp_path / "a.html")]) == 0
+    assert len(counted) == 1 and (tmp_path / "a.json").exists() and (tmp_path / "a.html").exists()

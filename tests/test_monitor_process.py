@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import time
 from collections.abc import Callable
@@ -11,9 +12,9 @@ import can
 import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
-from monitor_process import Ear, free_port, running, stopset, write_config
+from monitor_process import Ear, PythonReading, expected, free_port, running, stopset, write_config
 from stopset.artifact import Model, save_model
-from stopset.monitor.consumer import Consumer
+from stopset.monitor.consumer import Doubt
 from stopset.monitor.layout import State, unpack
 from stopset.recording import write_recordings
 
@@ -99,27 +100,27 @@ def test_killed_or_frozen_monitor_is_noticed(place: Place, tmp_path: Path) -> No
     model_path, recording, _ = place(None)
     bus, port = free_port(), free_port()
     config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
-    consumer = Consumer(data_id=1, watchdog_s=0.5)
     with (
         running("replay", str(recording), "--to", f"hub:{bus}", "--loop"),
         running("monitor", "--config", str(config)) as monitor,
         Ear(port) as ear,
+        contextlib.closing(PythonReading(lambda n: ear.link.put("challenge", n), expected(config), 500)) as consumer,
     ):
-        ear.link.subscribe("state", lambda _, d: consumer.take(d, time.monotonic()))
+        ear.link.subscribe("state", lambda _, d: consumer.take(d))
         good = (State.OK, State.DEGRADED, State.UNKNOWN)
-        assert ear.wait(lambda: consumer.state(time.monotonic()) in good)
+        assert ear.wait(lambda: consumer.now in good)
         ear.link.put("challenge", b"\1\2\3")
         assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
         monitor.send_signal(signal.SIGSTOP)
-        assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
-        assert "silent" in consumer.why
+        assert ear.wait(lambda: consumer.now is State.FAULT, 3.0)
+        assert consumer.consumer.why is Doubt.SILENT
         ear.link.put("challenge", b"\4\5\6")
         time.sleep(0.3)
         assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"
         monitor.send_signal(signal.SIGCONT)
-        assert ear.wait(lambda: consumer.state(time.monotonic()) in good, 10.0)
+        assert ear.wait(lambda: consumer.now in good, 10.0)
         monitor.kill()
-        assert ear.wait(lambda: consumer.state(time.monotonic()) is State.FAULT, 3.0)
+        assert ear.wait(lambda: consumer.now is State.FAULT, 3.0)
 
 
 def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:

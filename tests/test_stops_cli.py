@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import sys
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +15,9 @@ import pytest
 
 from stopset.artifact import save_model
 from stopset.cli.main import main
+from stopset.errors import NotCovered
+from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.ramp import KEY
 from stopset.sets import Box
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -31,6 +36,7 @@ KEYS = [
     "why",
 ]
 RAMP = ["--ramp-time", "0.3", "--off-after", "0.1"]
+TERMS = ["--reaction", "0.1", "--intrusion", "0.85", "--person-uncertainty", "0.1", "--robot-uncertainty", "0.02"]
 
 
 @pytest.fixture(scope="module")
@@ -139,13 +145,44 @@ def test_a_pose_with_all_axes_and_its_separation_distance(model: str, tmp_path: 
         (["--at", "0,0,0,0,0,0", "--speed", "50%", "--separation", "--v-human", "1.6"], "missing"),
         (["--ramp-time", "-1"], "positive"),
         (["--off-after", "0.1"], "--ramp-time"),
+        (["--fail-together"], "--ramp-time"),
+        (["--ramp-time", "inf"], "positive"),
+        (["--ramp-time", "1e9"], "at most 60 s"),
+        (["--ramp-time", "0"], "positive"),
+        (["--ramp-time", "0.3", "--ramp-deceleration", "4"], "exactly one"),
+        (["--ramp-deceleration", "1e9"], "at most"),
+        (["--ramp-deceleration", "nan"], "positive"),
+        (["--ramp-time", "0.3", "--off-after", "nan"], "not negative"),
+        (["--ramp-time", "0.3", "--off-after", "1e9"], "0 to 60 s"),
+        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "nan"], "not negative"),
+        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "-5"], "not negative"),
+        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "1e9"], "0 to 1000 %"),
+        (["--payload", "nan"], "at least 0 kg"),
+        (["--payload", "1e9", "--extrapolate-payload"], "at most 1000 kg"),
+        (["--payload", "inf", "--extrapolate-payload"], "at most 1000 kg"),
+        (["--rated-payload", "nan", "--extrapolate-payload"], "a rated payload of nan kg"),
+        (["--rated-payload", "-3", "--extrapolate-payload"], "a rated payload of -3 kg"),
+        (["--rated-payload", "1e-300", "--payload", "1"], "a rated payload"),
+        (["--payload-at", "1e9,0,0"], "at most 10 m"),
+        (["--payload-at", "nan,0,0"], "finite"),
+        (["--payload-at", "0,0,0,0"], "expected 3"),
+        (["--at", "0,0,0,0,0,0", "--speed=-50%"], "expected 0 to 100 %"),
+        (["--at", "0,0,0,0,0,0", "--speed", "nan%"], "finite"),
+        (["--at", "0,0,0,0,0,0", "--speed", "1e9,0,0,0,0,0"], "beyond its limit"),
+        (["--at", "0,0,0,0,0,0", "--speed", "nan,0,0,0,0,0"], "finite"),
+        (["--at", "inf,0,0,0,0,0", "--speed", "50%"], "finite"),
+        (["--at", "0,0,0,0,0,0", "--speed", "50%", "--path-rate", "1"], "--path"),
+        (["--path-start", "1"], "--path"),
+        (["--at", "0,0,0,0,0,0", "--speed", "50%", *TERMS, "--v-human", "nan", "--separation"], "v_h = nan"),
+        (["--at", "0,0,0,0,0,0", "--speed", "50%", *TERMS, "--v-human", "-1", "--separation"], "at least 0"),
+        (["--at", "0,0,0,0,0,0", "--speed", "50%", *TERMS, "--v-human", "1.6", "--separation", "--supplement", "1"], "D_DS"),
         (["--ramp-time", "0.3", "--off-after", "-1"], "not negative"),
         (["--ramp-time", "nan"], "positive"),
         (["--payload", "-1", "--extrapolate-payload"], "at least 0 kg"),
         (["--rated-payload", "3"], "--extrapolate-payload"),
         (["--payload-at", "0,0"], "expected 3"),
         (["--at", "0,0,0,0,0,x", "--speed", "50%"], "not numbers"),
-        (["--at", "0,0,0,0,0,0", "--speed", "120%"], "beyond"),
+        (["--at", "0,0,0,0,0,0", "--speed", "120%"], "beyond what 100 % means"),
         (["--speed", "50%"], "give --at"),
         (["--at", "0,0,0,0,0,0", "--speed", "50%", "--v-human", "1.6"], "without --separation"),
     ],
@@ -154,6 +191,40 @@ def test_bad_questions_get_one_sentence(model: str, extra: list[str], word: str,
     assert main(["stops", model, *extra]) == 2
     err = capsys.readouterr().err
     assert word in err and err.count("\n") == 1 and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("radii", "word"),
+    [
+        ((np.full(6, -0.01), np.zeros(6)), "at least 0"),
+        ((np.zeros(6), np.full(6, np.nan)), "finite"),
+        ((np.zeros(5), np.zeros(6)), "expected 6"),
+        ((np.zeros(6), np.float64(0.1)), "expected 6"),
+        ((np.full(6, np.inf), np.zeros(6)), "finite"),
+    ],
+)
+def test_half_widths_that_are_none_are_refused(radii: tuple[np.ndarray, np.ndarray], word: str) -> None:
+    bounds = StopBounds.of(prbt_like((0.0, 0.25)), ramp=Ramp.stated(6, time=0.3, off_after=0.1))
+    for ask in (bounds.certify, *(lambda *x, c=c: bounds.bound(*x[:2], c, *x[2:]) for c in ("0", "1", "1 guaranteed", "2"))):
+        with pytest.raises(NotCovered, match=word):
+            ask(np.zeros(6), np.zeros(6), *radii)
+
+
+@pytest.mark.parametrize("at", [np.zeros(2), np.full(3, np.nan), np.array([1e9, 0, 0])])
+def test_a_payloads_centre_that_is_none_is_refused(at: np.ndarray) -> None:
+    with pytest.raises(NotCovered, match="expected three numbers"):
+        StopBounds.of(prbt_like(), payload_com=at)
+
+
+def test_power_off_alone_is_told_where_the_model_holds_the_ramp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "r.model.json", tmp_path / "r.json"
+    save_model(replace(prbt_like(), provenance={KEY: Ramp.stated(6, time=0.3).as_dict()}), path)
+    asked = ["stops", str(path), "--at", "0.1,0.5,0.3,-0.4,0.2,0.1", "--speed", "50%", "--category", "1 guaranteed"]
+    assert main(asked) == 1 and "--off-after" in capsys.readouterr().out
+    for extra in (["--off-after", "0.1"], ["--monitored"], ["--off-after", "0.1", "--fail-together"]):
+        assert main([*asked, *extra, "--json", str(out)]) == 0
+        assert all(r["certified"] for r in json.loads(out.read_text()))
+    assert main([*asked, "--off-after", "nan"]) == 2 and "SS1-t time" in capsys.readouterr().err
 
 
 def test_missing_brakes_are_a_reason_and_no_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,9 +244,11 @@ def test_a_payload_no_recording_carried_is_marked_everywhere(tmp_path: Path, cap
     assert main(["stops", str(path), *asked]) == 2
     assert "--extrapolate-payload" in capsys.readouterr().err
     assert main(["stops", str(path), *asked, "--extrapolate-payload", "--json", str(rows), "--csv", str(table)]) == 0
-    assert all(r["certified"] and "extrapolated" in r["why"] for r in json.loads(rows.read_text()))
+    found = json.loads(rows.read_text())
+    assert all(r["extrapolated"] is True and r["certified"] is False and "EXTRAPOLATED" in r["why"] for r in found)
+    assert all(r["time_s"] > 0 and any("EXTRAPOLATED PAYLOAD" in a for a in r["assumptions"]) for r in found)
     text = capsys.readouterr().out
-    assert "EXTRAPOLATED PAYLOAD" in text and "extrapolated" in table.read_text()
+    assert "EXTRAPOLATED PAYLOAD" in text and "EXTRAPOLATED PAYLOAD" in table.read_text()
     light = tmp_path / "l.json"
     assert main(["stops", str(path), *asked[:-2], "--json", str(light)]) == 0
     assert "extrapolated" not in light.read_text()
@@ -191,23 +264,69 @@ def test_a_table_without_payloads_says_how_to_get_them(tmp_path: Path, capsys: p
     rated = ["--rated-payload", "3", "--extrapolate-payload", "--json", str(out)]
     assert main(["stops", str(path), "--category", "0", *rated]) == 0
     rows = json.loads(out.read_text())
-    assert {r["payload_percent"] for r in rows} == {33.0, 66.0, 100.0} and all("extrapolated" in r["why"] for r in rows)
+    assert {r["payload_percent"] for r in rows} == {33.0, 66.0, 100.0} and all(
+        r["extrapolated"] and not r["certified"] for r in rows
+    )
 
 
-def test_states_beyond_the_recordings_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a_mark_everywhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arm = prbt_like((0.0, 1.0))
-    narrow = replace(arm.domain, q=Box.symmetric(np.full(6, 0.3)))
-    path = tmp_path / "d.model.json"
-    save_model(replace(arm, domain=narrow), path)
-    at = ["--speed", "50%", "--category", "0"]
-    assert main(["stops", str(path), "--at", "0,0.9,0,0,0,0", *at]) == 0
-    assert "EXTRAPOLATED STATE" in (text := capsys.readouterr().out) and "arm_2_joint at 0.9 rad" in text
-    assert main(["stops", str(path), "--at", "0,0.2,0,0,0,0", *at]) == 0
-    assert "EXTRAPOLATED" not in capsys.readouterr().out
-    fast = replace(arm, domain=replace(arm.domain, dq=Box.symmetric(np.full(6, 0.5))))
-    save_model(fast, tmp_path / "f.model.json")
-    assert main(["stops", str(tmp_path / "f.model.json"), "--at", "0,0,0,0,0,0", "--speed", "1,0,0,0,0,0"]) == 2
-    assert "not covered" in capsys.readouterr().err
+    narrow = replace(arm, domain=replace(arm.domain, q=Box.symmetric(np.full(6, 0.3))))
+    slow = replace(arm, domain=replace(arm.domain, dq=Box.symmetric(np.full(6, 0.5))))
+    out = [tmp_path / f"o.{x}" for x in ("json", "csv", "html", "pdf")]
+    files = [f"--{o}={f}" for o, f in zip(("json", "csv", "report", "pdf"), out, strict=True)]
+    for model, pose, speed, word in (
+        (narrow, "0,0.9,0,0,0,0", "50%", "arm_2_joint at 0.9 rad"), (slow, "0,0,0,0,0,0", "1,0,0,0,0,0", "arm_1_joint at 1 rad/s"),
+    ):  # fmt: skip
+        path = tmp_path / "d.model.json"
+        save_model(model, path)
+        asked = ["stops", str(path), "--at", pose, "--speed", speed, "--ramp-time", "0.3", "--off-after", "0.1"]
+        assert main([*asked, "--json", str(out[0])]) == 1
+        rows = json.loads(out[0].read_text())
+        assert len(rows) == 24 and all(list(r) == KEYS and not r["certified"] for r in rows)
+        assert all(r["time_s"] is r["angle_rad"] is r["tcp_m"] is None and "not covered" in r["why"] for r in rows)
+        assert word in (text := capsys.readouterr().out) and "EXTRAPOLATED" not in text and "--extrapolate-state" in text
+        assert main([*asked, "--extrapolate-state", *files]) == 0
+        rows = json.loads(out[0].read_text())
+        assert all(list(r) == [*KEYS, "extrapolated", "assumptions"] for r in rows)
+        assert all(r["extrapolated"] is True and r["certified"] is False and r["time_s"] > 0 for r in rows)
+        assert all("EXTRAPOLATED STATE" in r["why"] and any("EXTRAPOLATED" in a for a in r["assumptions"]) for r in rows)
+        text = capsys.readouterr().out
+        assert text.count("EXTRAPOLATED STATE") > 24 and word in text and "not certified" in text
+        assert out[1].read_text().count("EXTRAPOLATED STATE") >= 24
+        page = out[2].read_text()
+        assert "0 of 24 stops proved" in page and "EXTRAPOLATED STATE: 24 of 24 rows" in page and "0 of 4, 4" not in page
+        assert "EXTRAPOLATED STATE: 24 of 24 rows" in pdf_text(out[3])
+    inside = ["stops", str(tmp_path / "d.model.json"), "--at", "0,0.2,0,0,0,0", "--speed", "50%", "--category", "0"]
+    assert main(inside) == 0 and "EXTRAPOLATED" not in capsys.readouterr().out
+    # and the object
+    bound = StopBounds.of(narrow, extrapolate_state=True).bound(np.array([0, 0.9, 0, 0, 0, 0]), np.full(6, 0.1))
+    assert not bound.certified and bound.time is not None and bound.extrapolated.startswith("EXTRAPOLATED STATE")
+    bound = StopBounds.of(narrow).bound(np.array([0, 0.9, 0, 0, 0, 0]), np.full(6, 0.1))
+    assert not bound.certified and bound.time is bound.angle is bound.tcp is None and not bound.extrapolated
+    assert StopBounds.of(narrow).certify(np.array([0, 0.9, 0, 0, 0, 0]), np.zeros(6), np.full(6, 0.01), np.full(6, 0.01)) is None
+
+
+def pdf_text(path: Path) -> str:
+    """Words of a PDF file's pages, lines joined."""
+    pages = [zlib.decompress(x) for x in re.findall(rb"stream\n(.*?)\nendstream", path.read_bytes(), re.DOTALL)]
+    return " ".join(m.decode("cp1252") for p in pages for m in re.findall(rb"\((.*?)\) Tj", p))
+
+
+def test_a_table_keeps_to_the_poses_that_recordings_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A narrow domain: bent poses are taken from it, those it cannot hold (the stretched arm) are not covered, with the joints."""
+    arm, out = prbt_like((0.0, 0.0)), tmp_path / "t.json"
+    narrow = replace(arm, domain=replace(arm.domain, q=Box.of([-1.0, 0.6, 0.6, -1, -1, -1], [1.0, 1.4, 1.4, 1, 1, 1])))
+    save_model(narrow, tmp_path / "n.model.json")
+    assert main(["stops", str(tmp_path / "n.model.json"), "--category", "0", "--json", str(out)]) == 0
+    rows = json.loads(out.read_text())
+    assert {r["extension_percent"] for r in rows if r["certified"]} and not any(
+        r["certified"] for r in rows if r["extension_percent"] == 100.0
+    )
+    assert all("not covered" in r["why"] for r in rows if not r["certified"])
+    assert "those are not covered" in capsys.readouterr().out
 
 
 def test_holding_margins_are_printed_in_newton_metres(model: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from stopset.offline.stops.failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.failed import Cell, cover, failed_cells
+from stopset.reach.stops.failed import Cell, Cover, cover, failed_cells
+from stopset.reach.stops.tube import OK
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -86,12 +90,61 @@ def test_cut_cells_cover_the_cell(together: bool) -> None:
         )  # fmt: skip
 
 
-def test_a_cell_that_cannot_be_bounded_says_so() -> None:
-    class Hopeless:
-        end = 2
+class Fake(NamedTuple):
+    """A tube that ends as it is told."""
 
-    out = cover(failed_cells(RAMPS["SS1-t"], np.ones(6)), np.ones(6), False, 8, lambda cell, energetic: [Hopeless()])  # type: ignore[list-item]
-    assert len(out) == 1 and out[0][1][-1].end == 2
+    end: int
+
+
+def covered(closes: Callable[[Cell, bool], bool], budget: int) -> tuple[Cover, list[tuple[Cell, bool]]]:
+    """A cover in which ``closes(cell, energetic)`` says which tubes come to rest, and all that was tried."""
+    dq, tried = np.array([1.0, 0.5, 0.0]), []
+    whole = Cell(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
+
+    def march(cell: Cell, plant: object, energetic: bool) -> Fake:
+        tried.append((cell, energetic))
+        return Fake(OK if closes(cell, energetic) else 2)
+
+    found = cover(
+        [whole], object(), lambda c, p: [(x, p) for x in c.halves(dq, False)], march, lambda c: c.width(dq), (budget, budget)
+    )  # type: ignore[arg-type]
+    return found, tried
+
+
+def test_a_cell_that_cannot_be_bounded_says_so() -> None:
+    found, tried = covered(lambda cell, energetic: False, 9)
+    assert found.parts[-1].tube.end == 2 and sum(not energetic for _, energetic in tried) <= 9
+
+
+@pytest.mark.parametrize("budget", [1, 2, 7, 8, 40])
+@pytest.mark.parametrize("loose", [True, False])
+def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, loose: bool) -> None:
+    """Narrow boxes close, or only small ones do and for wide ones not even the energy: points of the whole box lie in the parts."""
+    found, tried = covered(
+        lambda c, energetic: (energetic and (loose or c.width(np.ones(3)) > 0.9)) or c.width(np.ones(3)) < 0.4, budget
+    )
+    assert all(p.tube.end == OK for p in found.parts)
+    assert sum(not energetic for _, energetic in tried) <= budget and len(tried) <= 2 * budget + 2
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        a, s = 0.3 * rng.random(3), rng.random(3)
+        assert any(
+            np.all((p.travel[:, 0] <= a) & (a <= p.travel[:, 1]) & (p.share[:, 0] <= s) & (s <= p.share[:, 1]))
+            for p in (x.cell for x in found.parts)
+        )
+    assert (found.tried <= budget and found.loose == sum(energetic for _, energetic in tried)) or not loose
+
+
+def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() -> None:
+    model = prbt_like((0.0, 3.0))
+    bounds = StopBounds.of(model, (2.94, 3.0), ramp=Ramp.stated(6, time=0.5, off_after=0.6))
+    q, dq = np.array([0.1, 0.9, 0.9, 0.2, 1.2, 0.0]), np.array([1.2, -1.2, 1.2, 0.0, 0.0, 0.0])
+    begin = time.process_time()
+    bound = bounds.bound(q, dq, "1 guaranteed")
+    assert time.process_time() - begin < 5.0  # minutes and gigabytes, once
+    assert bound.certified and bound.layer == "energy" and "tubes of joint speeds that there is a budget for" in bound.why
+    found = sample_failed_ramps(bounds, bound, q, dq, 25, 4)
+    assert found.escaped == 0
 
 
 def test_without_a_time_for_power_off_there_is_no_number() -> None:

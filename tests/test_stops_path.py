@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path as File
@@ -9,11 +10,14 @@ from pathlib import Path as File
 import numpy as np
 import pytest
 
+from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.robot.rigid import torque
+from stopset.sets import Box
 
 sys.path.insert(0, str(File(__file__).resolve().parents[1] / "benchmarks"))
+from independent_stops import carrying, gravity_load, shipped_arm
 from stop_arms import prbt_like
 
 pytest.importorskip("toppra")
@@ -78,6 +82,97 @@ def test_impossible_paths_are_refused(points: np.ndarray, s: float, ds: float, w
         path_stop(BOUNDS, Path.through(points), s, ds)
 
 
+IDENTICAL = np.tile(POINTS[:1], (4, 1))
+DWELLING = np.vstack([POINTS[:2], POINTS[1:]])
+BROKEN = np.where(np.arange(24).reshape(4, 6) == 9, np.nan, POINTS)
+
+
+@pytest.mark.parametrize(
+    ("points", "word"),
+    [
+        (IDENTICAL, "rows 0 and 1 of the path are the same"),
+        (DWELLING, "rows 1 and 2 of the path are the same"),
+        (BROKEN, "row 1 of the path has the angle nan"),
+        (POINTS * 1e300, "expected finite ones"),
+        (POINTS[0], "expected at least two rows"),
+        (np.zeros((0, 6)), "a path of 0 rows"),
+    ],
+)
+def test_a_path_that_is_none_is_refused(points: np.ndarray, word: str) -> None:
+    with pytest.raises(NotCovered, match=word):
+        Path.through(points)
+
+
+@pytest.mark.parametrize(("s", "ds"), [(0.5, -1.0), (0.5, 0.0), (0.5, np.nan), (np.nan, 1.0), (0.5, np.inf), (-0.1, 1.0)])
+def test_a_path_is_passed_forward_from_a_row_of_it(s: float, ds: float) -> None:
+    with pytest.raises(NotCovered, match="positive, finite rate"):
+        path_stop(BOUNDS, Path.through(POINTS), s, ds)
+
+
+def test_a_path_whose_parameter_decreases_is_refused() -> None:
+    good = Path.through(POINTS)
+    with pytest.raises(NotCovered, match="knots that grow"):
+        Path(good.p, good.length, good.knots[::-1].copy())
+
+
+def weak_brakes(share: float) -> Model:
+    """Brakes that give this share of what gravity asks where the path ends, as an arm tells it that shares no code with bounds."""
+    end = Path.through(POINTS).p(np.array([0.5 + path_stop(BOUNDS, Path.through(POINTS), 0.5, 1.5).length]), 0)[0]
+    load = np.abs(gravity_load(carrying(shipped_arm(MODEL.rotor), 0.5, MODEL.robot.tip), end))
+    torque = share * load
+    strong = MODEL.brakes.torque.centre
+    dry = np.array([15.0, 15.0, 10.0, 8.0, 3.0, 2.0])
+    torque = np.where(load > dry, np.maximum(torque - dry, 0.5), strong)
+    return replace(MODEL, brakes=replace(MODEL.brakes, torque=Box.of(0.99 * torque, 1.01 * torque)))
+
+
+def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
+    path = Path.through(POINTS)
+    model = weak_brakes(0.8)  # friction included they hold a fifth less than gravity asks
+    bounds = StopBounds.of(model, ramp=RAMP)
+    told = path_stop(bounds, path, 0.5, 1.5).bound
+    assert not told.certified and told.time is None and told.tcp is None and told.angle is None
+    assert "no stop provable" in told.why and told.holding_margin.min() < 0
+    # the same rule as for a pose: at the path's end the same joint lacks the same torque
+    q = path.p(np.array([0.5 + path_stop(BOUNDS, path, 0.5, 1.5).length]), 0)[0]
+    at = bounds.bound(q, np.zeros(6), "1")
+    assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(told.holding_margin))
+
+
+def test_a_path_stop_carries_its_payload_where_it_is() -> None:
+    path, far = Path.through(POINTS), np.array([0.0, 0.0, 0.5])
+    near, out = path_stop(BOUNDS, path, 0.5, 1.5), path_stop(StopBounds.of(MODEL, payload_com=far, ramp=RAMP), path, 0.5, 1.5)
+    assert out.length > near.length and out.bound.tcp > near.bound.tcp
+    assert any("[0.0, 0.0, 0.5] m" in a for a in out.bound.assumptions)
+
+
+def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> None:
+    path = Path.through(POINTS)
+    v = 1.5 * np.abs(path.p(np.array([0.5]), 1)[0])
+    slow = replace(MODEL, domain=replace(MODEL.domain, dq=Box.symmetric(v / 1.58)))  # 158 % of what was seen
+    narrow = replace(
+        MODEL,
+        domain=replace(
+            MODEL.domain,
+            q=Box(POINTS.min(axis=0) - 0.01, np.r_[path.p(np.array([0.5]), 0)[0, 0] + 0.005, POINTS.max(axis=0)[1:] + 0.1]),
+        ),
+    )
+    for model, word in ((slow, "rad/s, seen"), (narrow, "arm_1_joint at")):
+        told = path_stop(StopBounds.of(model, ramp=RAMP), path, 0.5, 1.5).bound
+        assert not told.certified and told.time is None and word in told.why and "not covered" in told.why
+        marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate_state=True), path, 0.5, 1.5).bound
+        assert not marked.certified and marked.time is not None and "EXTRAPOLATED STATE" in marked.extrapolated
+        assert "EXTRAPOLATED STATE" in marked.why and any("EXTRAPOLATED STATE" in a for a in marked.assumptions)
+
+
+def test_a_path_stop_lasts_until_rest() -> None:
+    ringing = replace(RAMP, dq_error=np.full(6, 0.1), settle=0.08)
+    still, long = (path_stop(replace(BOUNDS, ramp=r), Path.through(POINTS), 0.5, 1.5) for r in (RAMP, ringing))
+    assert long.bound.time == pytest.approx(still.bound.time + 0.08)
+    unknown = path_stop(replace(BOUNDS, ramp=replace(ringing, settle=None)), Path.through(POINTS), 0.5, 1.5)
+    assert not unknown.bound.certified and unknown.bound.time is None
+
+
 def test_between_the_poses_looked_at_nothing_leaves_the_bound() -> None:
     """Tool, link ends and speeds of a hundred times as many points of the path."""
     from stopset.robot.rigid import link_frames
@@ -117,5 +212,23 @@ def test_path_from_the_command_line(tmp_path: File, capsys: pytest.CaptureFixtur
         assert main([*asked, *rate]) == 2
         err = capsys.readouterr().err
         assert word in err and err.count("\n") == 1
-    (tmp_path / "p.csv").write_text("1,2,3\n4,5,6\n")
-    assert main([*asked, "--path-rate", "1"]) == 2 and "expected 6 angles" in capsys.readouterr().err
+    for wrong, word in (
+        (["--at", "0,0,0,0,0,0"], "no --at"), (["--speed", "50%"], "nor --speed"), (["--category", "0"], "expected 1"),
+        (["--payload-at", "1e9,0,0"], "at most 10 m"), (["--payload", "nan"], "at least 0 kg"), (["--path-start", "nan"], "rate"),
+    ):  # fmt: skip
+        assert main([*asked, "--path-rate", "1.5", *wrong]) == 2
+        err = capsys.readouterr().err
+        assert word in err and err.count("\n") == 1
+    far = ["--payload", "0.5", "--payload-at", "0,0,0.5", "--path-rate", "1.5", "--json"]
+    assert main([*asked, *far[:2], *far[4:], str(tmp_path / "near.json")]) == 0
+    assert main([*asked, *far, str(tmp_path / "far.json")]) == 0
+    near, out = (json.loads((tmp_path / f).read_text())[0]["tcp_m"] for f in ("near.json", "far.json"))
+    assert out > near
+    for text, word in (
+        ("1,2,3\n4,5,6\n", "expected 6 angles"), ("0,0,0,0,0,0\n0,0,0,0,0,nan\n", "angle nan"), ("\n".join(lines[:1] * 5), "the same"),
+        (lines[0], "a path of 1 rows"), ("", "a path of 0 rows"), ("0,0,0,0,0,0\n0,0,0,0,0\n", "a row of 5 numbers"),
+    ):  # fmt: skip
+        (tmp_path / "p.csv").write_text(text)
+        assert main([*asked, "--path-rate", "1"]) == 2
+        err = capsys.readouterr().err
+        assert word in err and err.count("\n") == 1

@@ -38,10 +38,10 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
     fast = np.array([bound.directed_speed(d) for d in directions])
     far = np.array([bound.directed_distance(d) for d in directions])
     closing = np.array([bound.speed_towards(x) for x in PLACES])
-    sign, W = np.where(dq >= 0, 1.0, -1.0), inverse_inertia(s.plant, q)
+    sign, W, rng = np.where(dq >= 0, 1.0, -1.0), inverse_inertia(s.plant, q), np.random.default_rng(2)
     for k in range(stops):
-        x = draw(s.plant, k % 5, sign, W)
-        q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:6], s.noise.radius[6:])
+        x = draw(s.plant, k % 5, sign, W, rng)
+        q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:6], s.noise.radius[6:], rng)
         steps = int(bound.time.max() / DT) + 1
         qs, vs = simulate_stop(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u)
         R0, o0 = link_frames(chain, q0)

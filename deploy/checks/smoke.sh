@@ -7,6 +7,7 @@ work=$(mktemp -d)
 trap 'kill $monitor 2>/dev/null || true; rm -rf "$work"' EXIT
 cat > "$work/arm.toml" <<END
 model = "$(realpath "$1")"
+data_id = 1001
 [bus]
 link = "hub:28799"
 [zenoh]
@@ -16,14 +17,15 @@ valid_for_ms = 1000
 END
 stopset monitor --config "$work/arm.toml" > "$work/monitor" & monitor=$!
 sleep 3
-stopset watch --connect tcp/127.0.0.1:28798 --port 0 --seconds 12 > "$work/watch" & watch=$!
+stopset watch --config "$work/arm.toml" --port 0 --seconds 12 > "$work/watch" & watch=$!
 stopset replay "$2" --to hub:28799 --wait 1 --trials 2 | tee "$work/replay"
 wait $watch
 grep -q "the other nodes sent 0 frames" "$work/replay" || { echo "FAILED: the monitor sent on the bus"; exit 1; }
 grep -Eq "^(OK|DEGRADED)" "$work/watch" || { echo "FAILED: no conformant state seen"; cat "$work/watch"; exit 1; }
 if grep -q "^VIOLATION" "$work/watch"; then echo "FAILED: violation"; exit 1; fi
 kill -STOP $monitor
-stopset watch --connect tcp/127.0.0.1:28798 --port 0 --seconds 2 > "$work/frozen" 2>&1 || true
+stopset watch --config "$work/arm.toml" --port 0 --seconds 2 > "$work/frozen" 2>&1 || true
+if stopset watch --config "$work/arm.toml" --check; then echo "FAILED: the health check of a frozen monitor is green"; exit 1; fi
 kill -CONT $monitor
 if grep -Eq "^(OK|DEGRADED)" "$work/frozen"; then echo "FAILED: a frozen monitor looked alive"; exit 1; fi
 echo "passed"

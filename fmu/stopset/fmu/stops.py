@@ -269,9 +269,11 @@ def fmu_stop(model: Model, q: Array, dq: Array, q_radius: Array, dq_radius: Arra
 
     ``payload`` [kg] at the flange.
     """
+    if stop_refusal(model):
+        return None
     robot = model.robot.with_payload(payload, model.robot.tip)
     x = _start(model, robot, q, dq, q_radius, dq_radius)
-    if x.data.refusal or np.any(x.data.rotor <= 0):
+    if np.any(x.data.rotor <= 0):
         return None
     found = [b for b in (by_accelerations(x), by_energy(x)) if b is not None]
     if not found:

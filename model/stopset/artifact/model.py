@@ -127,7 +127,7 @@ class Domain:
     dq: Box
     u: Box
     temp: Box | None = None
-    payload: tuple[float, float] = (0.0, 0.0)  # [kg] in addition to the robot's own
+    payload: tuple[float, float] = (0.0, 0.0)  # [kg] on top of what ``robot.pi`` holds
 
     def covers(self, q: Array, dq: Array, u: Array | None = None, temp: Array | None = None) -> NDArray[np.bool_]:
         """Row by row, whether samples (N, n) lie inside; shape (N,)."""
@@ -167,7 +167,9 @@ class Revision:
 class Model:
     """A reachset-conformant model of one arm.
 
-    ``robot`` carries the identified standard parameters and geometry; ``rotor``: (n,) identified reflected inertia [kg m^2];
+    ``robot`` carries the identified standard parameters and geometry: ``robot.pi`` holds what the arm carried when it was
+    recorded, a payload found as an effect included, and ``domain.payload`` comes on top of it; so nobody adds an effect of
+    role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2];
     ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
     (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
     """

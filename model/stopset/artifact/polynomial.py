@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import ffi, given, integers, lib, view
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
@@ -159,42 +159,26 @@ def _parents(exponent: Integers) -> tuple[Integers, Integers]:
     return up, last
 
 
-@njit(cache=True)
-def value_at(program: Program, z: Array, monomial: Array, out: Array) -> None:
-    """Values of all polynomials at ``z`` (d,) into ``out``; ``monomial``: workspace, a number per row of the table."""
-    out[:] = 0.0
-    monomial[0] = 1.0
-    for k in range(program.parent.shape[0]):
-        if k > 0:
-            monomial[k] = monomial[program.parent[k]] * z[program.variable[k]]
-        for i in range(out.shape[0]):
-            out[i] += monomial[k] * program.coefficient[k, i]
+def _table(program: Program, z: Array) -> Any:
+    """``StopsetPolynomials`` of a program whose arrays outlive it, for the rows of ``z``."""
+    if z.ndim != 2 or z.shape[1] != program.dimension:
+        raise ValueError(f"arguments of shape {z.shape}; expected rows of {program.dimension}")
+    return ffi.new("StopsetPolynomials *", (
+        *program.coefficient.shape, program.dimension, integers(program.parent), integers(program.variable), view(program.coefficient),
+    ))  # fmt: skip
 
 
-@njit(cache=True)
 def evaluate(program: Program, z: Array) -> Array:
     """Values at the rows of ``z`` (N, d) -> (N, number of polynomials)."""
-    out = np.empty((z.shape[0], program.coefficient.shape[1]))
-    monomial = np.empty(program.parent.shape[0])
-    for r in range(z.shape[0]):
-        value_at(program, z[r], monomial, out[r])
+    m, n = program.coefficient.shape
+    out, work, z = np.empty((len(z), n)), np.empty(m), given(z)
+    lib.stopset_polynomials(_table(program, z), len(z), view(z), view(work), view(out))
     return out
 
 
-@njit(cache=True)
 def jacobian(program: Program, z: Array) -> Array:
-    """Derivatives at the rows of ``z`` (N, d) -> (N, number of polynomials, d), by going back through the table."""
+    """Derivatives at the rows of ``z`` (N, d) -> (N, number of polynomials, d)."""
     m, n = program.coefficient.shape
-    out = np.zeros((z.shape[0], n, program.dimension))
-    monomial, weight = np.empty(m), np.empty((m, n))
-    monomial[0] = 1.0
-    for r in range(z.shape[0]):
-        for k in range(1, m):
-            monomial[k] = monomial[program.parent[k]] * z[r, program.variable[k]]
-        weight[:] = program.coefficient
-        for k in range(m - 1, 0, -1):
-            p, v = program.parent[k], program.variable[k]
-            for i in range(n):
-                out[r, i, v] += weight[k, i] * monomial[p]
-                weight[p, i] += weight[k, i] * z[r, v]
+    out, work, z = np.empty((len(z), n, program.dimension)), np.empty((m, 1 + n)), given(z)
+    lib.stopset_polynomial_slopes(_table(program, z), len(z), view(z), view(work), view(out))
     return out

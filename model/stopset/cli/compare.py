@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 
+if TYPE_CHECKING:
+    from stopset.artifact import Model
+    from stopset.offline.compare.compare import Comparison
+
+AVERAGING_S, LONGEST_S = 0.2, 5.0  # as the comparison takes them; a test holds both together
 HELP = "where a model fails on recordings: per joint, per motion, violations, tubes"
+
+
+MEANS = (
+    f"  torque: what the model that predicts lacks, averages over {AVERAGING_S:g} s, the whole of every trial",
+    "  in full: what rigid body, friction and effects leave; the rest is what the abstraction makes simpler",
+    "  floor: scatter of the torque error between repetitions of the same torques; - where nothing is repeated",
+    f"  velocity, position: prediction from every trial's start, the first {LONGEST_S:g} s of it",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="M", help="model file")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     add_output_options(parser)
+
+
+def _over(model: Model, found: Comparison) -> str:
+    """What was compared, in a line."""
+    s = found.survey
+    seconds = s.samples * s.dt
+    return (
+        f"{len(found.rows)} {s.phase} trials, {seconds:.0f} s of {len(set(s.motion.values()))} independent motions, with "
+        f"model {model.abstraction.kind} of order {model.abstraction.order}"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,11 +51,13 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     found = compare(model, args.data)
     say(verdict(found).text)
-    say(f"{'joint':<22}{'torque':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
+    say(_over(model, found))
+    say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in found.figures.items():
-        cells = (row["torque_rmse"], row["torque_rmse_floor"], row["velocity_rmse"], row["position_rmse"])
-        say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in zip(cells, (9, 9, 10, 10), strict=True)))
-    for line in table(found.tightness, tuple(found.figures)):
+        keys = ("torque_rmse", "torque_rmse_known", "torque_rmse_floor", "velocity_rmse", "position_rmse")
+        cells = zip((row[k] for k in keys), (9, 9, 9, 10, 10), strict=True)
+        say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in cells))
+    for line in (*MEANS, *table(found.tightness, tuple(found.figures))):
         say(line)
     for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
         say(

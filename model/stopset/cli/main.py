@@ -10,7 +10,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import NoReturn
 
 from stopset import cli
@@ -103,11 +102,11 @@ def _unforeseen(command: str, e: Exception) -> int:
         return 2
     if os.environ.get(DEBUG):
         traceback.print_exception(e)
-    ours = [f for f in traceback.extract_tb(e.__traceback__) if "stopset" in Path(f.filename).parts]
-    where = "/".join(Path(ours[-1].filename).parts[-2:]) + f" line {ours[-1].lineno}" if ours else "an unknown place"
-    what = " ".join(f"{type(e).__name__} {e}".split())[:200]
+    frames = ((str(frame.f_globals.get("__name__")), line) for frame, line in traceback.walk_tb(e.__traceback__))
+    where = [f"{name} line {line}" for name, line in frames if name.partition(".")[0] == "stopset"]
+    what = " ".join(f"{type(e).__name__} {e}".split())[:200] + f", {(where or ['nowhere'])[-1]}"
     sys.stderr.write(
-        f"stopset: {command} failed inside ({what}, {where}); this is a defect of stopset, not an answer and not your input's fault: "
+        f"stopset: {command} failed inside ({what}); this is a defect of stopset, not an answer and not your input's fault: "
         f"run it again with {DEBUG}=1 in the environment and report what it says\n"
     )
     return DEFECT

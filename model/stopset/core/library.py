@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,11 @@ except ImportError as e:  # a clone that was never installed
 
 Array = NDArray[np.float64]
 ffi: Any = _binding.ffi
-lib: Any = ffi.dlopen(str(HERE / library_name()))
-_DOUBLES = ffi.typeof("double[]")
+# another library in its place: one compiled with sanitizers, for tests
+lib: Any = ffi.dlopen(os.environ.get("STOPSET_CORE") or str(HERE / library_name()))
+_DOUBLES, _INTEGERS, _FLAGS = (ffi.typeof(f"{kind}[]") for kind in ("double", "int64_t", "uint8_t"))
 REASONS = {
+    lib.STOPSET_OUT_OF_RANGE: "a place outside its array; expected one within: please report this",
     lib.STOPSET_TOO_MANY_JOINTS: f"the arm has too many joints; expected 1 to {lib.STOPSET_JOINTS}: "
     "describe the chain that is monitored alone",
 }
@@ -33,6 +36,20 @@ def view(x: Array) -> Any:
     if x.dtype != np.float64:
         raise TypeError(f"array of {x.dtype}; expected float64")
     return ffi.from_buffer(_DOUBLES, x)
+
+
+def integers(x: NDArray[np.int64]) -> Any:
+    """`view` of whole numbers."""
+    if x.dtype != np.int64:
+        raise TypeError(f"array of {x.dtype}; expected int64")
+    return ffi.from_buffer(_INTEGERS, x)
+
+
+def flags(x: NDArray[np.bool_]) -> Any:
+    """`view` of true and false."""
+    if x.dtype != np.bool_:
+        raise TypeError(f"array of {x.dtype}; expected bool")
+    return ffi.from_buffer(_FLAGS, x)
 
 
 def given(x: Array) -> Array:

@@ -67,7 +67,7 @@ class Signals:
     the joint torque by the last link's ten standard parameters; ``tilt``: by the gravity direction's two angles [N
     m/rad];
     ``stiff``: by the joint's own position [N m/rad]; ``inertia``: ``M_jj`` [kg m^2]; ``coriolis`` [N m].
-    Of the partner of a pair: ``dq_other`` [rad/s].
+    Of the partner of a pair: ``dq_other, ddq_other`` [rad/s, rad/s^2].
     """
 
     q: Number = 0.0
@@ -88,6 +88,7 @@ class Signals:
     inertia: Number = 0.0
     coriolis: Number = 0.0
     dq_other: Number = 0.0
+    ddq_other: Number = 0.0
 
     @property
     def direction(self) -> Number:
@@ -110,6 +111,7 @@ class Effect:
     docs/references.bib; ``instead_of``: a signal it does without, so it is looked for only where that is not recorded.
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
 
+    ``carried``: its terms are the ten standard parameters of a body that the last link carries, in their order;
     ``power``: of the speed, where the law is that alone: then the abstraction's damping may hold it.
 
     ``role``: how it acts on the arm in a stop, its drives off (`stopset.effects.bound`):
@@ -140,6 +142,7 @@ class Effect:
     role: Role = "torque"
     reading: Reading | None = None
     power: int = 0
+    carried: bool = False
 
     def compensated(self, degree: int = 1) -> bool:
         """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.

@@ -14,9 +14,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import flags, given, lib, view
 from stopset.effects.base import Effect, Number, Signals
 from stopset.ring import Interval
 
@@ -92,16 +92,11 @@ def along(effect: Effect, s: Signals, shapes: Mapping[str, Number], first: Mask,
     return _heun(effect, s, shapes, first, dt)
 
 
-@njit(cache=True)
 def _walk(b: Array, a: Array, dt: Array, first: Mask, start: float) -> Array:
     z = np.empty(first.shape[0])
-    for k in range(z.shape[0]):
-        if k == 0 or first[k]:
-            z[k] = start
-            continue
-        x = a[k - 1] * dt[k - 1]
-        grown = np.expm1(x) / x if abs(x) >= 1e-12 else 1.0
-        z[k] = z[k - 1] + (b[k - 1] + a[k - 1] * z[k - 1]) * dt[k - 1] * grown
+    lib.stopset_remember(
+        len(z), view(given(b)), view(given(a)), view(given(dt)), flags(np.ascontiguousarray(first)), start, view(z)
+    )
     return z
 
 

@@ -32,6 +32,7 @@ EFFECT = Effect(
     needs=("tip",),
     enters="inertia",
     role="plant",
+    carried=True,
     source="khalil2007",
     scope="arm",
     looks_like=("torque_gain", "base_tilt"),

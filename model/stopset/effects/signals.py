@@ -57,8 +57,9 @@ def arm_signals(
 
 
 def paired(signals: tuple[Signals, ...], i: int, j: int) -> tuple[Signals, Signals]:
-    """The signals of joints ``i`` and ``j``, each knowing the other's speed."""
-    return replace(signals[i], dq_other=signals[j].dq), replace(signals[j], dq_other=signals[i].dq)
+    """The signals of joints ``i`` and ``j``, each knowing the other's speed and acceleration."""
+    a, b = signals[i], signals[j]
+    return replace(a, dq_other=b.dq, ddq_other=b.ddq), replace(b, dq_other=a.dq, ddq_other=a.ddq)
 
 
 def _tilt(robot: Robot, q: Array) -> Array:

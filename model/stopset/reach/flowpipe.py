@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
+from stopset.core.library import lib, view
 from stopset.errors import NotCovered
 from stopset.sets import Box
 
@@ -192,15 +192,5 @@ def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:
     Ad, Bd = discretise(abstraction, dt)
     out = np.empty((u.shape[0], x0.shape[0]))
     out[0], out[1:] = x0, u[:-1] @ Bd.T
-    _march(Ad, out)
+    lib.stopset_march(len(Ad), view(Ad), len(out), view(out))
     return out
-
-
-@njit(cache=True, nogil=True)
-def _march(Ad: Array, x: Array) -> None:
-    """``x(k+1) <- Ad x(k) + x(k+1)`` in place: rows (N, 2n) hold the start, then what drives each step."""
-    for k in range(len(x) - 1):
-        for i in range(Ad.shape[0]):
-            for j in range(Ad.shape[1]):
-                if Ad[i, j] != 0.0:
-                    x[k + 1, i] += Ad[i, j] * x[k, j]

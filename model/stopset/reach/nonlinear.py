@@ -17,10 +17,10 @@ Source: Liu & Althoff (2018), Sec. IV-C; Smith (1995), Monotone Dynamical System
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
+from stopset.core.library import check, given, lib, view
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 
@@ -29,40 +29,14 @@ Index = NDArray[np.int64]
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
 STEP = 0.1
-_TERMS = 12  # of the exponential of one step's matrix, whose norm is below 1
+_TERMS: int = lib.STOPSET_TERMS  # of the exponential of one step's matrix, whose norm is below 1
 
 
-@njit(cache=True, inline="always")
-def _accelerate(v: float, w: float, c: Array) -> float:
-    """``w - sum_k c_k v^(k+1)``."""
-    drag = 0.0
-    for k in range(c.shape[0] - 1, -1, -1):
-        drag = (drag + c[k]) * v
-    return w - drag
-
-
-@njit(cache=True, inline="always")
-def corner_step(q: float, v: float, w: float, c: Array, h: float, parts: int) -> tuple[float, float]:
-    """One step of ``q' = v, v' = w - sum c_k v^(k+1)`` with ``w`` held: classical Runge-Kutta in ``parts`` parts."""
-    d = h / parts
-    for _ in range(parts):
-        k1 = _accelerate(v, w, c)
-        k2 = _accelerate(v + 0.5 * d * k1, w, c)
-        k3 = _accelerate(v + 0.5 * d * k2, w, c)
-        k4 = _accelerate(v + d * k3, w, c)
-        q += d * v + d * d / 6.0 * (k1 + k2 + k3)
-        v += d / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return q, v
-
-
-@njit(cache=True)
 def corner(q: float, v: float, w: Array, c: Array, h: float, parts: int) -> Array:
-    """Trajectory (N + 1, 2) of one joint over (q, dq) under the accelerating inputs ``w`` (N,)."""
-    out = np.empty((w.shape[0] + 1, 2))
-    out[0, 0], out[0, 1] = q, v
-    for k in range(w.shape[0]):
-        q, v = corner_step(q, v, w[k], c, h, parts)
-        out[k + 1, 0], out[k + 1, 1] = q, v
+    """Trajectory (N + 1, 2) of one joint over (q, dq): ``q' = v, v' = w - sum c_k v^(k+1)`` under ``w`` (N,), each held
+    over ``h`` [s] in ``parts`` parts (classical Runge-Kutta)."""
+    out = np.empty((len(w) + 1, 2))
+    lib.stopset_corner(q, v, len(w), view(given(w)), len(c), view(given(c)), h, parts, view(out))
     return out
 
 
@@ -86,7 +60,7 @@ def two_simulations(abstraction: Abstraction, x0: Array, u: Array, dt: float, X0
         gain = float(abstraction.Minv[j, j])
         c = gain * abstraction.viscous[j]
         for side, X, W in ((lo, X0.lo, U.lo), (hi, X0.hi, U.hi)):
-            w = np.ascontiguousarray(gain * (u[:, j] + W[j]))
+            w = gain * (u[:, j] + W[j])
             side[:, [j, n + j]] = corner(x0[j] + X[j], x0[n + j] + X[n + j], w, c, dt, cut)
     return lo, hi
 
@@ -118,56 +92,13 @@ def along(abstraction: Abstraction, x: Array, u: Array, dt: float) -> Responses:
     n = abstraction.n
     held = np.vstack([u, u[-1:]])
     J_x, J_u = abstraction.linearised(x[:, :n], x[:, n:], held)
-    return Responses(dt, *_along(J_x, J_u, dt))
-
-
-@njit(cache=True)
-def _product(a: Array, b: Array, out: Array) -> None:
-    """``out = a b`` by plain loops, which compile fast and beat a library call at this size."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            total = 0.0
-            for k in range(a.shape[1]):
-                total += a[i, k] * b[k, j]
-            out[i, j] = total
-
-
-@njit(cache=True)
-def _along(J_x: Array, J_u: Array, dt: float) -> tuple[Array, Array, Array]:
-    H, n = J_x.shape[0] - 1, J_x.shape[1]
-    m = 2 * n
-    E1, plus, minus = np.empty((H + 1, m, m)), np.zeros((H + 1, m, n)), np.zeros((H + 1, m, n))
-    E1[0] = np.eye(m)
-    start, end, whole = np.zeros((H, m, n)), np.zeros((H, m, n)), np.zeros((H, m, n))
-    A, B = np.zeros((m, m)), np.zeros((m, n))
-    moved, column = np.empty((m, m)), np.empty((m, n))
-    for i in range(n):
-        A[i, n + i] = 1.0
-    for k in range(H):
-        A[n:] = 0.5 * (J_x[k] + J_x[k + 1])
-        B[n:] = 0.5 * (J_u[k] + J_u[k + 1])
-        step, integral, term = np.eye(m), np.eye(m) * dt, np.eye(m)
-        for i in range(1, _TERMS):
-            _product(term, A, moved)
-            term[:] = moved * (dt / i)
-            step += term
-            integral += term * (dt / (i + 1))
-        _product(step, E1[k], E1[k + 1])
-        for s in range(k):
-            for x in (start[s], end[s], whole[s]):
-                _product(step, x, column)
-                x[:] = column
-        _product(step, B, start[k])
-        end[k] = B
-        _product(integral, B, whole[k])
-        for s in range(k + 1):
-            for i in range(m):
-                for j in range(n):
-                    a, b, total = start[s, i, j], end[s, i, j], whole[s, i, j]
-                    size = abs(total) if a * b >= 0.0 else max(abs(total), dt * max(abs(a), abs(b)))
-                    plus[k + 1, i, j] += 0.5 * (size + total)
-                    minus[k + 1, i, j] -= 0.5 * (size - total)
-    return E1, plus, minus
+    H, m = len(x) - 1, 2 * n
+    E1, plus, minus = np.empty((H + 1, m, m)), np.empty((H + 1, m, n)), np.empty((H + 1, m, n))
+    work = np.empty((3, H, m, n))
+    check(
+        lib.stopset_along(n, H, view(given(J_x)), view(given(J_u)), dt, view(E1), view(plus), view(minus), view(work))
+    )  # fmt: skip
+    return Responses(dt, E1, plus, minus)
 
 
 def predicted_tube(abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array) -> tuple[Array, Array]:

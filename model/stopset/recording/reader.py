@@ -23,6 +23,9 @@ from stopset.recording.types import EFFORTS, PHASES, Array, Meta, Recording, Rec
 from stopset.robot import Robot
 
 BATCH_ROWS = 65_536
+FEWEST_STAMPS = 30  # of a trial whose clock is looked at
+PRINTED = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # [s] what stamps are printed to
+ROUGH = 0.05  # of the period: stamps printed to less are as good as exact
 # Beyond these a number cannot be SI: 4 turns as an angle, 40 rad/s as a joint speed (fast small arms reach 10)
 PLAUSIBLE_ANGLE = 8 * np.pi
 PLAUSIBLE_SPEED = 40.0
@@ -63,7 +66,7 @@ def _sha256(path: Path) -> str:
 def _meta(path: Path, schema: pa.Schema) -> Meta:
     columns = schema.names
     joints = tuple(c[2:] for c in columns if c.startswith("q_"))
-    missing = [c for c in ("suite", "trial", "t") if c not in columns]
+    missing = [c for c in ("t",) if c not in columns]
     missing += [f"{s}_{j}" for j in joints for s in ("dq",) if f"{s}_{j}" not in columns]
     if not joints or missing:
         what = ", ".join(missing[:6]) if missing else "q_<joint>"
@@ -74,13 +77,13 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
     _check_types(path, schema)
     raw = (schema.metadata or {}).get(b"recording")
     if raw is None:
-        if "phase" not in columns or not all(f"tau_{j}" in columns for j in joints):
+        if not all(f"tau_{j}" in columns for j in joints):
             raise RecordingError(
-                f"{path} has no metadata 'recording' and no phase or tau_ columns; expected the effort kind and unit: "
+                f"{path} has no metadata 'recording' and no tau_ columns; expected the effort kind and unit: "
                 "add the metadata (effort, velocity, clock, rate_hz)"
             )
         note = f"{path.name} has no metadata: taken as motor torque, measured velocity, recorded clock"
-        return Meta(joints=joints, warnings=(note,))
+        return Meta(joints=joints, warnings=(note, *_assumed(path, columns)))
     try:
         d = json.loads(raw)
         effort = str(d["effort"])
@@ -93,6 +96,7 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             clock=str(d.get("clock", "recorded")),
             rate_hz=float("nan" if d.get("rate_hz") is None else d["rate_hz"]),
             torque_constant=None if constant is None else tuple(float(c) for c in constant),
+            warnings=_assumed(path, columns),
         )
     except (ValueError, TypeError, KeyError) as e:
         raise RecordingError(
@@ -116,6 +120,15 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
                 "wrong length; expected i_<joint> columns and one torque constant [N m/A] per joint"
             )
     return meta
+
+
+def _assumed(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
+    """What is taken for granted where a file does not say which motion a row is of."""
+    lacking = [c for c in ("phase", "suite", "trial") if c not in columns]
+    if not lacking:
+        return ()
+    how = "open loop" if lacking == ["phase"] else "closed loop, one motion per stretch of increasing t"
+    return (f"{path.name} has no {', '.join(lacking)}: taken as {how}; what stands still throughout as a held pose",)
 
 
 def _check_types(path: Path, schema: pa.Schema) -> None:
@@ -219,7 +232,10 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
             if rows == 0:
                 continue
             phase = columns.get("phase")
-            names = np.full(rows, "open_loop", object) if phase is None else phase
+            usual = "open_loop" if {"suite", "trial"} <= columns.keys() else "closed_loop"
+            names = np.full(rows, usual, object) if phase is None else phase
+            for name in ("suite", "trial"):
+                columns.setdefault(name, np.zeros(rows, np.int64))
             change = (np.diff(columns["suite"]) != 0) | (np.diff(columns["trial"]) != 0) | (names[1:] != names[:-1])
             edges = [0, *(np.flatnonzero(change) + 1).tolist(), rows]
             for lo, hi in pairwise(edges):
@@ -264,12 +280,36 @@ def _trial(
     assert q is not None and dq is not None and tau is not None  # _meta checked the columns
     trigger = columns.get("stop_trigger")
     temp = table("temp")
+    t, rounded = _evened(np.array(columns["t"], dtype=np.float64))  # a copy: a view keeps the whole batch alive
     return Recording(
-        *key, place, np.array(columns["t"], dtype=np.float64), q, dq, tau,  # a copy: a view keeps the whole batch alive
+        *key, place, t, q, dq, tau, rounded=rounded, condition=_condition(path, columns.get("condition")),
         temp=None if temp is None or np.isnan(temp).all() else temp,
         current=current,
         stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
     )  # fmt: skip
+
+
+def _condition(path: Path, column: Any) -> str:
+    """The condition of a trial, from its column; empty where there is none."""
+    values = [] if column is None else list(dict.fromkeys(str(v) for v in column if v is not None))
+    if len(values) > 1:
+        raise RecordingError(
+            f"{path}: the condition changes from {values[0]!r} to {values[1]!r} within a trial; expected one per trial: split it"
+        )
+    return values[0] if values else ""
+
+
+def _evened(t: Array) -> tuple[Array, float]:
+    """Stamps, and what they were printed to: where that hides an even clock (all lie on one within a print), the clock itself."""
+    if len(t) < FEWEST_STAMPS:
+        return t, 0.0
+    h = float(t[-1] - t[0]) / (len(t) - 1)
+    printed = next((g for g in PRINTED if np.abs(t / g - np.round(t / g)).max() < 1e-4), 0.0)
+    even = t[0] + h * np.arange(len(t))
+    off = t - even
+    if not ROUGH * h < printed or np.abs(np.diff(t) - h).max() <= ROUGH * h or np.ptp(off) > 1.001 * printed:
+        return t, 0.0
+    return even + 0.5 * (off.max() + off.min()), printed
 
 
 def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | None = None) -> Recordings:

@@ -120,21 +120,27 @@ class Slope:
     def sqrt(self) -> Slope:
         """Square root; it has no slope where it starts from zero."""
         if np.any(self.all.lo <= 0.0):
-            return Slope(self.all.sqrt(), self.start.sqrt(), None)
+            return Slope(self.all.sqrt(), self.start.sqrt(), ZERO if self._constant else None)
         return self._by(Interval.sqrt, lambda x: 0.5 / x.sqrt())
 
     def absolute(self) -> Slope:
         """Magnitude: it changes no faster than the number itself."""
         rate = self.rate
-        if rate is not None and np.any(self.all.lo < 0.0):
+        if rate is not None:
             size = np.maximum(np.abs(rate.lo), np.abs(rate.hi))
-            rate = -rate if np.all(self.all.hi <= 0.0) else Interval(-size, size)
+            up, down = self.all.lo >= 0.0, self.all.hi <= 0.0
+            lo = np.where(up, rate.lo, np.where(down, -rate.hi, -size))
+            rate = Interval(lo, np.where(up, rate.hi, np.where(down, -rate.lo, size)))
         return Slope(self.all.absolute(), self.start.absolute(), rate)
 
     def sign(self) -> Slope:
         """Direction; it has no slope where the number can pass zero."""
-        steady = bool(np.all((self.all.lo > 0.0) | (self.all.hi < 0.0)))
+        steady = self._constant or bool(np.all((self.all.lo > 0.0) | (self.all.hi < 0.0)))
         return Slope(self.all.sign(), self.start.sign(), ZERO if steady else None)
+
+    @property
+    def _constant(self) -> bool:
+        return self.rate is not None and not np.any(self.rate.lo) and not np.any(self.rate.hi)
 
     def minimum(self, other: Any) -> Slope:
         """The smaller of two."""

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import integers, lib, view
 from stopset.errors import StopsetError
 
 Array = NDArray[np.float64]
@@ -42,56 +42,25 @@ def monomials(variables: int, order: int) -> int:
     return math.comb(variables + order, order)
 
 
-@njit(cache=True)
 def _multiply(ka: Keys, a: Array, kb: Keys, b: Array, order: int, shift: int, room: int) -> tuple[Keys, Array]:
     """Terms of the product up to ``order``, unsorted; ``room``: a bound of their number."""
     size = 16
     while size < 2 * room:
         size *= 2
-    mask = size - 1
-    slot = np.full(size, -1, np.int64)
-    key, value = np.empty(room, np.int64), np.empty(room)
-    used = 0
-    end = np.zeros(order + 1, np.int64)  # end[k]: terms of b of degree <= k
-    for j in range(kb.shape[0]):
-        end[kb[j] >> shift] = j + 1
-    for k in range(1, order + 1):
-        end[k] = max(end[k], end[k - 1])
-    for i in range(ka.shape[0]):
-        for j in range(end[order - (ka[i] >> shift)]):
-            k = ka[i] + kb[j]
-            h = ((k * 0x9E3779B97F4A7C1) >> 20) & mask  # spread by an odd multiplier, linear probing
-            while slot[h] >= 0 and key[slot[h]] != k:
-                h = (h + 1) & mask
-            if slot[h] < 0:
-                slot[h] = used
-                key[used] = k
-                value[used] = a[i] * b[j]
-                used += 1
-            else:
-                value[slot[h]] += a[i] * b[j]
+    slot, key, value = np.empty(size, np.int64), np.empty(room, np.int64), np.empty(room)
+    used = lib.stopset_taylor_multiply(
+        len(ka), integers(ka), view(a), len(kb), integers(kb), view(b), order, shift, size, integers(slot), room, integers(key),
+        view(value),
+    )  # fmt: skip
+    if used < 0:
+        raise TaylorError(f"a product of {len(ka)} and {len(kb)} terms has more than the {room} that fit; lower the order")
     return key[:used], value[:used]
 
 
-@njit(cache=True)
 def _add(ka: Keys, a: Array, kb: Keys, b: Array, factor: float) -> tuple[Keys, Array]:
     """Sorted terms of ``a + factor * b``."""
-    key, value = np.empty(ka.shape[0] + kb.shape[0], np.int64), np.empty(ka.shape[0] + kb.shape[0])
-    i = j = m = 0
-    while i < ka.shape[0] or j < kb.shape[0]:
-        if j == kb.shape[0] or (i < ka.shape[0] and ka[i] < kb[j]):
-            k, v = ka[i], a[i]
-            i += 1
-        elif i == ka.shape[0] or kb[j] < ka[i]:
-            k, v = kb[j], factor * b[j]
-            j += 1
-        else:
-            k, v = ka[i], a[i] + factor * b[j]
-            i += 1
-            j += 1
-        if v != 0.0:
-            key[m], value[m] = k, v
-            m += 1
+    key, value = np.empty(len(ka) + len(kb), np.int64), np.empty(len(ka) + len(kb))
+    m = lib.stopset_taylor_add(len(ka), integers(ka), view(a), len(kb), integers(kb), view(b), factor, integers(key), view(value))
     return key[:m], value[:m]
 
 

@@ -39,7 +39,8 @@ class Drive:
 class Robot:
     """A serial arm with ``n`` revolute joints.
 
-    ``pi``: (n, 10) standard parameters (see `stopset.robot.rigid`); ``q_limit``: (n, 2) [rad]; ``dq_limit``: (n,)
+    ``pi``: (n, 10) standard parameters (see `stopset.robot.rigid`); of an identified arm, with all it carried when it was
+    recorded, an identified payload included; ``q_limit``: (n, 2) [rad]; ``dq_limit``: (n,)
     [rad/s]; ``torque_limit``: (n,) [N m]; ``tip``: (3,) position of the flange (last fixed frame) in the last link [m];
     ``gravity``: (3,) [m/s^2] in the base frame.
     """

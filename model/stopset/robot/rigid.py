@@ -35,7 +35,7 @@ class Chain(NamedTuple):
     gravity: Array  # (3,) [m/s^2] in the base frame, e.g. (0, 0, -9.81)
 
 
-def _arm(chain: Chain, pi: Array | None) -> Any:
+def arm_struct(chain: Chain, pi: Array | None) -> Any:
     """The C struct of an arm; what it points at lives as long as it does."""
     for seen in _recent:  # most calls are about the arm of the call before
         if seen[0] is chain and seen[1] is pi:
@@ -70,7 +70,7 @@ def torques(chain: Chain, pi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     ``pi``: (n, 10) standard parameters.  Source: Liu & Althoff (2018), eq. (3).
     """
     (q, dq, ddq), N = _rows(chain, q, dq, ddq)
-    arm = _arm(chain, pi)
+    arm = arm_struct(chain, pi)
     out = np.empty(q.shape)
     check(lib.stopset_torques(arm, N, view(q), view(dq), view(ddq), view(out)))
     return out
@@ -89,7 +89,7 @@ def bent_torques(
     (q, dq, ddq), N = _rows(chain, q, dq, ddq)
     if out.shape != q.shape or any(v.shape != (N,) for v in (x, dx, ddx)) or not 0 <= lowest < q.shape[1]:
         raise ValueError(f"bend {x.shape}, {dx.shape}, {ddx.shape} of joints from {lowest} for rows {q.shape}, into {out.shape}")
-    arm = _arm(chain, pi)
+    arm = arm_struct(chain, pi)
     bend = [given(v) for v in (x, dx, ddx)]
     check(lib.stopset_bent_torques(arm, N, view(q), view(dq), view(ddq), joint, *map(view, bend), lowest, view(out)))
 
@@ -97,7 +97,7 @@ def bent_torques(
 def gravity_torques(chain: Chain, pi: Array, q: Array) -> Array:
     """Gravity torque ``g(q)`` [N m] of every row of ``q`` (N, n)."""
     (q,), N = _rows(chain, q)
-    arm = _arm(chain, pi)
+    arm = arm_struct(chain, pi)
     out = np.empty(q.shape)
     check(lib.stopset_gravity_torques(arm, N, view(q), view(out)))
     return out
@@ -111,7 +111,7 @@ def gravity_torque(chain: Chain, pi: Array, q: Array) -> Array:
 def mass_matrices(chain: Chain, pi: Array, q: Array) -> Array:
     """Link-side mass matrix ``M(q)`` [kg m^2], (N, n, n), without rotor inertia, of every row of ``q`` (N, n)."""
     (q,), N = _rows(chain, q)
-    arm = _arm(chain, pi)
+    arm = arm_struct(chain, pi)
     out = np.empty((*q.shape, q.shape[-1]))
     check(lib.stopset_mass_matrices(arm, N, view(q), view(out)))
     return out
@@ -128,7 +128,7 @@ def regressors(chain: Chain, q: Array, dq: Array, ddq: Array) -> Array:
     Source: Atkeson, An & Hollerbach (1986); the same equations as `torques`, one standard parameter at a time.
     """
     (q, dq, ddq), N = _rows(chain, q, dq, ddq)
-    arm = _arm(chain, None)
+    arm = arm_struct(chain, None)
     out = np.empty((*q.shape, 10 * q.shape[-1]))
     check(lib.stopset_regressors(arm, N, view(q), view(dq), view(ddq), view(out)))
     return out
@@ -142,7 +142,7 @@ def regressor(chain: Chain, q: Array, dq: Array, ddq: Array) -> Array:
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Rotation (..., n, 3, 3) and origin (..., n, 3) [m] of every link frame in the base frame, for poses ``q`` (..., n)."""
     (q,), N = _rows(chain, q)
-    arm = _arm(chain, None)
+    arm = arm_struct(chain, None)
     R, o = np.empty((*q.shape, 3, 3)), np.empty((*q.shape, 3))
     check(lib.stopset_link_frames(arm, N, view(q), view(R), view(o)))
     return R, o
@@ -153,7 +153,7 @@ def point_jacobian(chain: Chain, q: Array, link: int, point: Array) -> tuple[Arr
     (q,), N = _rows(chain, q)
     if N != 1 or point.shape != (3,) or not 0 <= link < len(q):
         raise ValueError(f"point {point.shape} of link {link} at poses {q.shape}; expected three numbers, a link, one pose")
-    arm = _arm(chain, None)
+    arm = arm_struct(chain, None)
     p, J = np.empty(3), np.empty((3, len(q)))
     check(lib.stopset_point(arm, view(q), link, view(given(point)), view(p), view(J)))
     return p, J
@@ -162,7 +162,7 @@ def point_jacobian(chain: Chain, q: Array, link: int, point: Array) -> tuple[Arr
 def levers(chain: Chain, pi: Array, q: Array) -> tuple[Array, Array]:
     """Joint axes, and axis x first moment of all beyond [kg m], (N, n, 3) each, in the base frame, of poses ``q`` (N, n)."""
     (q,), N = _rows(chain, q)
-    arm = _arm(chain, pi)
+    arm = arm_struct(chain, pi)
     axis, lever = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
     check(lib.stopset_levers(arm, N, view(q), view(axis), view(lever)))
     return axis, lever

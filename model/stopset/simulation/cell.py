@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stopset.core.library import lib, view
 from stopset.errors import RobotError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
@@ -142,11 +142,11 @@ def _wander(cell: Cell, ticks: int, rng: np.random.Generator) -> Array:
     return _first_order(rng.standard_normal((ticks, cell.cad.n)), np.exp(-TICK / cell.truth.wander_time)) * cell.truth.wander
 
 
-@njit(cache=True)
 def _first_order(kick: Array, a: Array) -> Array:
-    out = kick.copy()
-    for k in range(1, len(kick)):
-        out[k] = a * out[k - 1] + np.sqrt(1 - a * a) * kick[k]
+    """Rows of a process of first order, each ``a`` times the one before it and a ``kick`` (K, n) that keeps its size."""
+    out = np.sqrt(1 - a * a) * kick
+    out[0] = kick[0]
+    lib.stopset_march(out.shape[1], view(np.eye(out.shape[1]) * a), len(out), view(out))
     return out
 
 

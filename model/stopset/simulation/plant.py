@@ -1,8 +1,9 @@
 """The true arm of a simulation: every physical parameter it has, hidden effects among them.
 
-The laws here are deliberately *not* those of `stopset.effects`: a viscosity curve instead of a straight line, Maxwell
-slip elements instead of Dahl, a rational Stribeck curve instead of a Gaussian, a tooth load from the transmitted
-torque instead of gravity.  A diagnosis that only recognises its own formulas would be worth nothing on a real arm.
+The laws of its friction and gears, in the core's ``simulation/arm.c``, are deliberately *not* those of `stopset.effects`: a
+viscosity curve instead of a straight line, Maxwell slip elements instead of Dahl, a rational Stribeck curve instead of a
+Gaussian, a tooth load from the transmitted torque instead of gravity.  A diagnosis that only recognises its own formulas
+would be worth nothing on a real arm.
 """
 
 from __future__ import annotations
@@ -10,20 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stopset.robot import Robot
 from stopset.robot.rigid import Array, Chain, gravity_torques, mass_matrix
 
-REFERENCE_TEMPERATURE = 30.0  # [degC] at which fc and fv are stated
-VOGEL = 95.0  # [K] of the viscosity law exp(B / (T + 95)) of gear oils
-RESONANCE_WIDTH = 0.08  # [rad/s]
-COULOMB_FLOOR = 0.4  # share of Coulomb friction that no heat removes
-# Maxwell slip: four spring-slider elements in parallel, shares of the friction and of the presliding displacement
-SHARES = (0.4, 0.3, 0.2, 0.1)
-REACH = (0.4, 1.0, 2.0, 4.0)
-ELEMENTS = len(SHARES)
+ELEMENTS = 4  # spring-slider elements in parallel, each with its share of the friction
 
 
 class Plant(NamedTuple):
@@ -32,13 +25,13 @@ class Plant(NamedTuple):
     chain: Chain
     pi: Array  # (n, 10)
     rotor: Array  # [kg m^2]
-    fc: Array  # [N m] at REFERENCE_TEMPERATURE
-    fv: Array  # [N m s/rad] at REFERENCE_TEMPERATURE
+    fc: Array  # [N m] at 30 degC
+    fv: Array  # [N m s/rad] at 30 degC
     limit: Array  # [N m] the drive saturates here
     brake_torque: Array  # [N m]
     brake_delay: Array  # [s]
     brake_rise: Array  # [s]
-    fv_slope: Array  # [1/K] relative fall of fv at REFERENCE_TEMPERATURE
+    fv_slope: Array  # [1/K] relative fall of fv at 30 degC
     fc_slope: Array  # [1/K] relative fall of fc there
     breakaway: Array  # [N m] friction at rest above fc
     stribeck_speed: Array  # [rad/s]
@@ -125,56 +118,9 @@ def torque_limit(robot: Robot) -> Array:
     return np.where(given > 0, given, np.maximum(3.0 * largest_gravity(robot), 5.0))
 
 
-# The compiled loops see the joint arrays as columns of one table: a named tuple of forty arrays costs them ten times
-# the arithmetic in reference counting. Column numbers, in the order of the fields of Plant after `pi`.
-(
-    ROTOR, FC, FV, LIMIT, BRAKE_TORQUE, BRAKE_DELAY, BRAKE_RISE, FV_SLOPE, FC_SLOPE, BREAKAWAY, STRIBECK_SPEED,
-    TOOTH, SKEW, THINNING_SPEED, RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, STIFFNESS, TWIST_DAMPING, PRESLIDING, GAIN,
-    SPRING, SPRING_CENTRE, DRAG, PARTNER, ENCODER_OFFSET, ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE,
-    BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, FILM_HEAT, FILM_TIME, COLUMNS,
-) = range(37)  # fmt: skip
+COLUMNS = 36  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
 
 
 def table(plant: Plant) -> Array:
     """(n, COLUMNS) the plant's joint arrays side by side."""
     return np.column_stack([np.asarray(x, float) for x in plant[2:]])
-
-
-@njit(cache=True)
-def viscous(T: Array, i: int, temp: float, speed: float) -> float:
-    """Viscous coefficient [N m s/rad] of joint ``i`` at ``temp`` [degC]: torque over speed at ``speed``."""
-    d = T[i, FV]
-    if T[i, FV_SLOPE] != 0.0:
-        at = REFERENCE_TEMPERATURE + VOGEL
-        d *= np.exp(T[i, FV_SLOPE] * at * at * (1.0 / (temp + VOGEL) - 1.0 / at))
-    if T[i, THINNING_SPEED] > 0.0 and speed != 0.0:
-        s = abs(speed) / T[i, THINNING_SPEED]
-        d *= np.arcsinh(s) / s
-    return float(d)
-
-
-@njit(cache=True)
-def coulomb(T: Array, i: int, temp: float, speed: float, load: float, walk: float) -> float:
-    """Dry friction [N m] of joint ``i`` before its direction; ``load``: transmitted torque, ``walk``: wander [N m]."""
-    f = T[i, FC]
-    if T[i, FC_SLOPE] != 0.0:
-        rest = 1.0 - COULOMB_FLOOR
-        f *= COULOMB_FLOOR + rest * np.exp(-T[i, FC_SLOPE] * (temp - REFERENCE_TEMPERATURE) / rest)
-    if T[i, BREAKAWAY] != 0.0:
-        f += T[i, BREAKAWAY] / (1.0 + (speed / T[i, STRIBECK_SPEED]) ** 2)
-    if T[i, RESONANCE] != 0.0:
-        f += T[i, RESONANCE] / (1.0 + ((abs(speed) - T[i, RESONANCE_SPEED]) / RESONANCE_WIDTH) ** 2)
-    f += T[i, TOOTH] * abs(load) + walk
-    return float(max(f, 0.0))
-
-
-@njit(cache=True)
-def position_torque(T: Array, i: int, q: float) -> float:
-    """Torque [N m] that depends on the joint's place: dress pack (stiffer when stretched), bump."""
-    x = q - T[i, SPRING_CENTRE]
-    total = T[i, SPRING] * x * (1.0 + 0.05 * x * x)
-    if T[i, BUMP] != 0.0:
-        y = (q - T[i, BUMP_CENTRE]) / T[i, BUMP_WIDTH]
-        if abs(y) < 2.0:
-            total += T[i, BUMP] * np.cos(0.25 * np.pi * y) ** 2
-    return float(total)

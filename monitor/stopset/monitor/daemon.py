@@ -6,6 +6,7 @@ Whatever goes wrong is published as FAULT before anything else happens: silence 
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import sys
 import threading
@@ -215,7 +216,7 @@ class Daemon:
         first, dropped = self.latch.first, self.source.counters().get("dropped", 0)
         joint = first.first.joint if first else ""
         values: dict[str, Any] = {
-            "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s else 0,
+            "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s and math.isfinite(s.t) else 0,
             "state": int(turn.state), "conformance": CODES[v.conformance] if v else 0, "flags": int(turn.flags),
             "violation_count": min(self.latch.count, 0xFFFFFFFF), "oldest_age": v.oldest if v else 0.0,
             "first_joint": self.model.joints.index(joint) + 1 if joint in self.model.joints else 0,
@@ -282,10 +283,13 @@ class Daemon:
         faults = 0
         while not self.stopping:
             try:
-                self.cycle()
-                faults, self._last_words = 0, ""
-            except BusError as e:
-                self._lost_bus(str(e), reopen)
+                try:
+                    self.cycle()
+                    faults, self._last_words = 0, ""
+                except BusError as e:
+                    self._lost_bus(str(e), reopen)
+            except BusError:
+                raise  # it never was there
             except Exception as e:  # noqa: BLE001 - the consumers must hear of it before anyone handles it
                 faults += 1
                 self.fail(f"{type(e).__name__}: {e}")
@@ -302,9 +306,11 @@ class Daemon:
             self.fail(words)
             until = self.clock.monotonic() + 0.5
             while self.clock.monotonic() < until and not self.stopping:
-                self._fault = words
-                self._obey(self.clock.monotonic())
-                self._send(self._situation())
+                self._fault, now = words, self.clock.monotonic()
+                self._obey(now)
+                turn = self._situation()
+                self._send(turn)
+                self._slow_messages(now, turn)
                 self.clock.sleep(PATIENCE)
             try:
                 self.source = reopen()

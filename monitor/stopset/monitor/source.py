@@ -16,6 +16,7 @@ from stopset.monitor.jointstate import decode as decode_joint_state
 from stopset.monitor.links.bus import Listener
 from stopset.monitor.links.canopen_map import Cycle, Decoder
 from stopset.monitor.links.hub import Frame
+from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.watch import Quantum, Sample
 
@@ -24,7 +25,6 @@ GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
 SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
-NEAR = 60.0  # [s] a stamp farther than this from now is not of this clock
 
 
 class Source(Protocol):
@@ -96,9 +96,10 @@ class CanSource:
     frames: int = 0
     dropped: int = 0
     _count: CycleCount = field(init=False)
+    _stamps: Stamps = field(default_factory=Stamps)
 
     def __post_init__(self) -> None:
-        self.decoder = Decoder(self.profile)
+        self.decoder = Decoder(self.profile, self.cycle_s)
         self._count = CycleCount(self.cycle_s, self.profile.sync_overflow)
         p = self.profile
         self.quantum = Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau"))
@@ -123,8 +124,7 @@ class CanSource:
     def _take(self, frame: Frame) -> Sample | None:
         self.frames += 1
         now = self.clock.time_ns() * 1e-9
-        t = frame.t if abs(frame.t - now) <= NEAR else now  # a stamp that is not a number is not near either
-        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
+        cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
         if cycle is None:
             return None
         bits, words = self.decoder.nodes.bad(now)

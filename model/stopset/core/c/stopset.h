@@ -9,7 +9,9 @@
 
 #include <stdint.h>
 
-#if defined(_WIN32)
+#if defined(STOPSET_API)
+/* said by whoever compiles it */
+#elif defined(_WIN32)
 #define STOPSET_API __declspec(dllexport)
 #elif defined(__GNUC__)
 #define STOPSET_API __attribute__((visibility("default")))
@@ -20,7 +22,8 @@
 /* cffi begin */
 enum {
     STOPSET_OK = 0,
-    STOPSET_TOO_MANY_JOINTS = 1 /* n is not within 1..STOPSET_JOINTS */
+    STOPSET_TOO_MANY_JOINTS = 1, /* n is not within 1..STOPSET_JOINTS */
+    STOPSET_OUT_OF_RANGE = 2     /* a place outside the array it counts in */
 };
 #define STOPSET_JOINTS 32
 
@@ -157,6 +160,9 @@ typedef struct {
 STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double *q, const double *dq, const double *tau,
                                      const double *temp, double *ends, double *u, double *du);
 
+/* How many of x (N,) lie outside [lo - slack, hi + slack]. */
+STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */
@@ -181,6 +187,166 @@ STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);
 STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
 /* Bits of the float32 that is not below x (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
+
+/* ---- windows.c: envelopes of deviations over all windows of a trial */
+
+typedef struct {
+    int64_t ages, columns;   /* ages 0 .. ages - 1; positions, then speeds, of what is looked at */
+    int64_t trial;           /* number of the trial that widens it */
+    double *hi, *lo;         /* (ages, columns) */
+    int64_t *hi_at, *lo_at;  /* (ages, columns, 2) trial and start sample that put it there */
+} StopsetEnvelope;
+
+STOPSET_API void stopset_extremes(int64_t N, const double *x, double *top, double *bottom);
+/* Joints on their own: a (n, 2, 2) one step of position and speed, residual (2n, N) of every step, `starts` windows, work (2,
+ * starts). */
+STOPSET_API int stopset_widen_decoupled(const StopsetEnvelope *envelope, int n, const double *a, int64_t N, const double *residual,
+                                        int64_t starts, double *work);
+/* Any Ad (2n, 2n), looked at along the directions `across` (k, n); work (4n + 1, starts). */
+STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, const double *Ad, int k, const double *across, int64_t N,
+                                      const double *residual, int64_t starts, double *work);
+
+/* ---- predict.c: nominal predictions and their sets */
+
+/* x(k+1) <- Ad x(k) + x(k+1) for rows (N, m) that hold the start, then what drives each step. */
+STOPSET_API void stopset_march(int m, const double *Ad, int64_t N, double *x);
+/* Trajectory (N + 1, 2) of q' = v, v' = w - sum c_k v^(k+1), w (N,) held over steps of h [s], each cut into `parts`. */
+STOPSET_API void stopset_corner(double q, double v, int64_t N, const double *w, int orders, const double *c, double h, int64_t parts,
+                                double *out);
+
+typedef struct {
+    int32_t orders;
+    const double *c;                    /* (orders,) of the friction curve over inertia */
+    double dt, dq0, dv0, sign, runaway; /* step [s]; this corner of the start; side; speed [rad/s] that is no solution any more */
+    int64_t parts, horizon;
+    double limit[2];                    /* noise that a reading may be beyond the corner */
+} StopsetCorner;
+
+/* How far readings x (N, 2) lie beyond a corner's solutions under w (N,): per age the largest, best (horizon + 1, 2), and where,
+ * at (horizon + 1, 2, 2) trial and start; `outside` is set for starts from which a reading is beyond the limit. */
+STOPSET_API void stopset_corner_excess(const StopsetCorner *corner, int64_t N, const double *x, const double *w, int64_t starts,
+                                       const int64_t *start, int64_t trial, double *best, int64_t *at, uint8_t *outside);
+/* End (q, v) after w (N,) and its derivatives S (2, 3) by start angle, start speed and a constant added to w. */
+STOPSET_API void stopset_corner_sensitivity(double *q, double *v, int64_t N, const double *w, int orders, const double *c, double dt,
+                                            int64_t parts, double *S);
+/* Terms of the exponential of one step's matrix, whose norm is below 1. */
+#define STOPSET_TERMS 12
+/* Responses along a nominal solution: J_x (H + 1, n, 2n), J_u (H + 1, n, n); out E1 (H + 1, 2n, 2n), plus and minus (H + 1, 2n, n);
+ * work (3, H, 2n, n). */
+STOPSET_API int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, double *E1, double *plus, double *minus,
+                              double *work);
+/* z (N,) of dz/dt = b + a z, both held over dt (N,) [s], from `start` wherever `first` is set: exact. */
+STOPSET_API void stopset_remember(int64_t N, const double *b, const double *a, const double *dt, const uint8_t *first, double start,
+                                  double *z);
+
+/* ---- polynomials.c */
+
+typedef struct {
+    int64_t monomials, count, dimension;
+    const int64_t *parent, *variable; /* monomial k = monomial parent[k] times z[variable[k]]; number 0 is 1 */
+    const double *coefficient;        /* (monomials, count) */
+} StopsetPolynomials;
+
+/* Values (N, count) at the rows of z (N, dimension); work (monomials,). */
+STOPSET_API void stopset_polynomials(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
+/* Derivatives (N, count, dimension); work (monomials, 1 + count). */
+STOPSET_API void stopset_polynomial_slopes(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
+/* Terms of a product up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
+ * room. Returns how many, -1: room is too small. */
+STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
+                                            int order, int shift, int64_t size, int64_t *slot, int64_t room, int64_t *key, double *value);
+/* Sorted terms of a + factor b, into key and value (A + B,); returns how many. */
+STOPSET_API int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
+                                       double factor, int64_t *key, double *value);
+
+/* ---- rows.c: the diagnosis' rows; `first`, `start` (N,): a new trial, a new run of rows begins */
+
+/* Smoothed over about +-3 rows within each trial. */
+STOPSET_API void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out);
+/* x late by whole + part rows, part in [0, 1): cubic interpolation, held at the ends. */
+STOPSET_API void stopset_shifted(int64_t N, const double *x, int64_t whole, double part, double *out);
+/* out (rows, columns): rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
+STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width,
+                                 const double *h, double *out);
+
+typedef struct {
+    int64_t order;
+    const double *a, *sd; /* (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, and its deviation */
+} StopsetPredictor;
+
+/* Rows (N, columns) less their prediction, over its deviation; back again; and the adjoint. */
+STOPSET_API void stopset_whiten(const StopsetPredictor *predictor, int64_t N, int64_t columns, const double *X, const uint8_t *start,
+                                double *out);
+STOPSET_API void stopset_coloured(const StopsetPredictor *predictor, int64_t N, const double *e, const uint8_t *start, double *out);
+STOPSET_API void stopset_whiten_adjoint(const StopsetPredictor *predictor, int64_t N, const double *r, const uint8_t *start, double *out);
+/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2): sums of r times sine and cosine; work (2, R). */
+STOPSET_API void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
+                                         double *work, double *a, double *b);
+/* Sums of squares and products of the whitened sines and cosines; work (2 order + 4, R). */
+STOPSET_API void stopset_ripple_power(const StopsetPredictor *predictor, int64_t N, const double *q, const double *fade,
+                                      const uint8_t *start, int64_t R, double n, double step, double *work, double *ss, double *cc,
+                                      double *sc);
+
+typedef struct {
+    const double *M, *g;  /* (N,) inertia [kg m^2], gravity's stiffness [N m/rad] */
+    const uint8_t *first;
+    double K, D;          /* [N m/rad], [N m s/rad] */
+} StopsetSwing;
+
+/* Position, speed, acceleration (N,) of a link against its motor under `link` (N,) [N m], from x0, dx0 at each first row. */
+STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const double *link, const double *x0, const double *dx0, double dt,
+                               int parts, double *out, double *rate, double *acc);
+/* State at the first rows: from rest under `rest` (N,) [N m], `steps` steps of h [s] under the row's torque; not a number: bent. */
+STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double h,
+                             double *x0, double *dx0);
+
+/* ---- simulation/: the arm that models are tested on; it shares no code with what bounds stops. At most 16 joints. */
+
+STOPSET_API int stopset_sim_mass_and_bias(const StopsetArm *arm, const double *q, const double *dq, double *M, double *bias);
+/* Torque (N, n) [N m] of rigid body and rotors for rows of q, dq, ddq. */
+STOPSET_API int stopset_sim_torques(const StopsetArm *arm, const double *rotor, int64_t N, const double *q, const double *dq,
+                                    const double *ddq, double *out);
+/* A w + p = b with friction p, see inclusion.c; mode (n,) is the guess who moves which way, then the answer. 1: solved to rounding,
+ * 0: not; negative: a code. */
+STOPSET_API int stopset_sim_inclusion(int n, const double *A, const double *b, const double *plus, const double *minus, int64_t *mode,
+                                      double *w);
+
+typedef struct {
+    StopsetArm arm;
+    const double *rotor;                  /* (n,) [kg m^2] */
+    const double *dry, *viscous;          /* (n,) [N m], [N m s/rad] */
+    const double *brake, *delay, *rise;   /* (n,) [N m], [s], [s] after the cut at t = 0 */
+} StopsetSimStop;
+
+/* Positions and velocities (steps + 1, n) every dt [s] of a power-off stop; disturbance (pieces, n) [N m], constant over equal
+ * pieces of the horizon. */
+STOPSET_API int stopset_sim_stop(const StopsetSimStop *stop, const double *q0, const double *v0, double dt, int64_t steps, int64_t pieces,
+                                 const double *disturbance, double *q, double *v);
+
+typedef struct {
+    StopsetArm arm;
+    int32_t states;        /* n + number of elastic joints */
+    double *table;         /* (n, columns) of stopset.simulation.plant; its friction warms */
+    const int64_t *motor;  /* (n,) the state that each joint's motor, friction and encoder belong to */
+    double *x, *v, *rate;  /* (states,) [rad, rad/s, rad/s^2] */
+    double *slip;          /* (n, 4) [N m] forces of the Maxwell elements */
+    double *load;          /* (n,) [N m] that the gears transmit */
+    double *temp, *film;   /* (n,) [degC]; how much the drives' own losses have warmed their oil */
+} StopsetSimArm;
+
+typedef struct {
+    double period;                              /* [s] of control and recording */
+    const double *feedforward, *q, *dq;         /* (ticks, n) [N m, rad, rad/s] */
+    const double *kp, *kd;                      /* (n,) [N m/rad, N m s/rad] */
+    int64_t brake_at, cut_at;                   /* ticks at which the brakes are told to close, the motors lose power */
+    const double *q_noise, *dq_noise, *walk;    /* (ticks, n) of the readings [rad, rad/s]; wander of dry friction [N m] */
+    double resolution;                          /* [rad] of the encoder */
+} StopsetSimScript;
+
+/* Logs (ticks, n): readings, their speed, reported torque, temperature, link angle and speed. */
+STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, int64_t ticks, int64_t steps_per_tick,
+                                const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
+                                double *link, double *speed);
 /* cffi end */
 
 #endif

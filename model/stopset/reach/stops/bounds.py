@@ -12,12 +12,12 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.failed import CELLS, FAST_CELLS, NARROW, Cell, cover, failed_cells
+from stopset.reach.stops.failed import failed_stops
 from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, fastest, march_box, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import FAST_KNOTS, fastest, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.reach.stops.words import (
     BY_ENERGY,
@@ -29,6 +29,7 @@ from stopset.reach.stops.words import (
     UNSEEN,
     early_cut,
     no_certificate,
+    out_of_budget,
     ramp_assumptions,
 )  # fmt: skip
 from stopset.robot.rigid import gravity_torque, link_frames
@@ -232,35 +233,23 @@ class StopBounds:
     def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None and self.ramp is not None
         ramp, setting = self.ramp, self.setting
-        cells = failed_cells(ramp, dq)
-        if not cells:
+        found = failed_stops(setting, ramp, q, dq, q_radius, dq_radius, self.fast)
+        if found is None:
             return self._refused("1 guaranteed", NO_POWER_OFF, q)
-
-        def tubes_in(cell: Cell, energetic: bool) -> list[Tube]:
-            lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
-            # whatever the ramp did, the drives may still give while their power goes
-            v_lo, v_hi = v_lo + setting.residual.lo, v_hi + setting.residual.hi
-            box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
-            if energetic or self.pieces == 1 or cell.width(dq) > NARROW:
-                knots = KNOTS if not self.fast else FAST_ENERGY_KNOTS if energetic else FAST_KNOTS
-                return [march_box(setting, setting.plant, *box, energetic, knots=knots)]
-            return tubes_of(setting, *box, self.pieces, last_resort=False)
-
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
         margin = np.full(self.model.n, np.inf)
-        for cell, parts in cover(cells, dq, ramp.together, FAST_CELLS if self.fast else CELLS * self.pieces, tubes_in):
-            before = cell.boxes(dq, dq_radius, ramp)
-            for part in parts:
-                if part.end != OK:
-                    where = q + 0.5 * (before[0] + before[1])
-                    return self._refused("1 guaranteed", no_certificate(self.model.joints, self.margin(where), self._reach()), q)
-                time = np.maximum(time, cell.time + stopped_after(part))
-                margin = np.minimum(margin, part.margin)
-                # displacement since the request; what was passed before power-off lies in the starts of these boxes
-                tubes.append(part._replace(d_lo=part.d_lo + before[0], d_hi=part.d_hi + before[1]))
+        for cell, _, part in found.parts:
+            lo, hi, _, _ = cell.boxes(dq, dq_radius, ramp)
+            if part.end != OK:
+                return self.refused_for("1 guaranteed", self.margin(q + 0.5 * (lo + hi)), q)
+            time = np.maximum(time, cell.time + stopped_after(part))
+            margin = np.minimum(margin, part.margin)
+            # displacement since the request; what was passed before power-off lies in the starts of these boxes
+            tubes.append(part._replace(d_lo=part.d_lo + lo, d_hi=part.d_hi + hi))
         assumptions = (*setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
-        return self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        bound = self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        return replace(bound, why=out_of_budget(found.loose, len(found.parts), found.tried)) if found.loose else bound
 
     def _told(
         self, category: Category, tubes: list[Tube], time: Array, q: Array, q_radius: Array, margin: Array,

@@ -4,26 +4,35 @@ From the request on each joint goes on along its motion with a share ``lambda_i(
 values from 0 to the largest share: one drive may fail while others brake, or all together. Power is taken after a fixed
 time (SS1-t), or ``reaction`` after a joint has left its monitored ramp (SS1-r), at the latest when that has ended. So joint
 i has travelled between 0 and some seconds at full speed, and has a speed between 0 and some share: a box. Where the tube
-of a box does not come to rest the box is cut in two, across the side that matters most.
+of a box does not come to rest the box is cut in two, across the side that matters most, or, of a narrow one, what is known of
+brakes and rotors. A budget of tubes, larger where cutting helps, keeps that short; what it does not close the
+kinetic energy bounds.
 
 Source: IEC 61800-5-2 for SS1-t and SS1-r; stop notes of the project.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
+from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
+from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.ramp import Ramp
-from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.split import halves
+from stopset.reach.stops.tube import OK, Plant, Tube
+from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, expected_stop, march_box
 from stopset.robot.rigid import Array
 
 SLICES = 8  # of the monitored ramp, by when it is left
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
-CELLS = 16  # a box is cut into at most this many for each piece a power-off stop may be cut into
-FAST_CELLS = 4  # in a fast loop
+TUBES = 15, 160  # tried for a failed ramp while none comes to rest, and at all: then the kinetic energy bounds what is open
+FAST_TUBES = 7, 23  # in a fast loop
+REWARD = 4  # more tubes for each that comes to rest: cutting then helps
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 
 
@@ -84,29 +93,95 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[Cell]:
     return out
 
 
-def cover(
-    cells: list[Cell], dq: Array, together: bool, budget: int, tubes: Callable[[Cell, bool], list[Tube]]
-) -> list[tuple[Cell, list[Tube]]]:
-    """Tubes for boxes that together are ``cells``; ``tubes(cell, energetic)`` tries one box.
+class Part(NamedTuple):
+    """A box of states at power-off, an arm with the parameters it may then have, and the tube from there."""
 
-    Each cell is cut at most ``budget`` times; then the kinetic energy has to bound it whole. If that fails too, the last
-    tubes are not OK.
+    cell: Cell
+    plant: Plant
+    tube: Tube
+
+
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """Tubes that together hold every failure; the last is not OK if that failed. ``loose``: how many of them the kinetic energy
+    had to bound, when the ``tried`` tubes of joint speeds had used up the budget."""
+
+    parts: tuple[Part, ...]
+    loose: int
+    tried: int
+
+
+def cover(
+    cells: Sequence[Cell], plant: Plant, cut: Callable[[Cell, Plant], Sequence[tuple[Cell, Plant]]],
+    march: Callable[[Cell, Plant, bool], Tube], width: Callable[[Cell], float], budget: tuple[int, int],
+) -> Cover:  # fmt: skip
+    """Tubes for boxes that together are ``cells``; ``march(cell, plant, energetic)`` tries one, ``cut`` makes two of one.
+
+    The widest box is tried first, and cut where its tube does not come to rest.  ``budget``: how many tubes may be tried so while
+    none comes to rest, and how many at all; each that does is worth `REWARD` more.  What is open then the kinetic energy bounds,
+    which is looser; where even that fails for a part it is tried for the whole box.
     """
-    out: list[tuple[Cell, list[Tube]]] = []
-    for root in cells:
-        todo: list[Cell] = [root]
-        done: list[tuple[Cell, list[Tube]]] = []
-        while todo:
-            part = todo.pop()
-            found = tubes(part, False)
-            if found[-1].end == OK:
-                done.append((part, found))
-            elif len(todo) + len(done) + 2 <= budget:
-                todo.extend(part.halves(dq, together))
-            else:
-                done = [(root, tubes(root, True))]
-                break
-        out += done
-        if done[-1][1][-1].end != OK:
-            return out
-    return out
+    order = count()
+    todo = [(-width(c), next(order), c, plant, c) for c in cells]
+    heapify(todo)
+    parts: list[tuple[Cell, Part]] = []  # each with the box it is of
+    left: list[tuple[Cell, Plant, Cell]] = []
+    tried = 0
+    while todo:
+        _, _, cell, arm, root = heappop(todo)
+        allowed = min(budget[0] + REWARD * len(parts), budget[1])
+        if tried < allowed:
+            tried += 1
+            tube = march(cell, arm, False)
+            if tube.end == OK:
+                parts.append((root, Part(cell, arm, tube)))
+                continue
+            if tried + len(todo) + 2 <= allowed:
+                for c, a in cut(cell, arm):
+                    heappush(todo, (-width(c), next(order), c, a, root))
+                continue
+        left.append((cell, arm, root))
+    loose, whole = 0, set()
+    for cell, arm, root in left:
+        if id(root) in whole:
+            continue
+        tube = march(cell, arm, True)
+        if tube.end != OK and cell is not root:
+            whole.add(id(root))
+            cell, arm = root, plant
+            parts = [x for x in parts if x[0] is not root]
+            tube = march(root, plant, True)
+        parts.append((root, Part(cell, arm, tube)))
+        loose += 1
+        if tube.end != OK:
+            break
+    return Cover(tuple(p for _, p in parts), loose, tried)
+
+
+def failed_stops(
+    setting: Setting, ramp: Ramp, q: Array, dq: Array, q_radius: Array, dq_radius: Array, fast: bool
+) -> Cover | None:
+    """Tubes of all stops after a failed ramp, from requests at ``q +- q_radius, dq +- dq_radius`` (true states, (n,) each).
+
+    None where nothing says when power is taken; ``fast``: fewer and coarser, for a loop.
+    """
+    cells = failed_cells(ramp, dq)
+    if not cells:
+        return None
+    lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
+
+    def march(cell: Cell, plant: Plant, energetic: bool) -> Tube:
+        lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
+        # whatever the ramp did, the drives may still give while their power goes
+        v_lo, v_hi = v_lo + setting.residual.lo, v_hi + setting.residual.hi
+        box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
+        knots = FAST_ENERGY_KNOTS if energetic else FAST_KNOTS if fast else KNOTS
+        return march_box(setting, plant, *box, energetic, knots=knots)
+
+    def cut(cell: Cell, plant: Plant) -> Sequence[tuple[Cell, Plant]]:
+        if cell.width(dq) > NARROW:
+            return [(c, plant) for c in cell.halves(dq, ramp.together)]
+        return [(cell, p) for p in halves(plant, q, lasts)]
+
+    least, most = FAST_TUBES if fast else TUBES
+    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least + 2 * (len(cells) - 1), most))

@@ -11,7 +11,8 @@ the unpowered arm by its law; what neither took is in ``U`` and is not added aga
 - ``input_delay``: stays in ``U``, though a late reading moves no unpowered arm: ``U`` is only too wide;
 - ``swing`` (a role): stays in ``U`` as far as the powered arm swung; a braked gear may swing farther: no stop is bounded.
 
-Values are those that were taken off, so what they are wrong by is in ``U``; their standard deviations come on top.
+Values are those that were taken off, so what they are wrong by is in ``U``; their standard deviations come on top, of a
+payload as the doubt of its mass (`payload.bodies`).
 Compensated torque came without the drive's own Coulomb friction and gravity: gravity is put back by the rigid body, that
 friction is not known and counted as none.
 """
@@ -32,7 +33,7 @@ from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand, gravity_curvature
-from stopset.reach.stops.payload import bodies, largest_gravity
+from stopset.reach.stops.payload import bodies, largest_gravity, weighed
 from stopset.ring import Interval
 from stopset.robot.rigid import Chain
 from stopset.sets import Box
@@ -131,8 +132,8 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     """
     n, brakes = model.n, brakes_of(model)
     payload = model.domain.payload if payload is None else payload
-    com = model.robot.tip if com is None else com
-    groups = _groups(model)
+    groups = _groups(model)  # first: it knows every effect, or refuses it
+    com = weighed(model, com)[1]
     pi, half = bodies(model, payload, com)
     body = _Body.of(model.robot.chain, pi, half, any("tilt" in g.effect.needs for g in groups))
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
@@ -155,6 +156,9 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
             if any(np.any(getattr(here, k)[row] != getattr(fast, k)[row]) for k in ("dry", "viscous", "push")):
                 speed[i] = fastest[i]
         _put(fixed, g, here)
+    # damping below zero pushes the more the faster the joint goes
+    drives = np.maximum(fixed[RUBS_VISCOUS, :, 0], 0.0) + fixed[VISCOUS, :, 0] < 0.0
+    speed = np.where(drives, np.minimum(speed, fastest), speed)
     first = _friction(fixed, fastest)
     out = Torques(groups, tuple(roaming), body, gear, model.domain.temp, base, fixed, speed, fastest, first)
     q = Box(model.domain.q.lo - BEYOND, model.domain.q.hi + BEYOND)

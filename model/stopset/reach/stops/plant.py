@@ -12,7 +12,7 @@ from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Torques, described, misreadings, torques_of
-from stopset.reach.stops.payload import bodies, payload_doubt, place_of
+from stopset.reach.stops.payload import bodies, weighed
 from stopset.reach.stops.tube import Plant
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -78,10 +78,11 @@ def setting_of(
 ) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
-    ``payload``: [kg] range in addition to the robot's own, default the model's domain; ``payload_com``: (3,) [m] in the
-    last link's frame, default the flange. Raises `NotCovered` for a payload outside the model's domain, unless it is to be
-    ``extrapolate``-d: then the rigid body carries it, and an assumption says that no recording did; and for an effect of the
-    model that no stop can be bounded with.
+    ``payload``: [kg] range on top of what the robot's ``pi`` holds, default the model's domain; ``payload_com``: (3,) [m] in the
+    last link's frame, default an identified payload's centre, or the flange.
+
+    Raises `NotCovered` for a payload outside the model's domain, unless it is to be ``extrapolate``-d: then the rigid body
+    carries it, and an assumption says that no recording did; and for an effect of the model that no stop can be bounded with.
     """
     n = model.n
     lo, hi = model.domain.payload if payload is None else payload
@@ -96,7 +97,7 @@ def setting_of(
     brakes = brakes_of(model)
     if brakes is None:
         return None
-    com = place_of(model, payload_com)
+    doubt, com = weighed(model, payload_com)
     if com.shape != (3,) or not float(np.linalg.norm(com)) <= FARTHEST:
         raise NotCovered(
             f"a payload's centre at {com.tolist()} m in the last link; expected three numbers, at most {FARTHEST:g} m away: give it in "
@@ -128,7 +129,6 @@ def setting_of(
         f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
         f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
     ]
-    doubt = payload_doubt(model)
     if doubt > 0.0:
         assumptions.append(f"payload weighed by its torque to +- {doubt:.3g} kg, its centre as identified")
     extrapolated = "" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg"

@@ -30,6 +30,14 @@ BY_ENERGY = (
 )
 
 
+def out_of_budget(loose: int, boxes: int, tried: int) -> str:
+    """That the coarser proof stands in for the finer one in a part of a failed ramp's stop."""
+    return (
+        f"fall-back: {loose} of {boxes} boxes of a failed ramp's states were not closed by the {tried} tubes of joint speeds that there "
+        "is a budget for, the kinetic energy bounds these; proved, but looser"
+    )
+
+
 def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
     """What the bound of a ramp rests on."""
     unit = "s" if ramp.kind == "time" else "rad/s^2"

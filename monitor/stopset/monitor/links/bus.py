@@ -14,6 +14,7 @@ import can
 
 from stopset.errors import BusError
 from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.stamps import Stamps
 
 
 class Listener(Protocol):
@@ -43,6 +44,12 @@ def parse(spec: str) -> tuple[str, str, dict[str, Any]]:
     return interface, channel, {k: int(v) if v.lstrip("-").isdigit() else v for k, v in parse_qsl(query)}
 
 
+def may_hold_a_robot(spec: str) -> bool:
+    """Whether a real arm could hear what is sent there: not on buses that only programs share. (A bad name is another matter.)"""
+    interface = spec.partition("?")[0].partition(":")[0]
+    return interface in can.VALID_INTERFACES and interface not in ("virtual", "udp_multicast", "serial")
+
+
 def _python_can(spec: str, **extra: Any) -> can.BusABC:
     interface, channel, options = parse(spec)
     if interface == "udp_multicast":
@@ -61,7 +68,7 @@ class _CanListener:
     def __init__(self, spec: str) -> None:
         interface = parse(spec)[0]
         self._bus = _python_can(spec, **({"listen_only": True} if interface == "slcan" else {}))
-        self._own_clock = interface == "serial"  # its stamps are the sender's, in whole milliseconds
+        self._stamps = Stamps()
 
     def recv(self, timeout: float) -> Frame | None:
         try:
@@ -72,10 +79,7 @@ class _CanListener:
             return None
         if m.is_error_frame:
             raise BusError("error frame on the bus; check termination and bit rate")
-        now = time.time()
-        # nor is a stamp that is not a number within a minute of now
-        t = m.timestamp if not self._own_clock and abs(m.timestamp - now) <= 60 else now
-        return Frame(m.arbitration_id, m.data, t)
+        return Frame(m.arbitration_id, m.data, self._stamps(m.timestamp, time.time()))
 
     def close(self) -> None:
         self._bus.shutdown()

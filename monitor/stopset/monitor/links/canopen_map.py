@@ -9,6 +9,9 @@ import configparser
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import canopen
 import numpy as np
@@ -26,6 +29,9 @@ FORMATS = {
     datatypes.REAL32: "f", datatypes.REAL64: "d", datatypes.BOOLEAN: "?",
 }  # fmt: skip
 SYNC_ID = 0x080
+HOLD = 0.2  # [s] in which a frame that was missed may still come
+APART = 0.1  # of a period between the last frame of a cycle and the next SYNC, or they have changed places
+LATEST = 0.9  # of a period after its SYNC: frames that come later may be the next one's
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,43 +46,62 @@ class FrameMap:
 
 def frame_maps(profile: Profile) -> dict[int, FrameMap]:
     """Frames of ``profile`` that carry a wanted signal, by COB-ID; raises `BusError` if a signal is mapped nowhere or twice."""
-    wanted = {(s.object, s.sub): SIGNALS.index(name) for name, s in profile.signals.items()}
+    try:
+        stat = profile.dcf.stat()
+    except OSError as e:
+        raise BusError(f"{profile.dcf} cannot be read ({e.strerror}); expected an EDS or DCF beside the profile") from e
+    wanted = tuple((name, s.object, s.sub) for name, s in profile.signals.items())
+    return dict(_frame_maps(profile.name, profile.dcf, (stat.st_mtime_ns, stat.st_size), tuple(profile.nodes.items()), wanted))
+
+
+@lru_cache(maxsize=8)
+def _frame_maps(
+    profile: str,
+    dcf: Path,
+    _version: tuple[int, int],
+    nodes: tuple[tuple[str, int], ...],
+    signals: tuple[tuple[str, int, int], ...],
+) -> dict[int, FrameMap]:
+    wanted = {(index, sub): SIGNALS.index(name) for name, index, sub in signals}
     found: dict[tuple[int, int], int] = {}
     maps: dict[int, FrameMap] = {}
     network = canopen.Network()  # never connected: nothing is sent
-    for joint, (name, node_id) in enumerate(profile.nodes.items()):
+    for joint, (name, node_id) in enumerate(nodes):
         try:
-            node = network.add_node(canopen.RemoteNode(node_id, str(profile.dcf)))
+            node = network.add_node(canopen.RemoteNode(node_id, str(dcf)))
             node.tpdo.read(from_od=True)  # type: ignore[no-untyped-call]
         except (configparser.Error, ObjectDictionaryError, KeyError, ValueError, TypeError, AttributeError) as e:
-            raise BusError(f"{profile.dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
+            raise BusError(f"{dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
         for pdo in node.tpdo.values():
             if not pdo.enabled or not pdo.map:
                 continue
             if not 0 <= pdo.trans_type <= 240:
                 continue  # event-driven: it belongs to no SYNC
-            codes, targets = "<", []
-            for v in pdo.map:
-                code = FORMATS.get(v.od.data_type)
-                if code is None or struct.calcsize("<" + code) * 8 != v.length:
-                    raise BusError(
-                        f"{profile.dcf}: object 0x{v.index:04X} is mapped with {v.length} bits; expected whole standard numbers"
-                    )
-                codes += code
-                row = wanted.get((v.index, v.subindex))
-                if row is not None and (row, joint) in found:
-                    row = None  # mapped twice: the first PDO counts
-                targets.append(None if row is None else (row, joint))
-                if row is not None:
-                    found[(row, joint)] = pdo.cob_id
-            if any(t is not None for t in targets):
-                maps[pdo.cob_id] = FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:])
-        lacking = [s for s in profile.signals if (SIGNALS.index(s), joint) not in found]
+            frame = _frame_map(pdo, dcf, joint, wanted, found)
+            if any(t is not None for t in frame.targets):
+                maps[pdo.cob_id] = frame
+        lacking = [s for s, _, _ in signals if (SIGNALS.index(s), joint) not in found]
         if lacking:
-            raise BusError(
-                f"profile {profile.name}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {profile.dcf.name}"
-            )
+            raise BusError(f"profile {profile}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {dcf.name}")
     return maps
+
+
+def _frame_map(
+    pdo: Any, dcf: Path, joint: int, wanted: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
+) -> FrameMap:
+    codes, targets = "<", []
+    for v in pdo.map:
+        code = FORMATS.get(v.od.data_type)
+        if code is None or struct.calcsize("<" + code) * 8 != v.length:
+            raise BusError(f"{dcf}: object 0x{v.index:04X} is mapped with {v.length} bits; expected whole standard numbers")
+        codes += code
+        row = wanted.get((v.index, v.subindex))
+        if row is not None and (row, joint) in found:
+            row = None  # mapped twice: the first PDO counts
+        targets.append(None if row is None else (row, joint))
+        if row is not None:
+            found[(row, joint)] = pdo.cob_id
+    return FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +118,14 @@ class Decoder:
     """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
 
     A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
-    serves to find the rhythm again and is not given out.  What the drives say besides goes to ``nodes``.
+    serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given
+    out if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period
+    after their SYNC, perhaps by the next one's frames, and for `HOLD` after a loss all, because what was lost may still come.
+    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's.
     """
 
     profile: Profile
+    cycle_s: float = 0.0
     maps: dict[int, FrameMap] = field(init=False)
     nodes: Nodes = field(init=False)
     incomplete: int = 0
@@ -106,8 +135,12 @@ class Decoder:
     _seen: set[int] = field(init=False)
     _sync: tuple[int | None, float] | None = None
     _doubtful: bool = False
+    _held: Cycle | None = None
+    _held_at: float = 0.0
+    _hold: int = 0  # SYNCs to come in which all cycles are held back
 
     def __post_init__(self) -> None:
+        self.cycle_s = self.cycle_s or self.profile.cycle_s
         self.maps = frame_maps(self.profile)
         self.nodes = Nodes(self.profile.nodes, self.profile.heartbeat_s)
         n = len(self.profile.nodes)
@@ -120,12 +153,7 @@ class Decoder:
     def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> Cycle | None:
         """Take one frame received at ``t`` [s]; returns the cycle it completes, if it does."""
         if cob_id == SYNC_ID:
-            if self._sync is not None and len(self._seen) < len(self.maps):
-                self.incomplete += 1
-                self._doubtful = True
-            self._sync = (data[0] if len(data) else None, t)
-            self._seen.clear()
-            return None
+            return self._next_sync(data[0] if len(data) else None, t)
         frame = self.maps.get(cob_id)
         if frame is None:
             self.unknown += 1
@@ -135,8 +163,7 @@ class Decoder:
             self._doubtful = True
             return None
         if cob_id in self._seen or len(data) != frame.layout.size:
-            self.incomplete += 1
-            self._doubtful = True
+            self._spoilt()
             self._sync = None
             return None
         self._seen.add(cob_id)
@@ -148,7 +175,29 @@ class Decoder:
         if self._doubtful:
             self._doubtful = False
             return None
-        return Cycle(self._sync[0], self._sync[1], self._raw * self._scale)
+        cycle = Cycle(self._sync[0], self._sync[1], self._raw * self._scale)
+        if t - cycle.t > LATEST * self.cycle_s or self._hold:
+            self._held, self._held_at = cycle, t
+            return None
+        return cycle
+
+    def _next_sync(self, counter: int | None, t: float) -> Cycle | None:
+        held, self._held = self._held, None
+        self._hold = max(0, self._hold - 1)
+        if self._sync is not None and len(self._seen) < len(self.maps):
+            self._spoilt()
+        overflow = self.profile.sync_overflow
+        lost = overflow and held is not None and held.counter is not None and counter != held.counter % overflow + 1
+        if held is not None and (lost or t - self._held_at < APART * self.cycle_s):
+            held = None
+            self._spoilt()
+        self._sync = (counter, t)
+        self._seen.clear()
+        return held
+
+    def _spoilt(self) -> None:
+        self.incomplete += 1
+        self._doubtful, self._held, self._hold = True, None, round(HOLD / self.cycle_s)
 
 
 @dataclass(slots=True)

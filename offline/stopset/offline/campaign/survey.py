@@ -59,6 +59,10 @@ class Survey:
         """Suites of the motions that nothing is fitted to: on them the sets are judged."""
         return _held(self.motion, self.learnt)
 
+    def within(self, horizon: float) -> float:
+        """How far ahead [s] is predicted at most: as asked, but not beyond the longest trial."""
+        return min(horizon, self.longest)
+
     def warm(self, r: Recording) -> float:
         """How long the drives have been running, 0 to 1 (see `Session`)."""
         return self.session.warm(r)
@@ -101,12 +105,14 @@ class Tally:
     samples: int = 0
     longest: float = 0.0
     irregular: bool = False
+    conditions: set[str] = field(default_factory=set)
     kept: list[Recording] = field(default_factory=list)
     stride: int = 1
 
     def add(self, r: Recording) -> None:
         """Take one trial in."""
         self.places = max(self.places, r.place + 1)
+        self.conditions.add(r.condition)
         if r.phase != self.phase or len(r.t) < 3:
             self.noise.add(r)
             return

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import Survey, on_grid, survey
+from stopset.offline.compare.known import left_over
 from stopset.offline.compare.metrics import Figures, torque_error
 from stopset.offline.compare.tightness import Along, Tightness, of_tube
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
@@ -58,7 +59,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What `compare` found; ``figures``: joint -> torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse."""
+    """What `compare` found; ``figures``: joint -> torque_rmse, torque_rmse_floor, torque_rmse_known, velocity_rmse, position_rmse."""
 
     figures: dict[str, dict[str, Any]]
     rows: tuple[Row, ...]
@@ -106,14 +107,20 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
     dt = model.powered.dt
     judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
     figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
-    rows = []
+    rows, left = [], []
     for motion, r, u in inputs(model, paths, found, dt):
         figures.add(r, u)
+        if model.effort != "compensated_torque":
+            left.append(left_over(model, r, u, float(np.median(np.diff(r.t)))))
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
-    return Comparison(figures.result(model.joints), tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
+    told = figures.result(model.joints)
+    known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
+    for k, j in enumerate(model.joints):
+        told[j]["torque_rmse_known"] = None if known is None else float(known[k])
+    return Comparison(told, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
 
 
 class _Linear:

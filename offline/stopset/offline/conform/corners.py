@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import ffi, given, integers, lib, view
+from stopset.core.library import flags as flags_of
 from stopset.errors import NotConformant
-from stopset.reach.nonlinear import corner_step
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,61 +28,11 @@ RUNAWAY = 1e3  # [rad/s] a friction polynomial beyond its range may push: no tub
 Q_LO, V_LO, Q_HI, V_HI, NOISE_LO, NOISE_HI, U_LO, U_HI = range(8)
 
 
-@njit(cache=True)
-def _excess(
-    x: Array, w: Array, c: Array, dt: float, cut: int, starts: Index, horizon: int, dq0: float, dv0: float, sign: float,
-    limit: Array, best: Array, at: Index, trial: int, outside: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """How far readings lie beyond one corner's solutions, per age: maximum into ``best`` (H + 1, 2), where into ``at``.
-
-    ``outside``: set for starts from which a reading lies beyond ``limit`` (2,).
-    """
-    N = x.shape[0]
-    for i in range(starts.shape[0]):
-        s = starts[i]
-        q, v = x[s, 0] + dq0, x[s, 1] + dv0
-        for h in range(1, min(horizon, N - 1 - s) + 1):
-            q, v = corner_step(q, v, w[s + h - 1], c, dt, cut)
-            if not abs(v) < RUNAWAY:
-                if sign * v < 0:  # gone the wrong way: nothing is enclosed
-                    best[h, 0] = best[h, 1] = np.inf
-                    outside[i] = True
-                break
-            e = sign * (x[s + h, 0] - q)
-            if e > best[h, 0]:
-                best[h, 0], at[h, 0, 0], at[h, 0, 1] = e, trial, s
-            if e > limit[0]:
-                outside[i] = True
-            e = sign * (x[s + h, 1] - v)
-            if e > best[h, 1]:
-                best[h, 1], at[h, 1, 0], at[h, 1, 1] = e, trial, s
-            if e > limit[1]:
-                outside[i] = True
-
-
-@njit(cache=True)
 def _sensitivity(q: float, v: float, w: Array, c: Array, dt: float, cut: int) -> tuple[float, float, Array]:
     """End (q, v) after ``w`` (h,) and its derivatives (2, 3) by start angle, start speed and a constant added to ``w``."""
-    d = dt / cut
-    S = np.zeros((2, 3))
-    S[0, 0] = S[1, 1] = 1.0
-    for k in range(w.shape[0]):
-        for _ in range(cut):
-            before = v
-            q, v = corner_step(q, v, w[k], c, d, 1)
-            middle, a = 0.5 * (before + v), 0.0
-            for i in range(c.shape[0]):
-                a += (i + 1) * c[i] * middle**i
-            z = a * d
-            decay = np.exp(-z)
-            # integrals over the step of e^-at, and of that again; series where the difference would cancel
-            one = d * (1.0 - z / 2.0 + z * z / 6.0) if abs(z) < 1e-4 else (1.0 - decay) / a
-            two = d * d * (0.5 - z / 6.0) if abs(z) < 1e-4 else (d - one) / a
-            S[0, 1] += S[1, 1] * one
-            S[1, 1] *= decay
-            S[0, 2] += S[1, 2] * one + two
-            S[1, 2] = S[1, 2] * decay + one
-    return q, v, S
+    S, end_q, end_v = np.empty((2, 3)), ffi.new("double *", q), ffi.new("double *", v)
+    lib.stopset_corner_sensitivity(end_q, end_v, len(w), view(given(w)), len(c), view(given(c)), dt, cut, view(S))
+    return end_q[0], end_v[0], S
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +81,20 @@ class JointProblem:
         best = np.full((self.horizon + 1, 2), -np.inf)
         at = np.zeros((self.horizon + 1, 2, 2), np.int64)
         dq0, dv0, torque = self.corner(z, sign)
-        room, c = self.room(z, sign), self.gain * self.viscous
+        room, c = self.room(z, sign), given(self.gain * self.viscous)
+        corner = ffi.new("StopsetCorner *", (
+            len(c), view(c), self.dt, dq0, dv0, sign, RUNAWAY, self.cut, self.horizon, room.tolist(),
+        ))  # fmt: skip
         outside = []
         for k, (x, u, s) in enumerate(zip(self.x, self.u, which, strict=True)):
             flags = np.zeros(len(s), np.bool_)
-            w = self.gain * (u + torque)
-            _excess(x, w, c, self.dt, self.cut, s, self.horizon, dq0, dv0, sign, room, best, at, k, flags)
+            w = given(self.gain * (u + torque))
+            if x.shape[1] != 2 or len(w) < len(x) - 1 or (len(s) and not 0 <= s.min() <= s.max() < len(x)):
+                raise ValueError(f"windows in states {x.shape} under {len(w)} inputs; expected (N, 2) and N, starts within")
+            lib.stopset_corner_excess(
+                corner, len(x), view(given(x)), view(w), len(s), integers(np.ascontiguousarray(s)), k, view(best), integers(at),
+                flags_of(flags),
+            )  # fmt: skip
             outside.append(flags)
         return best, at, outside
 

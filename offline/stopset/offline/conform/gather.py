@@ -66,7 +66,7 @@ def sums_of(
 ) -> Sums:  # fmt: skip
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     found = replace(found, sample=())  # what a part needs, without the trials kept in memory
-    horizon = settings.horizon if keep else min(settings.horizon, found.longest)
+    horizon = settings.horizon if keep else found.within(settings.horizon)
     halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
 
     here = progress if scheduler is None else None  # a cluster's parts come back whole

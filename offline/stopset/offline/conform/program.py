@@ -183,9 +183,6 @@ def cheapest(G: Array, h: Array, cost: Array, bounds: Bounds, who: str) -> Array
     return z
 
 
-# a solver's status in words that are the user's
-
-
 def tight(G: Array, h: Array, z: Array, bounds: Bounds) -> dict[int, int]:
     """Per unknown of V and U (place in ``z``), the tight row of ``G z >= h`` in which it counts most; not those in none."""
     slack = (G @ z - h) / np.maximum(np.abs(G).max(axis=1), 1e-12)

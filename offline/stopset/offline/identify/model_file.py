@@ -52,7 +52,7 @@ def concluded(
 ) -> Identification:  # fmt: skip
     """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
     options = Options(settings.conform, settings.windows, settings.margin)
-    horizon = min(settings.horizon, found.longest)
+    horizon = found.within(settings.horizon)
     steps = round(horizon / found.dt)
     gathered = sums.gathered.mapped(lambda env: env.upto(steps))
     shared = (nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options)

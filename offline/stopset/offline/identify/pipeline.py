@@ -13,6 +13,7 @@ from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Source, Survey, Tally, tallied
@@ -27,7 +28,9 @@ from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
+from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
+from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.update.signals_file import Signals
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
@@ -39,17 +42,20 @@ Keep = Literal["signals", "sums"] | None
 
 def identify(
     robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None, conditions: Sequence[str] = (),
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
     ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
     later recordings can be added to (`stopset.offline.update.update`), the signals themselves or sums of constant size;
+    ``conditions``: of the recordings, ``KEY=VALUE@FILE`` (`stopset.offline.campaign.conditions`);
     ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
-    return identified(robot, campaign_of(robot, paths), settings or Settings(), tell, scheduler, known, keep)
+    return identified(
+        robot, tagged(campaign_of(robot, paths), conditions, paths), settings or Settings(), tell, scheduler, known, keep
+    )
 
 
 def identified(
@@ -59,8 +65,13 @@ def identified(
     meta, source = campaign.meta, campaign.trials
     tell("reading the recordings")
     tally, stops = tallied(source)
+    if not chosen.mixed:
+        one_condition(tally.conditions)
     found = tally.survey()
-    check_signals(robot, meta, found.sample)
+    told = check_signals(robot, meta, found.sample)
+    for text in told:
+        tell(text)
+    meta = replace(meta, warnings=(*meta.warnings, *told))
     tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
@@ -69,9 +80,12 @@ def identified(
     def learning() -> Iterator[Recording]:
         return (r for r in source() if r.suite_key not in held)
 
-    numbers = known_effects(robot, meta, learning, chosen, known)
+    shared = _shared(robot, meta, learning, learnt, chosen, known)
+    asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
+    numbers = known_effects(robot, meta, learning, asked, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
     nominal = abstracted(robot, meta, learning, learnt, chosen, numbers, nominal)
+    nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
@@ -91,12 +105,22 @@ def identified(
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 
 
+def _shared(
+    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: Sequence[Fitted]
+) -> tuple[Gain, ...]:
+    """Pairs of joints that share a motor by the evidence, where that is to be looked for and nobody has said so already."""
+    if meta.effort == "compensated_torque" or settings.friction != "evidence":
+        return ()
+    told = {f.label for f in known} | set(settings.effects)
+    return tuple(g for g in coupled(robot, source, found.sample) if g.effect not in told and g.name not in told)
+
+
 def _with_sets(
     robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
     scheduler: str | None, tally: Tally | None,
 ) -> Identification:  # fmt: skip
     motions = len(set(found.motion.values()))
-    horizon = min(settings.horizon, found.longest)
+    horizon = found.within(settings.horizon)
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
     tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
     if nominal.abstraction.linear:

@@ -31,6 +31,7 @@ RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD
 RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up, so that accelerations are wrong
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 SAME = 3  # trials in which a signal stops at the very same value below its largest
+SLOW = 1 / 60  # [s] of a period: the filters of identification need ten samples per period of 6 Hz
 OFF_RATE = 0.01  # relative: rates further off than this are told
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
@@ -86,6 +87,24 @@ def clock(t: Tally, meta: Meta, dq_sound: bool = True) -> list[Finding]:
             Finding("dropped_samples", "error", None,
                     f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
                     "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
+        )  # fmt: skip
+    if t.rounded:
+        out.append(
+            Finding("stamp_digits", "warning", None, f"stamps are printed to {t.rounded * 1e3:.3g} ms at a period of {period * 1e3:.3g} ms",
+                    "stamps finer than a tenth of the period",
+                    "they lie on an even clock within that, which is what is used; print more digits", t.rounded)
+        )  # fmt: skip
+    if t.settling:
+        out.append(
+            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
+                    "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
+                    t.settling)
+        )  # fmt: skip
+    if period > SLOW:
+        out.append(
+            Finding("slow_rate", "warning", None, f"{1 / period:.3g} Hz", f"at least {1 / SLOW:.0f} Hz",
+                    "reversals of friction, gears and delays lie between such samples: a model of rigid body and friction is all they "
+                    "can give; record faster", 1 / period)
         )  # fmt: skip
     out += _rate(t, meta)
     if meta.clock == "assumed":
@@ -264,8 +283,8 @@ def torque_scale(
         explained = near[0] < 0.4
         alike = np.isfinite(scale) & (np.abs(np.log(np.abs(np.where(scale == 0, 1e-12, scale)) / abs(k))) < np.log(3))
         seen = f"the torque is {k:.3g} times what the rigid body needs" + (f" ({near[1]})" if explained else "")
-        # one joint alone, by a factor no unit explains, is a payload or the CAD rather than a column in another unit
-        sure = explained or alike.sum() > 1
+        # by a factor no unit explains, it is a payload, the CAD or a gain rather than a column in another unit
+        sure = explained or (alike.sum() > 1 and not RIGHT_TORN[0] < abs(k) < RIGHT_TORN[1])
         do = "convert tau, or correct gear ratio and torque constant" if sure else "a payload, or a wrong CAD or gain: check them"
         out.append(Finding("wrong_unit" if sure else "torque_scale", "error" if sure else "warning", joint, seen,
                            "about 1, N m on the link side", do, k))  # fmt: skip

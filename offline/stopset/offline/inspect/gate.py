@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from stopset.errors import RecordingError
-from stopset.offline.inspect.findings import RIGHT_TORN, Finding, velocity
+from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import Tally
@@ -20,23 +20,39 @@ from stopset.robot import Robot
 LOOKED_AT = 64  # trials: what is wrong here is wrong in all of them
 
 
-def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> None:
-    """dq against q, and compensated torque against the described inertia. Raises `RecordingError`."""
+def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tuple[str, ...]:
+    """dq against q, and compensated torque against the described inertia. Raises `RecordingError`.
+
+    What `stopset inspect` would say besides is returned: identification goes on, but nobody should have to ask.
+    """
     some = sample[:: max(1, len(sample) // LOOKED_AT)]
     tally, momentum = Tally(robot.n), Momentum(robot)
     for r in some:
         tally.add(r)
     # a scale that no unit, sign or clock explains may be that of a few trials: sets that hold them say so
-    _refuse(f for f in velocity(tally, robot.joints, meta) if f.kind != "dq_scale")
+    speeds = velocity(tally, robot.joints, meta)
+    _refuse(f for f in speeds if f.kind != "dq_scale")
+    sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
+    told = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints)]
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
+    return _in_words(told)
 
 
-def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> None:
-    """Motor torque against the description's rigid body, from the sums of the nominal regression. Raises `RecordingError`."""
-    _refuse(against_model(robot, meta, *torque_scales(robot, data), RIGHT_TORN))
+def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, ...]:
+    """Motor torque against the description's rigid body, from the sums of the nominal regression. Raises `RecordingError`.
+
+    What is strange but no error is returned in words.
+    """
+    scale, std = torque_scales(robot, data)
+    _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))
+    return _in_words(against_model(robot, meta, scale, std, RIGHT))
+
+
+def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:
+    return tuple(f"inspect says ({f.severity}): {f.says}" for f in found if f.severity != "note")
 
 
 def _refuse(found: Iterable[Finding]) -> None:

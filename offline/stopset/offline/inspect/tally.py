@@ -16,6 +16,8 @@ WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short a
 LAGS = 15  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
 LONG = 50  # samples from which on a trial's mean period is known to a per cent
+FOLLOWS = 0.4  # relative: a step of q is what dq says
+SETTLES = 3  # steps at a trial's start that dq does not explain, from which on it is said
 PLATEAU = 5  # equal samples in a row at a signal's largest value
 
 
@@ -31,7 +33,9 @@ class Tally:
     gaps: int = 0
     longest_gap: float = 0.0
     repeated: int = 0  # samples that repeat all signals in the middle of a motion
-    jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample
+    jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
+    rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
+    settling: float = 0.0  # [s] at a trial's start during which dq does not follow q yet, at most
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
     period: list[float] = field(default_factory=list)  # per trial: the usual one
     mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
@@ -83,6 +87,7 @@ class Tally:
 
     def _clock(self, r: Recording) -> float:
         dt = np.diff(r.t)
+        self.rounded = max(self.rounded, r.rounded)
         h = float(np.median(dt))
         gap = dt > GAP * h
         self.period.append(h)
@@ -106,8 +111,14 @@ class Tally:
         self.repeated += int(np.sum(same & visible & fast.any(axis=1)))
         step = np.abs(np.diff(r.q, axis=0))
         ratio = step[np.arange(len(step)), way.argmax(axis=1)] / np.maximum(expected, 1e-12)
+        follows = ~visible | (np.abs(ratio - 1.0) < FOLLOWS)
+        # a lost sample is one step too long between steps that are right; many in a row are a dq that does not follow
+        alone = np.r_[True, follows[:-1]] & np.r_[follows[1:], True]
         if even:  # as made-up stamps are
-            self.jumps += int(np.sum(visible & ~gap & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
+            self.jumps += int(np.sum(visible & ~gap & alone & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
+        begins = int(np.argmax(follows & visible)) if (follows & visible).any() else 0
+        if (~follows[:begins] & visible[:begins]).sum() >= SETTLES:
+            self.settling = max(self.settling, float(r.t[begins] - r.t[0]))
         return h
 
     def _velocity(self, r: Recording, h: float) -> None:

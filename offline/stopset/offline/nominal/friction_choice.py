@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.campaign.hold_out import blocks
+from stopset.offline.campaign.hold_out import FOLDS, blocks
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import assemble, problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
@@ -26,7 +26,6 @@ LAWS = ("load_coulomb", "cubic_viscous", "asymmetric_coulomb")  # tried beyond C
 BASE = ("coulomb", "viscous")
 GAINS = 0.02  # share by which a law must lower its joint's held-out torque error
 MOSTLY = 2 / 3  # of what is held out in turn in which it must lower it
-FOLDS = 6
 NEVER = 1e12  # times a column's own weight: what is not part of a model stays zero
 
 

@@ -22,9 +22,9 @@ def described(robot: Robot, known: Sequence[Fitted]) -> Robot:
     """The robot with known payloads and rotor inertias in its description."""
     pi, drives = robot.pi.copy(), list(robot.drives)
     for f in known:
-        if f.effect == "payload":
-            order = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-            pi[-1] += [f.values[k] for k in order]
+        effect = get(f.effect)
+        if effect.carried:
+            pi[-1] += [f.values[t.symbol] for t in effect.terms]
         elif f.effect == "rotor_inertia" and f.joint is not None:
             j = robot.joints.index(f.joint)
             drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + f.values["dJ"])
@@ -45,5 +45,7 @@ def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> R
             tau[:, robot.joints.index(f.joint)] /= 1.0 + f.values[effect.terms[0].symbol]
     torques = [f for f in known if get(f.effect).compensated()]
     if torques:
-        tau -= effect_torques(robot, torques, r.q, r.dq, temp=r.temp, warm=warm, t=r.t)
+        # what acts on accelerations (a motor that two joints share) needs them; their noise passes the torque's own filter later
+        ddq = np.gradient(r.dq, r.t, axis=0) if any("ddq_other" in get(f.effect).needs for f in torques) else None
+        tau -= effect_torques(robot, torques, r.q, r.dq, ddq, temp=r.temp, warm=warm, t=r.t)
     return replace(r, tau=tau)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -131,20 +131,20 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
         chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
     nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*BASE, *asked, *(g.name for g in chosen)))))
-    check_torque(cad, meta, nominal.data)
+    strange = check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")
     arm = nominal.robot(cad)
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
-    inertia = _mean_inertia(arm, nominal.rotor, found)
+    inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
     still = found.readings.least.hi[robot.n :]
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
-    notes = (*(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     doubt = of_regression(cad, nominal, found.sample)
     return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen)
 
@@ -154,6 +154,16 @@ def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     mean: Array = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
     return mean
+
+
+def shared_inertia(robot: Robot, effects: Sequence[Fitted]) -> Array:
+    """(n, n) [kg m^2]: inertia of motors that turn with two joints, beside the diagonal."""
+    out = np.zeros((robot.n, robot.n))
+    for f in effects:
+        if f.effect == "coupled_wrist" and len(f.joints) == 2:
+            i, j = map(robot.joints.index, f.joints)
+            out[i, j] = out[j, i] = f.values["J"]
+    return out
 
 
 def _shows(fitted: Fitted) -> bool:

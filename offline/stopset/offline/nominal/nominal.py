@@ -134,6 +134,13 @@ def solve_nominal(
 ) -> Nominal:
     """The nominal model from sums alone; ``solve_nominal(robot, old + new)`` equals reading everything again."""
     if data.rows_moving.sum() + data.rows_still.sum() == 0:
+        fastest = float(np.abs(data.speed).max()) if data.recordings else 0.0
+        if data.recordings and fastest < 2 * data.settings.still:
+            raise RecordingError(
+                f"no joint moves in these {data.recordings} recordings (fastest {fastest:.2g} rad/s, largest range "
+                f"{float(np.ptp(data.span, axis=1).max()):.2g} rad): held poses alone show neither friction nor inertia; expected motions "
+                "of every joint: record some, and give the poses with them as phase static"
+            )
         raise RecordingError(
             f"no usable sample: {data.recordings} moving trials, {data.poses} poses, left out {data.skipped or 'none'}; "
             "expected motor torque over at least one motion of a second, or poses approached from both sides"

@@ -116,7 +116,7 @@ class Document:
         xs = [v for c in p.curves for v in c[1]] + list(p.points[0])
         ys = [v for c in p.curves for v in c[2]] + list(p.points[1])
         steps = _step(max(xs, default=1.0)), _step(max(ys, default=1.0))
-        x1, y1 = (step * math.ceil(max(v, default=1.0) / step - 1e-9) for step, v in zip(steps, (xs, ys), strict=True))
+        x1, y1 = (step * max(1, math.ceil(max(v, default=1.0) / step - 1e-9)) for step, v in zip(steps, (xs, ys), strict=True))
         page = self._pages[-1]
         self._put(left, self._y - 10, f"{p.title}: {p.y_name}", 7.5, bold=True)
         for k in range(round(x1 / steps[0]) + 1):

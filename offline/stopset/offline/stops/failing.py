@@ -69,8 +69,8 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
     steps = int(np.ceil(min(HORIZON, float(bound.time.max())) / DT)) + 2
     for k in range(count):
         kind = k % 5
-        x = draw(plant, kind, sign, W)
-        q0, v0 = start_of(x, kind, q, dq, s.noise.radius[:n], s.noise.radius[n:])
+        x = draw(plant, kind, sign, W, rng)
+        q0, v0 = start_of(x, kind, q, dq, s.noise.radius[:n], s.noise.radius[n:], rng)
         shares = _shares(ramp, dq, rng)
         before = np.vstack([np.zeros(n), np.cumsum(shares * v0 * DT, axis=0)])
         qs, vs = simulate_stop(

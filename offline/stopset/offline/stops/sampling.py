@@ -8,15 +8,13 @@ hurt it most.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
-from stopset.robot.jit import link_frames, mass_matrix
-from stopset.robot.rigid import Array
+from stopset.robot.rigid import Array, link_frames, mass_matrix
 from stopset.simulation.stop import simulate_stop
 
 DT = 0.5e-3  # [s] between checks, and the step of the simulation
@@ -39,40 +37,25 @@ class Samples(NamedTuple):
     excess: float  # largest distance outside the tube, in widths of nothing: [rad] or [rad/s], 0 if none
 
 
-@njit(cache=True)
 def tube_at(tube: Tube, times: Array) -> tuple[Array, Array, Array, Array]:
     """Bounds of displacement and speed at ``times`` (T,), exactly as the tube means them between its knots."""
-    T, n = times.shape[0], tube.d_lo.shape[1]
-    dl, dh, vl, vh = np.empty((T, n)), np.empty((T, n)), np.empty((T, n)), np.empty((T, n))
-    K = tube.t.shape[0] - 1
     h = tube.t[1] - tube.t[0]
-    for m in range(T):
-        k = min(int(times[m] / h), K - 1)
-        s = min(max(times[m] - k * h, 0.0), h)
-        for i in range(n):
-            a, b = tube.v_hi[k, i], tube.e_hi[k, i]
-            if a < 0.0 and b >= 0.0:  # the bound may cross zero at once and stay there
-                a = b
-            vh[m, i] = a + (b - a) * s / h
-            dh[m, i] = tube.d_hi[k, i] + s * (a + 0.5 * (b - a) * s / h)
-            a, b = tube.v_lo[k, i], tube.e_lo[k, i]
-            if a > 0.0 and b <= 0.0:
-                a = b
-            vl[m, i] = a + (b - a) * s / h
-            dl[m, i] = tube.d_lo[k, i] + s * (a + 0.5 * (b - a) * s / h)
-    return dl, dh, vl, vh
+    k = np.minimum((times / h).astype(int), len(tube.t) - 2)
+    s = np.clip(times - k * h, 0.0, h)[:, None]
+    out = []
+    for d, v, e, side in ((tube.d_lo, tube.v_lo, tube.e_lo, -1.0), (tube.d_hi, tube.v_hi, tube.e_hi, 1.0)):
+        a, b = v[k], e[k]
+        a = np.where((side * a < 0.0) & (side * b >= 0.0), b, a)  # the bound may cross zero at once and stay there
+        out += [d[k] + s * (a + 0.5 * (b - a) * s / h), a + (b - a) * s / h]
+    return out[0], out[2], out[1], out[3]
 
 
-@njit(cache=True)
 def _pick(lo: Array, hi: Array, share: Array) -> Array:
     return lo + (hi - lo) * share
 
 
-@njit(cache=True)
-def _shares(kind: int, n: int) -> Any:
-    if kind == 0:
-        return np.random.randint(0, 2, n) * 1.0
-    return np.random.random(n)
+def _shares(kind: int, n: int, rng: np.random.Generator) -> Array:
+    return np.asarray(rng.integers(0, 2, n) * 1.0 if kind == 0 else rng.random(n))
 
 
 class Draw(NamedTuple):
@@ -90,31 +73,30 @@ class Draw(NamedTuple):
     ahead: Array
 
 
-@njit(cache=True)
-def draw(plant: Plant, kind: int, sign: Array, W: Array) -> Draw:
+def draw(plant: Plant, kind: int, sign: Array, W: Array, rng: np.random.Generator) -> Draw:
     """Kinds 0: any corner; 1: anywhere inside; 2: all joints slow but one; 3: slow or fast joints; 4: one joint slow or fast,
     and the rest as the inverse inertia ``W`` says it hurts this one most. ``sign``: (n,) direction of motion."""
     n = sign.shape[0]
-    load = float(np.random.randint(0, 2)) if kind != 1 else np.random.random()
+    load = float(rng.integers(0, 2)) if kind != 1 else rng.random()
     pi = plant.pi + (2.0 * load - 1.0) * plant.pi_half
-    rotor = _pick(plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half, _shares(min(kind, 1), n))
+    rotor = _pick(plant.rotor - plant.rotor_half, plant.rotor + plant.rotor_half, _shares(min(kind, 1), n, rng))
     u = np.empty((PIECES, n))
     if kind <= 1:
         for p in range(PIECES):
-            u[p] = _pick(plant.u_lo, plant.u_hi, _shares(kind, n))
+            u[p] = _pick(plant.u_lo, plant.u_hi, _shares(kind, n, rng))
         return Draw(
-            pi, rotor, _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n)),
-            _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n)), _pick(plant.brake_lo, plant.brake_hi, _shares(kind, n)),
-            _pick(plant.delay_lo, plant.delay_hi, _shares(kind, n)), _pick(plant.rise_lo, plant.rise_hi, _shares(kind, n)),
+            pi, rotor, _pick(plant.coulomb_lo, plant.coulomb_hi, _shares(kind, n, rng)),
+            _pick(plant.viscous_lo, plant.viscous_hi, _shares(kind, n, rng)), _pick(plant.brake_lo, plant.brake_hi, _shares(kind, n, rng)),
+            _pick(plant.delay_lo, plant.delay_hi, _shares(kind, n, rng)), _pick(plant.rise_lo, plant.rise_hi, _shares(kind, n, rng)),
             u, np.zeros(n),
         )  # fmt: skip
-    slow = _shares(0, n)
+    slow = _shares(0, n, rng)
     if kind == 2:
         slow[:] = 1.0
-        slow[np.random.randint(n)] = float(np.random.randint(0, 2))
+        slow[rng.integers(n)] = float(rng.integers(0, 2))
     elif kind == 4:
-        j = np.random.randint(n)
-        slow[j] = float(np.random.randint(0, 2))
+        j = rng.integers(n)
+        slow[j] = float(rng.integers(0, 2))
         along = slow[j] * 2.0 - 1.0
         for i in range(n):
             if i != j:
@@ -129,32 +111,27 @@ def draw(plant: Plant, kind: int, sign: Array, W: Array) -> Draw:
     )  # fmt: skip
 
 
-@njit(cache=True)
 def inverse_inertia(plant: Plant, q: Array) -> Array:
     """(n, n): of the arm with rotors and the middle payload."""
-    M = mass_matrix(plant.chain, plant.pi, q)
-    for i in range(q.shape[0]):
-        M[i, i] += plant.rotor[i]
-    W: Array = np.linalg.inv(M).astype(np.float64)
-    return W
+    return np.asarray(np.linalg.inv(mass_matrix(plant.chain, plant.pi, q) + np.diag(plant.rotor)))
 
 
-@njit(cache=True)
-def start_of(d: Draw, kind: int, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> tuple[Array, Array]:
+def start_of(
+    d: Draw, kind: int, q: Array, dq: Array, q_radius: Array, dq_radius: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """A true state behind the measured one: at its corners, or anywhere for kind 1."""
     n = q.shape[0]
-    q0 = q + q_radius * (2.0 * _shares(kind if kind <= 1 else 0, n) - 1.0)
+    q0 = q + q_radius * (2.0 * _shares(kind if kind <= 1 else 0, n, rng) - 1.0)
     if kind <= 1:
-        return q0, dq + dq_radius * (2.0 * _shares(kind, n) - 1.0)
+        return q0, dq + dq_radius * (2.0 * _shares(kind, n, rng) - 1.0)
     return q0, dq + dq_radius * d.ahead
 
 
-@njit(cache=True)
 def sample_stops(
     plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, tip: Array, tube: Tube, count: int, seed: int
 ) -> Samples:
     """Simulate ``count`` stops from the box around (q, dq) and hold each against ``tube`` every `DT` seconds."""
-    np.random.seed(seed)
+    rng = np.random.default_rng(seed)
     n = q.shape[0]
     steps = int(np.ceil(tube.t[-1] / DT)) + 2
     times = np.linspace(0.0, steps * DT, steps + 1)
@@ -165,30 +142,23 @@ def sample_stops(
     sign = np.where(dq >= 0.0, 1.0, -1.0)
     for s in range(count):
         kind = s % 5
-        x = draw(plant, kind, sign, W)
-        q0, v0 = start_of(x, kind, q, dq, q_radius, dq_radius)
+        x = draw(plant, kind, sign, W, rng)
+        q0, v0 = start_of(x, kind, q, dq, q_radius, dq_radius, rng)
         qs, vs = simulate_stop(
             plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u
         )  # fmt: skip
-        out = False
-        R, o = link_frames(plant.chain, q0)
-        p0 = o[n - 1] + R[n - 1] @ tip
-        for k in range(steps + 1):
-            for i in range(n):
-                d = qs[k, i] - q0[i]
-                forward[i], back[i] = max(forward[i], d), max(back[i], -d)
-                if abs(vs[k, i]) > SPEED_ERROR:
-                    time[i] = max(time[i], times[k])
-                beyond = max(
-                    max(d - dh[k, i], dl[k, i] - d) - ANGLE_ERROR, max(vs[k, i] - vh[k, i], vl[k, i] - vs[k, i]) - SPEED_ERROR
-                )
-                if not beyond <= 0.0:
-                    out = True
-                    excess = max(excess, beyond)
-            if k % 8 == 0 or k == steps:
-                R, o = link_frames(plant.chain, qs[k])
-                tcp = max(tcp, np.sqrt(np.sum((o[n - 1] + R[n - 1] @ tip - p0) ** 2)))
-        escaped += out
+        R, o = link_frames(plant.chain, np.vstack([q0[None], qs[::8], qs[-1:]]))
+        p = o[:, -1] + R[:, -1] @ tip
+        d = qs - q0
+        forward, back = np.maximum(forward, d.max(axis=0)), np.maximum(back, -d.min(axis=0))
+        moves = np.abs(vs) > SPEED_ERROR
+        time = np.maximum(time, np.where(moves, times[:, None], 0.0).max(axis=0))
+        beyond = max(
+            float(np.maximum(d - dh, dl - d).max()) - ANGLE_ERROR, float(np.maximum(vs - vh, vl - vs).max()) - SPEED_ERROR
+        )
+        tcp = max(tcp, float(np.linalg.norm(p[1:] - p[0], axis=1).max()))
+        if not beyond <= 0.0:
+            escaped, excess = escaped + 1, max(excess, beyond)
     return Samples(count, escaped, forward, back, time, tcp, excess)
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
 
+from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.rows.prepare import Array, Mask
 from stopset.offline.diagnose.rows.smooth import calm
@@ -133,47 +134,30 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
     return x0, dx0
 
 
-@njit(cache=True, nogil=True)
+def _struct(M: Array, g: Array, first: Mask, K: float, D: float) -> Any:
+    if M.shape != first.shape or g.shape != first.shape:
+        raise ValueError(f"inertia {M.shape} and stiffness {g.shape} for {first.shape} rows")
+    return ffi.new("StopsetSwing *", (view(M), view(g), flags(first), K, D))
+
+
 def _swung(
     link: Array, M: Array, g: Array, first: Mask, x0: Array, dx0: Array, K: float, D: float, dt: float, sub: int
 ) -> tuple[Array, Array, Array]:
     """Position, speed, acceleration of the link against the motor, by Newmark's rule."""
-    N = link.shape[0]
-    out, rate, acc = np.zeros(N), np.zeros(N), np.zeros(N)
-    h = dt / sub
-    x = dx = 0.0
-    for k in range(N):
-        if first[k]:
-            x, dx = x0[k], dx0[k]
-        else:
-            for s in range(sub):
-                w = (s + 0.5) / sub
-                m = M[k - 1] + w * (M[k] - M[k - 1])
-                x, dx = _step(-(link[k - 1] + w * (link[k] - link[k - 1])), m, K + g[k], D, h, x, dx)
-        out[k], rate[k] = x, dx
-        acc[k] = (-link[k] - D * dx - (K + g[k]) * x) / M[k]
+    out, rate, acc = np.empty((3, len(link)))
+    lib.stopset_swung(
+        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(x0)), view(given(dx0)), dt, sub, view(out), view(rate),
+        view(acc),
+    )  # fmt: skip
     return out, rate, acc
 
 
-@njit(cache=True, nogil=True)
 def _led(
     link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, h: float
 ) -> tuple[Array, Array]:
     """State at the first rows: from rest, ``lead`` [s] under the torque of the row; see `Source.start`."""
-    x0, dx0 = np.zeros(len(link)), np.zeros(len(link))
-    for k in np.flatnonzero(first):
-        if np.isnan(rest[k]):
-            x0[k] = -link[k] / (K + g[k])
-            continue
-        x, dx = -rest[k] / (K + g[k]), 0.0
-        for _ in range(round(lead / h)):
-            x, dx = _step(-link[k], M[k], K + g[k], D, h, x, dx)
-        x0[k], dx0[k] = x, dx
+    x0, dx0 = np.empty((2, len(link)))
+    lib.stopset_led(
+        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(rest)), round(lead / h), h, view(x0), view(dx0)
+    )
     return x0, dx0
-
-
-@njit(cache=True, nogil=True)
-def _step(force: float, m: float, stiff: float, D: float, h: float, x: float, dx: float) -> tuple[float, float]:
-    """One step of Newmark's rule, ``h`` [s] long."""
-    ddx = (force - D * dx - stiff * (x + 0.5 * h * dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff)
-    return x + h * dx + 0.5 * h * h * ddx, dx + h * ddx

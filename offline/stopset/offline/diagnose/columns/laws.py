@@ -38,12 +38,20 @@ def columns(
         else:
             s = source.fine(i)
             if other:
-                s = replace(s, dq_other=d.dq_fine[:, other[0]])
+                s = replace(s, dq_other=d.dq_fine[:, other[0]], ddq_other=_rate(source, other[0]))
             if effect.states:
                 s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
             moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
         gain = source.gain if effect.name == "payload" else 1.0
         out[i] = (gain * moving, gain * _at_rest(source, effect, i, shapes))
+    return out
+
+
+def _rate(source: Source, joint: int) -> Array:
+    """(M,) acceleration of a joint at the recording's rate [rad/s^2], trial by trial."""
+    d, out = source.data, np.zeros(len(source.data.t_fine))
+    for trial in d.trials:
+        out[trial.fine] = np.gradient(d.dq_fine[trial.fine, joint], d.kernel.dt)
     return out
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from stopset.core.library import ffi, flags, given, lib, view
 from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.rows.noise import whiten_adjoint
@@ -63,55 +63,21 @@ class Ripples:
         return out
 
 
-@njit(cache=True, nogil=True)
-def _waves(q: float, fade: float, n: Array, step: float, s: Array, c: Array) -> None:
-    """``exp(-fade n^2)`` times sine and cosine of ``n q`` for evenly spaced ``n``: each from the one before it."""
-    turn_s, turn_c = np.sin(step * q), np.cos(step * q)
-    now_s, now_c = np.sin(n[0] * q), np.cos(n[0] * q)
-    size = np.exp(-fade * n[0] ** 2)
-    ratio, fall = np.exp(-fade * step * (2 * n[0] + step)), np.exp(-2 * fade * step**2)
-    for m in range(len(n)):
-        s[m], c[m] = size * now_s, size * now_c
-        now_s, now_c = now_s * turn_c + now_c * turn_s, now_c * turn_c - now_s * turn_s
-        size *= ratio
-        ratio *= fall
-
-
-@njit(cache=True, nogil=True)
 def _products(q: Array, fade: Array, r: Array, n: Array, step: float) -> tuple[Array, Array]:
-    """Sums over the rows of ``r`` times sine and cosine, (R,) each."""
-    s, c, a, b = np.empty(len(n)), np.empty(len(n)), np.zeros(len(n)), np.zeros(len(n))
-    for k in range(len(q)):
-        _waves(q[k], fade[k], n, step, s, c)
-        for m in range(len(n)):
-            a[m] += r[k] * s[m]
-            b[m] += r[k] * c[m]
+    """Sums over the rows of ``r`` times sine and cosine, (R,) each, of ripples ``n`` (R,), evenly spaced by ``step``."""
+    a, b, work = np.empty(len(n)), np.empty(len(n)), np.empty((2, len(n)))
+    lib.stopset_ripple_products(
+        len(r), view(given(q)), view(given(fade)), view(given(r)), len(n), n[0], step, view(work), view(a), view(b)
+    )
     return a, b
 
 
-@njit(cache=True, nogil=True)
 def _power(q: Array, fade: Array, start: Mask, a: Array, sd: Array, n: Array, step: float) -> tuple[Array, Array, Array]:
-    """Sums of squares and products of the whitened sines and cosines; the last rows stand in a ring."""
-    order = len(sd) - 1
-    s, c = np.zeros((order + 1, len(n))), np.zeros((order + 1, len(n)))
-    x, y = np.empty(len(n)), np.empty(len(n))
-    ss, cc, sc = np.zeros(len(n)), np.zeros(len(n)), np.zeros(len(n))
-    run = 0
-    for k in range(len(q)):
-        run = 0 if start[k] else run + 1
-        history = min(run, order)
-        here = k % (order + 1)
-        _waves(q[k], fade[k], n, step, s[here], c[here])
-        x[:], y[:] = s[here], c[here]
-        for p in range(history):
-            row = (k - 1 - p) % (order + 1)
-            weight = a[history, p]
-            for m in range(len(n)):
-                x[m] -= weight * s[row, m]
-                y[m] -= weight * c[row, m]
-        scale = 1.0 / sd[history] ** 2
-        for m in range(len(n)):
-            ss[m] += scale * x[m] * x[m]
-            cc[m] += scale * y[m] * y[m]
-            sc[m] += scale * x[m] * y[m]
+    """Sums of squares and products of the whitened sines and cosines."""
+    ss, cc, sc = np.empty((3, len(n)))
+    work, predictor = np.empty((2 * len(sd) + 2, len(n))), ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+    lib.stopset_ripple_power(
+        predictor, len(start), view(given(q)), view(given(fade)), flags(start), len(n), n[0], step, view(work), view(ss), view(cc),
+        view(sc),
+    )  # fmt: skip
     return ss, cc, sc

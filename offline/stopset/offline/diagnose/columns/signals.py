@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
-from stopset.offline.diagnose.evidence.priors import DRIVES
 from stopset.offline.diagnose.levers import Levers, levers
 from stopset.offline.diagnose.rows.prepare import CREEP, Array, Mask, Prepared
 from stopset.offline.diagnose.rows.smooth import calm
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrices, regressors, torques
 
@@ -171,7 +171,7 @@ class Source:
         return Signals(
             q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
-            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z,
+            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip
 
     def _rate(self, x: Array) -> Array:

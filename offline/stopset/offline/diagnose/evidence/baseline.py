@@ -9,7 +9,8 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.priors import DRIVES, Known
+from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.campaign.hold_out import FOLDS
 from stopset.offline.campaign.independence import Ends, uncut
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
@@ -25,7 +26,6 @@ from stopset.robot import Robot
 
 __all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 
-FOLDS = 6
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
 

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
-
-# standard deviation of recorded over true torque, all drives alike: data sheets state torque constants to 10 %
-DRIVES = 0.058
 
 
 @dataclass(frozen=True, slots=True)

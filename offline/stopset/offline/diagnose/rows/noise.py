@@ -6,10 +6,12 @@ position's, which reaches the row through the acceleration times the inertia, ar
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.rows.prepare import Kernel
 
 Array = NDArray[np.float64]
@@ -43,50 +45,28 @@ def predictor(c: Array) -> tuple[Array, Array]:
     return a, np.sqrt(var)
 
 
-@njit(cache=True, nogil=True)
+def _struct(start: NDArray[np.bool_], a: Array, sd: Array, rows: int) -> Any:
+    if a.shape != (len(sd), len(sd) - 1) or len(start) != rows:
+        raise ValueError(f"a predictor of shapes {a.shape}, {sd.shape} for {rows} rows with {len(start)} beginnings")
+    return ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+
+
 def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     """Rows minus their prediction from the rows before, in units of its deviation; ``start``: a new run of rows begins."""
-    out = np.empty_like(X)
-    order = sd.shape[0] - 1
-    run = 0
-    for k in range(X.shape[0]):
-        run = 0 if start[k] else run + 1
-        m = min(run, order)
-        for c in range(X.shape[1]):
-            e = X[k, c]
-            for p in range(m):
-                e -= a[m, p] * X[k - 1 - p, c]
-            out[k, c] = e / sd[m]
+    out = np.empty(X.shape)
+    lib.stopset_whiten(_struct(start, a, sd, len(X)), *X.shape, view(given(X)), flags(start), view(out))
     return out
 
 
-@njit(cache=True, nogil=True)
 def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     """The rows again out of their whitened values: the inverse of `whiten` for one column."""
-    out = np.empty_like(e)
-    order = sd.shape[0] - 1
-    run = 0
-    for k in range(e.shape[0]):
-        run = 0 if start[k] else run + 1
-        m = min(run, order)
-        x = e[k] * sd[m]
-        for p in range(m):
-            x += a[m, p] * out[k - 1 - p]
-        out[k] = x
+    out = np.empty(e.shape)
+    lib.stopset_coloured(_struct(start, a, sd, len(e)), len(e), view(given(e)), flags(start), view(out))
     return out
 
 
-@njit(cache=True, nogil=True)
 def whiten_adjoint(r: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
     """The rows whose product with plain columns equals that of ``r`` with the whitened ones."""
-    out = np.zeros_like(r)
-    order = sd.shape[0] - 1
-    run = 0
-    for k in range(r.shape[0]):
-        run = 0 if start[k] else run + 1
-        m = min(run, order)
-        e = r[k] / sd[m]
-        out[k] += e
-        for p in range(m):
-            out[k - 1 - p] -= a[m, p] * e
+    out = np.empty(r.shape)
+    lib.stopset_whiten_adjoint(_struct(start, a, sd, len(r)), len(r), view(given(r)), flags(start), view(out))
     return out

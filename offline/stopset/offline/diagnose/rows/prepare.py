@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.recording import Recording, Recordings, SuiteKey
@@ -143,14 +143,13 @@ def _at(x: Array, centre: Index, h: Array) -> Array:
     return _weighted(flat, centre, h).reshape(len(centre), *x.shape[1:])
 
 
-@njit(cache=True, nogil=True)
 def _weighted(x: Array, centre: Index, h: Array) -> Array:
-    half = len(h) // 2
-    out = np.zeros((len(centre), x.shape[1]))
-    for row in range(len(centre)):
-        for k in range(len(h)):
-            for c in range(x.shape[1]):
-                out[row, c] += h[k] * x[centre[row] + k - half, c]
+    out = np.empty((len(centre), x.shape[1]))
+    check(
+        lib.stopset_weighted(
+            *x.shape, view(x), len(centre), integers(np.ascontiguousarray(centre, np.int64)), len(h), view(given(h)), view(out)
+        )
+    )
     return out
 
 

@@ -1,0 +1,189 @@
+/* The diagnosis' rows: smoothing, whitening, ripples, and the swing of an elastic link. */
+#include <string.h>
+
+#include "maths.h"
+#include "stopset.h"
+#include "wide.h"
+
+void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out) {
+    static const double weights[5] = {0.2, 0.18, 0.13, 0.07, 0.02};
+    int64_t lo = 0;
+    for (int64_t k = 0; k < N; k++) {
+        if (first[k]) lo = k;
+        double total = weights[0] * x[k], norm = weights[0];
+        for (int s = 1; s < 5; s++) {
+            if (k - s < lo || k + s >= N || first[k + s]) break;
+            total += weights[s] * (x[k - s] + x[k + s]);
+            norm += 2 * weights[s];
+        }
+        out[k] = total / norm;
+    }
+}
+
+static int64_t within(int64_t k, int64_t last) { return k < 0 ? 0 : k > last ? last : k; }
+
+void stopset_shifted(int64_t N, const double *x, int64_t whole, double u, double *out) {
+    const double before = -u * (1 - u) * (2 - u) / 6, here = (1 + u) * (1 - u) * (2 - u) / 2, after = (1 + u) * u * (2 - u) / 2,
+                 beyond = -(1 + u) * u * (1 - u) / 6;
+    for (int64_t k = 0; k < N; k++) {
+        const int64_t at = k - whole;
+        out[k] = before * x[within(at + 1, N - 1)] + here * x[within(at, N - 1)] + after * x[within(at - 1, N - 1)] +
+                 beyond * x[within(at - 2, N - 1)];
+    }
+}
+
+int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width, const double *h,
+                     double *out) {
+    memset(out, 0, (size_t)(rows * columns) * sizeof *out);
+    for (int64_t r = 0; r < rows; r++, out += columns) {
+        const int64_t from = centre[r] - width / 2;
+        if (from < 0 || from + width > N) return STOPSET_OUT_OF_RANGE;
+        for (int64_t k = 0; k < width; k++)
+            for (int64_t c = 0; c < columns; c++) out[c] += h[k] * x[(from + k) * columns + c];
+    }
+    return STOPSET_OK;
+}
+
+void stopset_whiten(const StopsetPredictor *p, int64_t N, int64_t columns, const double *X, const uint8_t *start, double *out) {
+    const int64_t order = p->order;
+    int64_t run = 0;
+    for (int64_t k = 0; k < N; k++) {
+        run = start[k] ? 0 : run + 1;
+        const int64_t m = run < order ? run : order;
+        for (int64_t c = 0; c < columns; c++) {
+            double e = X[k * columns + c];
+            for (int64_t i = 0; i < m; i++) e -= p->a[m * order + i] * X[(k - 1 - i) * columns + c];
+            out[k * columns + c] = e / p->sd[m];
+        }
+    }
+}
+
+void stopset_coloured(const StopsetPredictor *p, int64_t N, const double *e, const uint8_t *start, double *out) {
+    const int64_t order = p->order;
+    int64_t run = 0;
+    for (int64_t k = 0; k < N; k++) {
+        run = start[k] ? 0 : run + 1;
+        const int64_t m = run < order ? run : order;
+        double x = e[k] * p->sd[m];
+        for (int64_t i = 0; i < m; i++) x += p->a[m * order + i] * out[k - 1 - i];
+        out[k] = x;
+    }
+}
+
+void stopset_whiten_adjoint(const StopsetPredictor *p, int64_t N, const double *r, const uint8_t *start, double *out) {
+    const int64_t order = p->order;
+    int64_t run = 0;
+    memset(out, 0, (size_t)N * sizeof *out);
+    for (int64_t k = 0; k < N; k++) {
+        run = start[k] ? 0 : run + 1;
+        const int64_t m = run < order ? run : order;
+        const double e = r[k] / p->sd[m];
+        out[k] += e;
+        for (int64_t i = 0; i < m; i++) out[k - 1 - i] -= p->a[m * order + i] * e;
+    }
+}
+
+/* exp(-fade n^2) times sine and cosine of n q for evenly spaced n: each from the one before it. */
+static void waves(double q, double fade, int64_t R, double n, double step, double *s, double *c) {
+    double turn_s, turn_c, now_s, now_c;
+    stopset_sincos(step * q, &turn_s, &turn_c);
+    stopset_sincos(n * q, &now_s, &now_c);
+    double size = stopset_exp(-fade * n * n), ratio = stopset_exp(-fade * step * (2 * n + step));
+    const double fall = stopset_exp(-2 * fade * step * step);
+    for (int64_t m = 0; m < R; m++) {
+        s[m] = size * now_s;
+        c[m] = size * now_c;
+        const double next = now_s * turn_c + now_c * turn_s;
+        now_c = now_c * turn_c - now_s * turn_s;
+        now_s = next;
+        size *= ratio;
+        ratio *= fall;
+    }
+}
+
+STOPSET_WIDE void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
+                                          double *work, double *restrict a, double *restrict b) {
+    double *s = work, *c = work + R;
+    memset(a, 0, (size_t)R * sizeof *a);
+    memset(b, 0, (size_t)R * sizeof *b);
+    for (int64_t k = 0; k < N; k++) {
+        waves(q[k], fade[k], R, n, step, s, c);
+        for (int64_t m = 0; m < R; m++) {
+            a[m] += r[k] * s[m];
+            b[m] += r[k] * c[m];
+        }
+    }
+}
+
+STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, int64_t N, const double *q, const double *fade, const uint8_t *start,
+                                       int64_t R, double n, double step, double *work, double *restrict ss, double *restrict cc,
+                                       double *restrict sc) {
+    const int64_t order = p->order, ring = order + 1; /* the last rows stand in a ring */
+    double *s = work, *c = s + ring * R, *restrict x = c + ring * R, *restrict y = x + R;
+    const size_t row = (size_t)R * sizeof *x;
+    int64_t run = 0;
+    memset(ss, 0, row);
+    memset(cc, 0, row);
+    memset(sc, 0, row);
+    for (int64_t k = 0; k < N; k++) {
+        run = start[k] ? 0 : run + 1;
+        const int64_t m = run < order ? run : order, here = k % ring;
+        waves(q[k], fade[k], R, n, step, s + here * R, c + here * R);
+        memcpy(x, s + here * R, row);
+        memcpy(y, c + here * R, row);
+        for (int64_t i = 0; i < m; i++) {
+            const double weight = p->a[m * order + i], *before = s + (k - 1 - i) % ring * R, *beside = c + (k - 1 - i) % ring * R;
+            for (int64_t j = 0; j < R; j++) {
+                x[j] -= weight * before[j];
+                y[j] -= weight * beside[j];
+            }
+        }
+        const double scale = 1.0 / (p->sd[m] * p->sd[m]);
+        for (int64_t j = 0; j < R; j++) {
+            ss[j] += scale * x[j] * x[j];
+            cc[j] += scale * y[j] * y[j];
+            sc[j] += scale * x[j] * y[j];
+        }
+    }
+}
+
+/* One step of Newmark's rule, h [s] long. */
+static void newmark(double force, double m, double stiff, double D, double h, double *x, double *dx) {
+    const double ddx = (force - D * *dx - stiff * (*x + 0.5 * h * *dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff);
+    *x = *x + h * *dx + 0.5 * h * h * ddx;
+    *dx = *dx + h * ddx;
+}
+
+void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double dt, int parts, double *out,
+                   double *rate, double *acc) {
+    const double h = dt / parts;
+    double x = 0.0, dx = 0.0;
+    for (int64_t k = 0; k < N; k++) {
+        const double stiff = s->K + s->g[k];
+        if (s->first[k]) {
+            x = x0[k];
+            dx = dx0[k];
+        } else if (k > 0)
+            for (int i = 0; i < parts; i++) {
+                const double w = (i + 0.5) / parts, m = s->M[k - 1] + w * (s->M[k] - s->M[k - 1]);
+                newmark(-(link[k - 1] + w * (link[k] - link[k - 1])), m, stiff, s->D, h, &x, &dx);
+            }
+        out[k] = x;
+        rate[k] = dx;
+        acc[k] = (-link[k] - s->D * dx - stiff * x) / s->M[k];
+    }
+}
+
+void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const double *rest, int64_t steps, double h, double *x0, double *dx0) {
+    for (int64_t k = 0; k < N; k++) {
+        const double stiff = s->K + s->g[k];
+        x0[k] = dx0[k] = 0.0;
+        if (!s->first[k]) continue;
+        if (rest[k] != rest[k]) {
+            x0[k] = -link[k] / stiff;
+            continue;
+        }
+        x0[k] = -rest[k] / stiff;
+        for (int64_t i = 0; i < steps; i++) newmark(-link[k], s->M[k], stiff, s->D, h, x0 + k, dx0 + k);
+    }
+}

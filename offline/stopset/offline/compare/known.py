@@ -1,0 +1,34 @@
+"""Torque that rigid body, friction and effects leave in full, beside what an abstraction of them leaves.
+
+An abstraction may take the mass matrix as constant: its error then holds what the arm's pose changes.  This one holds only what
+nobody has explained, and is the number to hold against other identifications.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.offline.compare.metrics import AVERAGING
+from stopset.offline.nominal.model import shared_inertia
+from stopset.recording import Recording
+from stopset.recording.types import Array
+from stopset.robot.rigid import gravity_torques, torques
+
+
+def left_over(model: Model, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None) -> Array:
+    """(W, n) [N m] torque without explanation, averaged over windows of `AVERAGING`; ``u`` (N, n): the model's input.
+
+    Accelerations are differences of the recorded speeds where ``ddq`` (N, n) is not given; averaged, their noise is that of a
+    window's two ends.  ``window``: in samples, where another one is wanted.
+    """
+    ddq = np.gradient(r.dq, dt, axis=0) if ddq is None else ddq
+    chain, pi, q = model.robot.chain, model.robot.pi, np.ascontiguousarray(r.q)
+    needed = torques(chain, pi, q, np.ascontiguousarray(r.dq), ddq) - gravity_torques(chain, pi, q) + model.rotor * ddq
+    needed = needed + ddq @ shared_inertia(model.robot, model.effects)
+    for power, v in enumerate(model.abstraction.viscous.T, start=1):
+        needed = needed + v * r.dq**power
+    left = u - needed
+    m = window or max(1, round(AVERAGING / dt))
+    count = len(left) // m
+    return np.asarray(left[: count * m].reshape(count, m, -1).mean(axis=1))

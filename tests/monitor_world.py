@@ -1,0 +1,346 @@
+"""A world for the daemon that one number makes: an arm, a bus, a clock, a disk, a network and consumers, and what goes wrong.
+
+Everything the daemon sees of time and of others comes from here, so a seed and a commit reproduce every life to the last message.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor_arm import DT, NOISE, VISCOUS, U, known_model
+from stopset.artifact import Model
+from stopset.errors import BusError
+from stopset.monitor.config import Bus, Config, Publish, Stops
+from stopset.monitor.consumer import Consumer, Expected
+from stopset.monitor.daemon import Daemon
+from stopset.monitor.journal import SLOT, Journal, blank
+from stopset.monitor.latch import Latch, Record
+from stopset.monitor.layout import State, unpack
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.hub import Frame
+from stopset.monitor.profile import SIGNALS, Profile, load_profile
+from stopset.monitor.source import CanSource, Source
+from stopset.monitor.stopdesk import Numbers
+from stopset.reach.flowpipe import discretise
+
+PROFILE: Profile = load_profile("lwa4p/monitor")
+VALID, STALE, RECOVER, EVIDENCE = 0.030, 0.080, 0.060, 0.024  # [s]
+EPOCH = 1_700_000_000_000_000_000
+LOOK = 50e-6  # [s] what any look at the world takes
+
+
+class Killed(BaseException):
+    """The process ends here, without a word."""
+
+
+@dataclass
+class Faults:
+    """How often what happens, drawn once per life: probabilities per frame, cycle or message."""
+
+    lost: float
+    late: float
+    doubled: float
+    swapped: float
+    bad_stamp: float
+    foreign: float
+    no_bound: float
+    slow_send: float
+    send_error: float
+    disk_error: float
+    rubbish: float
+
+    @classmethod
+    def draw(cls, rng: random.Random) -> Faults:
+        return cls(*(rng.choice([0.0, 0.0, 0.0, 1e-3, 1e-2]) for _ in cls.__dataclass_fields__))
+
+
+@dataclass
+class Told:
+    """A message as the daemon sent it, and how the world was then."""
+
+    at: float  # true time [s]
+    life: int
+    m: dict[str, Any]
+    sampled: float  # true time of the SYNC of the newest sample that the daemon has been given whole
+    drives_good: bool
+    resets: int  # orders to clear the latch that were sent so far
+    stood: float  # how long the daemon was kept from running since the message before
+
+
+@dataclass
+class World:
+    """One life of a cell, of ``seconds``; `live` runs it. What was said is in ``told``, what a consumer believed in ``believed``."""
+
+    seed: int
+    model_path: Path
+    model: Model = field(default_factory=lambda: known_model(horizon=0.1))
+    seconds: float = 0.7
+    told: list[Told] = field(default_factory=list)
+    believed: list[tuple[float, State, float]] = field(default_factory=list)  # time, state, when the data were sampled
+    errors: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rng = rng = random.Random(self.seed)
+        self.faults = Faults.draw(rng)
+        self.now, self.jumped, self.life, self.resets, self.torn = 0.0, 0, 0, 0, False
+        self.altered_at = rng.choice([math.inf, rng.uniform(0.3, 0.8) * self.seconds])
+        self.disk, self.flushed = bytearray(blank(Record())), bytes(blank(Record()))
+        self.frames: list[tuple[float, int, Frame, float]] = []
+        self.sampled: dict[int, float] = {}
+        self.given = -math.inf
+        self.off_until = -math.inf
+        self.node_bad = self.stopped = False
+        self.stood = 0.0
+        self.handlers: list[Callable[[str, bytes], None]] = []
+        self.plan = sorted((rng.uniform(0.1, 1.0) * self.seconds, rng.choice(EVENTS)) for _ in range(rng.choice([0, 1, 2, 4])))
+        self._count, self._wire_free = 0, 0.0
+        self._arm()
+        self.consumer = Consumer(Expected(7, None, None, None), 50_000_000)
+
+    # ---- the arm and its bus
+
+    def _arm(self) -> None:
+        """All frames of the life, with what happens to each on its way."""
+        rng, draw = self.rng, np.random.default_rng(self.seed)
+        Ad, Bd = discretise(self.model.abstraction, DT)
+        n, steps = len(VISCOUS), int(self.seconds / DT)
+        phase, rate = draw.uniform(0, 2 * np.pi, n), draw.uniform(0.5, 1.5, n)
+        encoder, x = Encoder(PROFILE), np.zeros(2 * n)
+        for k in range(steps):
+            t = k * DT
+            u = VISCOUS * 0.5 * np.sin(2 * np.pi * rate * t + phase)
+            values = np.full((len(SIGNALS), n), np.nan)
+            seen = x + draw.uniform(-NOISE, NOISE, 2 * n)
+            factor = np.where(np.arange(n) == 2, 2.0 if t >= self.altered_at else 1.0, 1.0)
+            values[0], values[1], values[2], values[3], values[4] = seen[:n], seen[n:], u * factor, 30.0, 0x27
+            self._send_cycle(k, t, list(encoder.frames(values)), rng)
+            x = Ad @ x + Bd @ (u + np.where(draw.integers(0, 2, n) == 1, U.hi, U.lo))
+        heapq.heapify(self.frames)
+
+    def _send_cycle(self, k: int, t: float, frames: list[tuple[int, bytes]], rng: random.Random) -> None:
+        f, at = self.faults, t
+        for i, (cob_id, data) in enumerate(frames):
+            at = t + 20e-6 * i
+            if rng.random() < f.lost:
+                continue
+            if rng.random() < f.late:
+                # later than a cycle, but not so late as to take the very place of another lost frame: PDOs carry no number
+                at += rng.choice([1e-3, 5e-3])
+            if rng.random() < f.swapped:
+                at += 30e-6
+            self._put(at, cob_id, data, t if cob_id == 0x080 else at, k)
+            if rng.random() < f.doubled:
+                self._put(at + 10e-6, cob_id, data, at, k)
+        for _ in range(rng.randrange(200) if rng.random() < f.foreign else 0):
+            self._put(at, rng.choice([0x2A5, 0x7FF, 0x123]), rng.randbytes(rng.randrange(9)), at, k)
+
+    def _put(self, at: float, cob_id: int, data: bytes, stamp: float, k: int) -> None:
+        if self.rng.random() < self.faults.bad_stamp:
+            stamp = self.rng.choice([math.nan, math.inf, stamp - 1.0])
+        self.frames.append((at, len(self.frames), Frame(cob_id, data, stamp), k * DT))
+
+    def recv(self, timeout: float) -> Frame | None:
+        """The bus's: the next frame, if it comes in time."""
+        self.pass_time(LOOK / 10)
+        if self.now < self.off_until:
+            raise BusError("the bus is off")
+        if self.frames and self.frames[0][0] > self.now:
+            self.pass_time(min(timeout, self.frames[0][0] - self.now))
+        elif not self.frames:
+            self.pass_time(timeout)
+        if not self.frames or self.frames[0][0] > self.now:
+            return None
+        _, _, frame, sampled = heapq.heappop(self.frames)
+        if frame.cob_id == 0x080:
+            self.given = sampled
+        if self.stopped and frame.cob_id > 0x700:
+            frame = frame._replace(data=b"\x04")
+        # the adapter stamps with this machine's clock, as it was set then
+        return frame._replace(t=frame.t + (EPOCH + self.jumped) * 1e-9) if math.isfinite(frame.t) else frame
+
+    def close(self) -> None:
+        """The bus's."""
+
+    # ---- time
+
+    def pass_time(self, seconds: float) -> None:
+        """Others live while the daemon waits; what is planned happens on the way."""
+        end = self.now + seconds
+        while self.plan and self.plan[0][0] <= end:
+            at, event = self.plan.pop(0)
+            self.now = max(self.now, at)
+            end = max(end, self.now) + self._happen(event)
+        self.now = end
+        if self.now > self.seconds + 0.1:
+            raise Killed
+
+    def monotonic(self) -> float:
+        self.pass_time(1e-6)
+        return 100.0 + self.now
+
+    def time_ns(self) -> int:
+        return EPOCH + self.jumped + round(self.now * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        self.pass_time(seconds)
+
+    def _happen(self, event: str) -> float:
+        """What goes wrong now; returns how long the daemon stands still for it."""
+        rng = self.rng
+        if event == "kill":
+            raise Killed
+        if event == "stop":
+            for_s = rng.choice([0.02, 0.2])
+            self.stood += for_s
+            return for_s
+        if event == "jump":
+            self.jumped += int(rng.choice([-3600.0, -0.5, 0.05, 3600.0]) * 1e9)
+        elif event == "bus off":
+            self.off_until = self.now + rng.choice([0.01, 0.3])
+        elif event == "reset":
+            self.resets += 1
+            self.order("reset", b'{"name": "A. Person", "reason": "seen"}')
+        elif event == "emergency":
+            self._frame_now(0x085, b"\x50\x23\x01\0\0\0\0\0")
+        elif event == "drives stop":
+            self.stopped = True
+            self._frame_now(0x000, b"\x02\x00")
+        return 0.0
+
+    def _frame_now(self, cob_id: int, data: bytes) -> None:
+        self.node_bad = True
+        heapq.heappush(self.frames, (self.now, -1, Frame(cob_id, data, self.now), 0.0))
+
+    # ---- network and disk
+
+    def order(self, name: str, data: bytes) -> None:
+        for handler in self.handlers:
+            handler(f"x/{name}", data)
+
+    def fast(self, name: str) -> Callable[[bytes], None]:
+        def send(data: bytes) -> None:
+            rng, f = self.rng, self.faults
+            self.pass_time(LOOK)
+            m = unpack(data)
+            self.told.append(Told(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
+            self.stood = 0.0
+            if rng.random() < f.rubbish:
+                self.order(rng.choice(["reset", "challenge"]), rng.choice([b"", b"\xff" * 100, b'{"name": "\xff"}', b"[" * 5000]))
+            if rng.random() < f.slow_send:
+                self.stood += 0.05
+                self.pass_time(0.05)
+            if rng.random() < f.send_error:
+                raise RuntimeError("the session is gone")
+            if rng.random() >= f.lost:
+                self._consume(data, m)
+
+        return send
+
+    def _consume(self, data: bytes, m: dict[str, Any]) -> None:
+        mine = 5_000_000_000 + round(self.now * 1e9)
+        nonce = self.consumer.challenge(mine, self.rng.getrandbits(64))
+        if nonce is not None:
+            self.order("challenge", nonce)
+        if self.consumer.take(data, mine) == 0:
+            self._newest = self.given
+        for wait in (0, self.rng.choice([10, 40, 60]) * 1_000_000):
+            self.believed.append((self.now + wait * 1e-9, self.consumer.state(mine + wait), getattr(self, "_newest", -math.inf)))
+
+    def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
+        if self.rng.random() < self.faults.send_error:
+            raise RuntimeError("the session is gone")
+
+    def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
+        if not self.handlers:
+            self.handlers.append(handler)
+
+    def serve(self, name: str, answer: Callable[[], bytes]) -> None:
+        """Nobody asks."""
+
+    def alive(self, name: str) -> None:
+        """Nobody looks."""
+
+    def read(self) -> bytes:
+        return bytes(self.disk)
+
+    def write(self, offset: int, data: bytes) -> None:
+        if self.rng.random() < self.faults.disk_error:
+            raise OSError(28, "No space left on device")
+        self.disk[offset : offset + len(data)] = data
+
+    def flush(self) -> None:
+        self.flushed = bytes(self.disk)
+
+    def _power_lost(self) -> None:
+        """One slot is left half written."""
+        at = SLOT * self.rng.randrange(2) + self.rng.randrange(200)
+        self.disk[at : at + 300] = bytes(300)
+        self.torn = True
+
+    # ---- lives
+
+    def live(self) -> World:
+        """The daemon, started again whenever it ends, until time is over."""
+        config = Config(
+            str(self.model_path), Bus("hub:1"), data_id=7, stops=Stops(("0",)), sha256="ab" * 32,
+            publish=Publish(valid_for_ms=round(VALID * 1e3), stale_ms=round(STALE * 1e3), evidence_min_s=EVIDENCE, recover_s=RECOVER),
+        )  # fmt: skip
+        while self.now < self.seconds:
+            self.life += 1
+            self.handlers.clear()
+            # an emergency is told once: who comes later sees the statusword only, which here stays as it was
+            self.node_bad = self.stopped
+            try:
+                daemon = Daemon(
+                    config, self.model, self._open(), self, DT, latch=Latch(Journal(self)), clock=self,
+                    desk=Desk(self),  # type: ignore[arg-type]
+                )  # fmt: skip
+                daemon.run(self._reopen)
+            except Killed:
+                if self.rng.random() < 0.2:
+                    self._power_lost()
+            except Exception as e:  # noqa: BLE001 - the life's first finding: nothing may come out of the daemon
+                self.errors.append(f"{type(e).__name__}: {e}")
+            self.now += 0.01
+        return self
+
+    def _open(self) -> CanSource:
+        return CanSource(self, PROFILE, DT, VALID, clock=self)
+
+    def _reopen(self) -> Source:
+        if self.now < self.off_until:
+            raise BusError("the bus is off")
+        return self._open()
+
+
+EVENTS = ["kill", "stop", "jump", "bus off", "reset", "emergency", "drives stop"]
+
+
+class Desk:
+    """Stop bounds as the other process gives them: there, or not."""
+
+    answer = None
+
+    def __init__(self, world: World) -> None:
+        self.world, self.down_until = world, -math.inf
+
+    def offer(self, t: float, q: Any, dq: Any) -> None:
+        if self.world.rng.random() < self.world.faults.no_bound:
+            self.down_until = self.world.now + self.world.rng.choice([0.0, 0.1])
+
+    def now(self, q: Any, dq: Any) -> tuple[dict[str, Numbers], bool]:
+        if self.world.now < self.down_until:
+            return {"0": Numbers.none(6, "the process that bounds stops has ended")}, False
+        a = np.full(6, 0.1)
+        return {"0": Numbers(a, a, a, 0.02, np.full(6, True))}, True
+
+    def close(self) -> None:
+        """Nothing runs."""

@@ -1,0 +1,277 @@
+"""Consumers believe only what a living daemon of the right arm says now; the one in C does what the one in Python does."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from monitor_process import compiled
+from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
+from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Doubt, Expected
+from stopset.monitor.layout import LENGTH, State, outward, pack, unpack
+
+KEY = Key(3, bytes(range(32)))
+EXPECTED = Expected(7, 0xAA, 0xBB, Keys.of(KEY))
+AHEAD = 10**15  # [ns] how far the daemon's clock is from the consumer's: they need not know
+WATCHDOG = 50 * MS
+
+
+def message(now: int, seq: int, *, key: Key | None = KEY, age: int = 5 * MS, **more: Any) -> bytes:
+    """What the daemon makes at ``now`` of the consumer's clock."""
+    values = {
+        "data_id": 7, "model_hash": 0xAA, "config_hash": 0xBB, "boot_id": 1, "seq": seq, "state": int(State.OK), "valid_for_ms": 30,
+        "t_pub_ns": now + AHEAD, "t_meas_ns": now + AHEAD - age, **more,
+    }  # fmt: skip
+    return pack(values, key)
+
+
+def proven(now: int = 1000 * MS) -> Consumer:
+    """A consumer that has heard the answer to its challenge at ``now``, as message 10, 1 ms after asking."""
+    c = Consumer(EXPECTED, WATCHDOG)
+    nonce = c.challenge(now - MS, 0x1234)
+    assert nonce is not None
+    assert c.take(message(now, 10, nonces=(0, 0x1234)), now) is Doubt.NONE
+    return c
+
+
+T = 1000 * MS
+
+
+def test_a_good_message_is_believed_as_long_as_its_data_are_valid() -> None:
+    c = proven()
+    assert c.state(T) is State.OK
+    assert c.state(T + 23 * MS) is State.OK, "5 ms old when it came, and up to 1 ms underway"
+    assert c.state(T + 26 * MS) is State.FAULT and c.why is Doubt.STALE
+    assert c.state(T + 51 * MS) is State.FAULT and c.why is Doubt.SILENT
+
+
+FAULTS: dict[str, tuple[Callable[[bytes], bytes], Doubt]] = {
+    "corruption": (lambda d: d[:100] + bytes([d[100] ^ 4]) + d[101:], Doubt.UNREADABLE),
+    "a bit of the code": (lambda d: d[:600] + bytes([d[600] ^ 1]) + d[601:], Doubt.UNREADABLE),
+    "cut": (lambda d: d[:-1], Doubt.UNREADABLE),
+    "nothing": (lambda d: b"", Doubt.UNREADABLE),
+    "repetition": (lambda d: message(T + MS, 10), Doubt.REPEATED),
+    "incorrect sequence": (lambda d: message(T + MS, 9), Doubt.REPEATED),
+    "insertion": (lambda d: message(T + MS, 500, boot_id=2), Doubt.UNPROVEN),
+    "insertion of another life with the answer": (lambda d: message(T + MS, 5, boot_id=2, nonces=(0x1234,)), Doubt.UNPROVEN),
+    "addressing": (lambda d: message(T + MS, 11, data_id=8), Doubt.FOREIGN),
+    "masquerade without key": (lambda d: message(T + MS, 11, key=None), Doubt.FORGED),
+    "masquerade with another key": (lambda d: message(T + MS, 11, key=Key(3, bytes(32))), Doubt.FORGED),
+    "masquerade with an unknown key": (lambda d: message(T + MS, 11, key=Key(4, KEY.secret)), Doubt.FORGED),
+    "another model": (lambda d: message(T + MS, 11, model_hash=1), Doubt.OTHER_MODEL),
+    "another configuration": (lambda d: message(T + MS, 11, config_hash=1), Doubt.OTHER_CONFIG),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_the_way_are_found(fault: str) -> None:
+    """The eight of IEC 61784-3 (loss and delay below), each counted as silence."""
+    spoil, doubt = FAULTS[fault]
+    c = proven()
+    before = c.arrived
+    assert c.take(spoil(message(T + MS, 11)), T + MS) is doubt
+    assert c.refused[doubt] == 1 and c.arrived == before
+    assert c.take(message(T + 2 * MS, 11), T + 2 * MS) is Doubt.NONE, "and the good ones go on"
+
+
+def test_loss_is_counted_and_delay_is_stale() -> None:
+    c = proven()
+    c.take(message(T + 4 * MS, 14), T + 4 * MS)
+    assert c.lost == 3
+    c.take(message(T + 5 * MS, 15), T + 45 * MS)  # underway for 40 ms
+    assert c.state(T + 45 * MS) is State.FAULT and c.why is Doubt.STALE
+    hour = 3_600_000 * MS
+    late = Consumer(EXPECTED, WATCHDOG)
+    for k in range(100):  # yesterday's stream, in its rhythm: nobody answers
+        late.challenge(T + hour + 10 * k * MS, 50 + k)
+        late.take(message(T + 10 * k * MS, k), T + hour + 10 * k * MS)
+        assert late.state(T + hour + 10 * k * MS) is State.FAULT
+    assert late.why is Doubt.UNPROVEN
+
+
+def test_a_restarted_daemon_is_believed_when_it_answers_and_the_old_one_is_gone() -> None:
+    c = proven()
+    later = T + 60 * MS
+    assert c.take(message(later, 0, boot_id=2), later) is Doubt.UNPROVEN
+    assert c.challenge(T + CHALLENGE_EVERY, 99) is not None
+    at = T + CHALLENGE_EVERY + 2 * MS
+    assert c.take(message(at, 20, boot_id=2, nonces=(99,)), at) is Doubt.NONE and c.state(at) is State.OK
+    assert c.take(message(at, 11), at + MS) is Doubt.UNPROVEN, "the life before has ended"
+
+
+def test_proof_of_life_runs_out() -> None:
+    c = proven()
+    for k in range(1, 150):
+        now = T + 10 * k * MS
+        c.take(message(now, 10 + k), now)
+        assert (c.state(now) is State.OK) == (now - T <= PROOF_LIFE), k
+    assert c.why is Doubt.UNPROVEN
+
+
+@pytest.mark.parametrize(
+    ("jump", "doubt"), [(3600, Doubt.UNPROVEN), (0.2, Doubt.UNPROVEN), (-3600, Doubt.STALE), (-0.2, Doubt.STALE)]
+)
+def test_a_clock_that_was_set_is_no_fresh_data(jump: float, doubt: Doubt) -> None:
+    """The daemon's clock jumps by ``jump`` [s]; what it stamps is not believed until it has answered anew."""
+    c, by = proven(), int(jump * 1e9)
+    now = T + 10 * MS
+    c.take(message(now, 11, t_pub_ns=now + AHEAD + by, t_meas_ns=now + AHEAD + by - 5 * MS), now)
+    assert c.state(now) is State.FAULT and c.why is doubt
+    asked = T + CHALLENGE_EVERY
+    assert c.challenge(asked, 77) is not None
+    at = asked + 2 * MS
+    c.take(message(at, 12, t_pub_ns=at + AHEAD + by, t_meas_ns=at + AHEAD + by - 5 * MS, nonces=(77,)), at)
+    assert c.state(at) is State.OK
+
+
+def test_the_clocks_may_drift() -> None:
+    """100 ppm apart for a minute: never a doubt, and never younger than true."""
+    c, rng = proven(), random.Random(1)
+    seq = 10
+    nonce = 0
+    for k in range(1, 3000):
+        now = T + 20 * k * MS
+        if (asked := c.challenge(now, k)) is not None:
+            nonce = int.from_bytes(asked, "little")
+        underway = rng.randrange(200_000)
+        seq += 1
+        made = now + AHEAD + (now - T) // 10_000
+        c.take(message(now, seq, t_pub_ns=made, t_meas_ns=made - 5 * MS, nonces=(nonce,)), now + underway)
+        assert c.state(now + underway) is State.OK
+        assert c._hi + c._drift(now) >= AHEAD + (now - T) // 10_000
+
+
+def test_every_state_but_ok_and_degraded_passes_and_nonsense_is_fault() -> None:
+    for code in range(256):
+        c = proven()
+        c.take(message(T + MS, 11, state=code), T + MS)
+        said = c.state(T + 40 * MS)
+        if code in (State.OK, State.DEGRADED):
+            assert said is State.FAULT and c.why is Doubt.STALE
+        elif code in [s for s in State if s is not State.NEVER_SENT]:
+            assert said is State(code)
+        else:
+            assert said is State.FAULT and c.why is Doubt.NO_SUCH_STATE
+
+
+# ---- keys -----------------------------------------------------------------------------------------------------------
+
+
+def test_keys_change_without_a_gap(tmp_path: Path) -> None:
+    """RFC 4231's second case says that it is HMAC-SHA256; the order of a rotation is that of the guide."""
+    code = Key(1, b"Jefe").code(b"what do ya want for nothing?")
+    assert code.hex() == "5bdcc146bf60754e6a042426089575c7"
+    path = tmp_path / "arm.keys"
+    path.write_text(f"2 {'22' * 32}  # new\n3 {KEY.secret.hex()}\n")
+    path.chmod(0o600)
+    both = load_keys(path)
+    assert both.first.key_id == 2 and "22" not in repr(both.first)
+    c = Consumer(Expected(7, 0xAA, 0xBB, both), WATCHDOG)
+    c.challenge(T, 5)
+    assert c.take(message(T, 1, nonces=(5,)), T) is Doubt.NONE
+    assert c.take(message(T + MS, 2, key=both.first), T + MS) is Doubt.NONE
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "word"),
+    [
+        ("", 0o600, "holds 0 keys"),
+        ("1 abc", 0o600, "line 1"),
+        (f"0 {'11' * 32}", 0o600, "line 1"),
+        (f"1 {'zz' * 32}", 0o600, "line 1"),
+        (f"1 {'11' * 32}\n1 {'22' * 32}", 0o600, "different numbers"),
+        (f"99999999999999999999 {'11' * 32}", 0o600, "line 1"),
+        (f"1 {'11' * 32}", 0o644, "mode 644"),
+    ],
+)
+def test_bad_key_files_get_one_sentence(text: str, mode: int, word: str, tmp_path: Path) -> None:
+    path = tmp_path / "k"
+    path.write_text(text)
+    path.chmod(mode)
+    with pytest.raises(KeyFileError, match=word):
+        load_keys(path)
+
+
+# ---- the same in C --------------------------------------------------------------------------------------------------
+
+GLUE = """
+#include "stopset_consumer.h"
+static stopset_key key;
+static stopset_consumer c;
+void start(const uint8_t *secret) {
+  memset(&c, 0, sizeof c);
+  key.key_id = 3;
+  memcpy(key.secret, secret, 32);
+  c.expect = (stopset_expected){7, 0xAA, 0xBB, &key, 1, 50000000};
+}
+uint64_t challenge(int64_t now, uint64_t random) { return stopset_challenge(&c, now, random); }
+int take(const uint8_t *data, size_t n, int64_t now) { return stopset_take(&c, data, n, now); }
+int state(int64_t now) { return stopset_now(&c, now); }
+int why(void) { return c.why; }
+uint64_t lost(void) { return c.lost; }
+float tcp(void) { return c.last.stop0_tcp; }
+"""
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    folder = tmp_path_factory.mktemp("c")
+    (folder / "glue.c").write_text(GLUE)
+    library = ctypes.CDLL(str(compiled(folder, folder / "glue.c", words=("-shared", "-fPIC"))))
+    library.challenge.restype = library.lost.restype = ctypes.c_uint64
+    library.tcp.restype = ctypes.c_float
+    library.challenge.argtypes = [ctypes.c_int64, ctypes.c_uint64]
+    library.take.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_int64]
+    library.state.argtypes = [ctypes.c_int64]
+    return library
+
+
+def test_c_reads_the_numbers(twin: ctypes.CDLL) -> None:
+    twin.start(KEY.secret)
+    assert twin.challenge(T, 5) == 5
+    data = message(T, 1, nonces=(5,), stop0_tcp=0.0123)
+    assert twin.take(data, LENGTH, T) == 0 and twin.state(T) == State.OK
+    assert np.float32(twin.tcp()) == outward(0.0123, "up") and unpack(data)["key_id"] == 3
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 60))
+def test_c_and_python_agree_on_every_step(twin: ctypes.CDLL, seed: int, steps: int) -> None:
+    """Random lives of a consumer: messages good, spoilt, late, repeated, of other lives, clocks that jump."""
+    rng = random.Random(seed)
+    c, now, seq, jump, boot, nonce = Consumer(EXPECTED, WATCHDOG), T, 0, 0, 1, 0
+    twin.start(KEY.secret)
+    for _ in range(steps):
+        now += rng.choice([MS, 4 * MS, 10 * MS, 60 * MS, 300 * MS])
+        fresh = rng.getrandbits(64)
+        asked = c.challenge(now, fresh)
+        assert twin.challenge(now, fresh) == (int.from_bytes(asked, "little") if asked else 0)
+        nonce = int.from_bytes(asked, "little") if asked else nonce
+        if rng.random() < 0.05:
+            jump += rng.choice([-3600, -1, 1, 3600]) * 10**9
+        if rng.random() < 0.05:
+            boot, seq = boot + 1, 0
+        seq += rng.choice([1, 1, 1, 1, 0, 2, -1, 2**31])
+        stamp = now + AHEAD + jump - rng.choice([0, MS, 40 * MS])
+        data = message(
+            now, seq & 0xFFFFFFFF, key=rng.choice([KEY] * 8 + [None, Key(3, bytes(32))]), boot_id=boot, t_pub_ns=stamp,
+            t_meas_ns=stamp - rng.choice([5, 20, 35]) * MS, nonces=(nonce,) if rng.random() < 0.8 else (),
+            state=rng.choice([State.OK] * 5 + [State.DEGRADED, State.VIOLATION, 0x2A, 0]), data_id=rng.choice([7] * 9 + [8]),
+            model_hash=rng.choice([0xAA] * 9 + [1]), config_hash=rng.choice([0xBB] * 9 + [1]),
+        )  # fmt: skip
+        if rng.random() < 0.1:
+            at = rng.randrange(LENGTH)
+            data = data[:at] + bytes([data[at] ^ (1 << rng.randrange(8))]) + data[at + 1 :]
+        data = data[: rng.choice([LENGTH] * 20 + [LENGTH - 1, 0])]
+        arrived = now + rng.choice([0, 100_000, 30 * MS])
+        assert twin.take(data, len(data), arrived) == c.take(data, arrived)
+        look = arrived + rng.choice([0, 10 * MS, 60 * MS])
+        assert (twin.state(look), twin.why(), twin.lost()) == (c.state(look), c.why, c.lost)

@@ -1,0 +1,81 @@
+"""A hundred lives of the monitor in a world where things go wrong, and every promise kept in each; more in a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from monitor_arm import known_model
+from monitor_invariants import broken
+from monitor_world import World
+from stopset.artifact import Model, save_model
+from stopset.monitor import daemon, status
+from stopset.monitor.latch import Latch
+from stopset.monitor.layout import Flag, State
+from stopset.monitor.nodes import Nodes
+from stopset.monitor.status import Recovery
+
+SEEDS = 100
+Live = Callable[[int], World]
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
+    path = tmp_path_factory.mktemp("world") / "arm.model.json"
+    model: Model = save_model(known_model(horizon=0.1), path)
+    return lambda seed: World(seed, path, model).live()
+
+
+def test_a_hundred_lives_keep_every_promise(live: Live) -> None:
+    seen: set[State] = set()
+    for seed in range(SEEDS):
+        world = live(seed)
+        assert not (found := broken(world)), "\n".join(found)
+        seen |= {State(t.m["state"]) for t in world.told}
+    assert seen >= {State.OK, State.DEGRADED, State.UNKNOWN, State.VIOLATION, State.FAULT, State.INIT}, "the lives are not idle"
+
+
+def test_a_seed_gives_the_same_life_again(live: Live) -> None:
+    def life(seed: int) -> list[tuple[float, int, int]]:
+        return [(t.at, t.m["state"], t.m["flags"]) for t in live(seed).told]
+
+    assert life(7) == life(7) != life(8)
+
+
+def ages_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = status.decide
+    forget = {"age": 0.0, "since": 0.0, "stale": False, "late": False}
+    monkeypatch.setattr(
+        daemon,
+        "decide",
+        lambda s, limits: real(status.Situation(**{f: forget.get(f, getattr(s, f)) for f in s.__slots__}), limits),
+    )
+
+
+def no_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Recovery, "hold", lambda self, state, why, now: (state, Flag(0), why))
+
+
+def latch_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Latch, "save", lambda self, now: None)
+
+
+def drives_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Nodes, "bad", lambda self, now: (0, ""))
+
+
+@pytest.mark.parametrize(
+    ("mutant", "promise"),
+    [
+        (ages_ignored, "never_ok_on_old_data"),
+        (no_recovery, "ok_comes_back_only_after_good_cycles"),
+        (latch_in_memory, "the_latch_is_never_lost"),
+        (drives_unheard, "never_ok_when_a_drive_is_not_good"),
+    ],
+)
+def test_mutants_break_their_promise(
+    live: Live, monkeypatch: pytest.MonkeyPatch, mutant: Callable[[pytest.MonkeyPatch], None], promise: str
+) -> None:
+    mutant(monkeypatch)
+    assert any(promise in words for seed in range(60) for words in broken(live(seed)))

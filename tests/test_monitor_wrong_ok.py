@@ -1,0 +1,374 @@
+"""A wrong OK is impossible to get by these means: daemons that are killed, stopped, hung, restarted, fed with rubbish, and ways
+that repeat, lose, swap, delay, forge. Real processes, real zenoh, both consumers."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_process import (
+    PREFIX,
+    CReading,
+    Ear,
+    PythonReading,
+    Reading,
+    compiled,
+    expected,
+    free_port,
+    running,
+    stopset,
+    wait,
+    write_config,
+)
+from stopset.artifact import save_model
+from stopset.monitor.authentication import Key, load_keys
+from stopset.monitor.consumer import Doubt
+from stopset.monitor.jointstate import JointState, to_json
+from stopset.monitor.journal import SLOT
+from stopset.monitor.layout import LENGTH, Flag, State, pack, unpack
+from stopset.monitor.links.hub import Hub
+from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.recording import write_recordings
+
+WATCHDOG = 400  # [ms] a machine shared with everything else
+GOOD = {State.OK, State.DEGRADED}
+PUBLISH = "valid_for_ms = 300\nstale_ms = 600\nrecover_s = 0.05"
+STOPS = '[stops]\ncategories = ["0"]'
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A model, a recording of a healthy arm and one of an altered one, keys, a configuration and where it is heard."""
+
+    folder: Path
+    config: Path
+    bus: int
+    port: int
+
+    def daemon(self, **more: str) -> contextlib.AbstractContextManager[Any]:
+        return running("monitor", "--config", str(self.config), **more)
+
+    def replay(self, which: str = "healthy", *more: str) -> contextlib.AbstractContextManager[Any]:
+        return running("replay", str(self.folder / f"{which}.parquet"), "--to", f"hub:{self.bus}", *(more or ("--loop",)))
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Cell:
+    save_model(known_model(), tmp_path / "arm.model.json")
+    trials = [motion(s, 1500, s) for s in range(3)]
+    write_recordings(tmp_path / "healthy.parquet", meta(), trials)
+    write_recordings(tmp_path / "altered.parquet", meta(), [with_torque_scaled(motion(0, 250), 3, 1.5)])
+    (tmp_path / "arm.keys").write_text(f"5 {'5a' * 32}\n")
+    (tmp_path / "arm.keys").chmod(0o600)
+    bus, port = free_port(), free_port()
+    link = f'[bus]\nlink = "hub:{bus}"\n{STOPS}'
+    config = write_config(tmp_path, tmp_path / "arm.model.json", link, port, 'keys = "arm.keys"', PUBLISH)
+    return Cell(tmp_path, config, bus, port)
+
+
+@pytest.fixture(scope="session")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    source = Path(__file__).resolve().parents[1] / "deploy/plc/reader.c"
+    return compiled(tmp_path_factory.mktemp("plc"), source)
+
+
+@contextlib.contextmanager
+def consumers(cell: Cell, reader: Path, link: ZenohLink, name: str = "state") -> Iterator[list[Reading]]:
+    """Both, hearing ``name`` on an open session."""
+    keys = load_keys(cell.folder / "arm.keys")
+    expect = expected(cell.config, keys)
+
+    def ask(nonce: bytes) -> None:
+        link.put("challenge", nonce)
+
+    both: list[Reading] = [PythonReading(ask, expect, WATCHDOG), CReading(ask, expect, WATCHDOG, reader)]
+    link.subscribe(name, lambda _, d: [c.take(d) for c in both])
+    try:
+        yield both
+    finally:
+        for c in both:
+            c.close()
+
+
+def all_in(both: list[Reading], states: set[State]) -> Callable[[], bool]:
+    return lambda: all(c.now in states for c in both)
+
+
+# ---- the latch ------------------------------------------------------------------------------------------------------
+
+
+def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell) -> None:
+    def heard(damage: str) -> tuple[dict[str, Any], set[bool]]:
+        """What the daemon says after a start: the last words, and whether its messages had the latch's flag."""
+        with cell.daemon() as monitor, Ear(cell.port) as ear:
+            assert ear.wait(lambda: len(ear.twins) > 1 and len(ear.raw) > 5)
+            if damage == "hangup":
+                monitor.send_signal(signal.SIGHUP)
+                assert ear.wait(lambda: any(e["kind"] == "reloaded" for e in ear.events)), "the model is read anew"
+                assert monitor.poll() is None
+            if damage == "reset":
+                ear.link.put("reset", b'{"name": "A. Person", "reason": "seen to"}')
+                assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+            twin = ear.twins[-1]
+            monitor.kill()
+            return twin, {bool(unpack(d)["flags"] & Flag.VIOLATION_LATCHED) for d in ear.raw}
+
+    with cell.daemon() as monitor, Ear(cell.port) as ear:
+        with cell.replay("altered", "--wait", "1") as replay:
+            replay.wait(timeout=60)
+        assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 150), ear.twins[-1]
+        assert ear.wait(lambda: ear.twins[-1]["violation_latched"])
+        time.sleep(1.5)  # the count is saved every second
+        first = ear.twins[-1]
+        monitor.kill()
+    for damage in ("", "hangup"):
+        twin, flagged = heard(damage)
+        assert flagged == {True}, "from the first message on"
+        for name in ("violation_count", "violating_joints", "violation_why", "violations"):
+            assert twin[name] == first[name]
+    journal = cell.folder / "monitor.latch"
+    whole = journal.read_bytes()
+    for torn in (whole[: SLOT + 100], whole[:200] + b"\0" * 100 + whole[300:]):
+        journal.write_bytes(torn)
+        twin, flagged = heard("")
+        assert flagged == {True} and "journal" in twin["violation_why"]
+    heard("reset")
+    twin, flagged = heard("")
+    assert not twin["violation_latched"] and flagged == {False}
+
+
+def test_a_second_daemon_does_not_get_the_journal(cell: Cell) -> None:
+    with cell.daemon(), Ear(cell.port):
+        second = stopset("monitor", "--config", str(cell.config))
+        _, err = second.communicate(timeout=30)
+    assert second.returncode == 2 and "another monitor holds the journal" in err and "Traceback" not in err
+
+
+# ---- the door -------------------------------------------------------------------------------------------------------
+
+RUBBISH = [
+    b'{"stamp": 1e999, "name": []}', b'{"stamp": 1e12, "name": [], "position": []}', b'{"stamp": ' + b"9" * 400 + b', "name": []}',
+    b'{"a": ' * 20_000 + b"1" + b"}" * 20_000, b"[" * 60_000, b'{"stamp_ns": NaN}', b'{"stamp": -1, "name": ["\xff"]}', b"\0\1\0\0" + b"\xff" * 64,
+    b"", b"{" * 70_000, b'{"stamp": 1.0, "name": ["a"], "position": [1e309]}', b"\xff" * 1000,
+]  # fmt: skip
+
+
+def joint_state(k: int, stamp_ns: int, seed: int = 0) -> bytes:
+    r = RUN[seed]
+    k %= len(r.t)
+    return to_json(JointState(stamp_ns, JOINTS, tuple(r.q[k]), tuple(r.dq[k]), tuple(r.tau[k])))
+
+
+RUN = [motion(0, 1500)]
+JOINTS = known_model().joints
+
+
+def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
+    save_model(known_model(), tmp_path / "arm.model.json")
+    port = free_port()
+    source = f'[joint_states]\nkey = "ros/joint_states"\ncycle_s = 0.004\n{STOPS}'
+    config = write_config(tmp_path, tmp_path / "arm.model.json", source, port, publish=PUBLISH)
+    with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear:
+        arrivals: list[float] = []
+        ear.link.subscribe("state", lambda _, d: arrivals.append(time.monotonic()))
+        send = ear.link.fast("/ros/joint_states")
+        assert ear.wait(lambda: len(ear.raw) > 50)
+        begin, start = time.monotonic(), time.time_ns()
+        for _ in range(20):
+            for rubbish in RUBBISH:
+                send(rubbish)
+                ear.link.put("reset", rubbish)
+                ear.link.put("reset", b'{"name": "\xff", "reason": "\xff"}')
+            for k in range(250):
+                ear.link.put("challenge", k.to_bytes(3, "little"))
+            time.sleep(0.02)
+        for k in range(300):  # a stamp far ahead, then a healthy arm whose sender's clock is 1 s ahead
+            due = begin + 2.0 + 0.004 * k
+            time.sleep(max(0.0, due - time.monotonic()))
+            send(joint_state(k, start + 3_000_000_000 + 4_000_000 * k))
+        time.sleep(0.5)
+        assert monitor.poll() is None, "it lives"
+        gaps = [b - a for a, b in itertools.pairwise(arrivals) if a > begin]
+        assert max(gaps) < 0.5, f"silent for {max(gaps):.2f} s"
+        assert not GOOD & set(ear.states), "nothing of this is OK"
+        assert any("in the future" in t["why"] for t in ear.twins), {t["why"] for t in ear.twins}
+        start = time.time_ns() - 4_000_000
+        for k in range(500):
+            time.sleep(max(0.0, (start + 4_000_000 * k - time.time_ns()) * 1e-9))
+            send(joint_state(k, start + 4_000_000 * k))
+        assert ear.wait(lambda: GOOD & set(ear.states[-500:]), 2.0), {t["why"] for t in ear.twins}
+        (health,) = [json.loads(d) for d in [hear_once(ear, "health")]]
+        assert health["orders_dropped"] > 1000 and health["send_errors"] == 0
+
+
+def hear_once(ear: Ear, name: str) -> bytes:
+    got: list[bytes] = []
+    ear.link.subscribe(name, lambda _, d: got.append(d))
+    assert ear.wait(lambda: got, 5.0)
+    return got[0]
+
+
+def test_a_flooded_bus_and_stamps_that_are_no_numbers_are_no_ok_and_no_silence(cell: Cell) -> None:
+    hub = Hub("127.0.0.1", cell.bus)
+    with cell.daemon() as monitor, Ear(cell.port) as ear:
+        assert wait(lambda: hub.clients == 1)
+        flooding = True
+
+        def flood() -> None:
+            while flooding:
+                hub._broadcast(
+                    b"< frame 2A5 1.0 00 >" * 500 + b"< frame 080 nan 01 >< frame zz 1 0 >< frame 383 inf 0011 >", None
+                )
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        time.sleep(0.5)
+        before = len(ear.raw)
+        assert wait(lambda: len(ear.raw) > before + 60, 20.0), "messages go out at their own pace"
+        flooding = False
+        thread.join()
+        made = [unpack(d)["t_pub_ns"] for d in ear.raw[before:]]
+        assert max(b - a for a, b in itertools.pairwise(made)) < 1e9
+        assert monitor.poll() is None and not GOOD & set(ear.states)
+    hub.close()
+
+
+# ---- what the consumers believe ---------------------------------------------------------------------------------------
+
+
+def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers(
+    cell: Cell, reader: Path, tmp_path: Path
+) -> None:
+    shim, order = (
+        compiled(tmp_path, Path(__file__).with_name("time_shim.c"), words=("-shared", "-fPIC", "-ldl")),
+        tmp_path / "order",
+    )
+    order.write_text("0")
+    preload = {"LD_PRELOAD": str(shim), "SHIM": str(order)}
+    router = ZenohLink(PREFIX, mode="router", listen=[f"tcp/127.0.0.1:{(relay := free_port())}"])
+    text = cell.config.read_text()
+    cell.config.write_text(text.replace("listen = [", f'mode = "client"\nconnect = ["tcp/127.0.0.1:{relay}"]\nlisten = ['))
+    with cell.replay(), consumers(cell, reader, router) as both:
+        with cell.daemon(**preload) as monitor:
+            assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+            monitor.send_signal(signal.SIGSTOP)
+            at = time.monotonic()
+            assert wait(all_in(both, {State.FAULT}), 3.0)
+            time.sleep(1.0)
+            monitor.send_signal(signal.SIGCONT)
+            time.sleep(0.1)
+            assert not any(c.since(at + 0.7) & GOOD for c in both), "two seconds old data are not OK when it goes on"
+            assert wait(all_in(both, GOOD), 10.0), [c.said[-3:] for c in both]
+            for jump in (3_600_000, 0):
+                at = time.monotonic()
+                order.write_text(str(jump))  # its clock is an hour ahead of its samples, and back
+                assert wait(lambda at=at: all(State.UNKNOWN in c.since(at) or State.FAULT in c.since(at) for c in both), 3.0)
+                if jump:
+                    time.sleep(0.5)
+                    assert not any(c.now in GOOD for c in both)
+            assert wait(all_in(both, GOOD), 10.0), [c.said[-3:] for c in both]
+            order.write_text("hang")
+            assert wait(all_in(both, {State.FAULT}), 3.0), "it holds its session, but says nothing"
+            monitor.kill()
+            order.write_text("0")  # for its child, which ends with it
+        at = time.monotonic()
+        with cell.daemon(**preload) as monitor:
+            assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+            monitor.kill()
+            assert wait(all_in(both, {State.FAULT}), 3.0)
+            assert wait(lambda: all(Doubt.SILENT in c.doubts(at) for c in both), 3.0)
+    router.close()
+
+
+def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, reader: Path) -> None:
+    """A relay between daemon and consumers does what IEC 61784-3 lists, one fault after another."""
+    forger = Key(5, b"\0" * 32)
+    store: list[bytes] = []
+
+    def changed(data: bytes, signer: Key | None, **more: Any) -> bytes:
+        return pack({**{k: v for k, v in unpack(data).items() if k not in ("mac", "key_id")}, **more}, signer)
+
+    true = load_keys(cell.folder / "arm.keys").first
+    ways: dict[str, Callable[[bytes], list[bytes]]] = {
+        "corruption": lambda d: [d[:200] + bytes([d[200] ^ 1]) + d[201:]],
+        "unintended repetition": lambda d: [store[0]],
+        "incorrect sequence": lambda d: [changed(d, true, seq=unpack(d)["seq"] - 1_000_000 & 0xFFFFFFFF)],
+        "loss": lambda d: [],
+        "unacceptable delay": lambda d: [store[-min(len(store), 200)]],
+        "insertion": lambda d: [changed(d, true, boot_id=unpack(d)["boot_id"] ^ 1, nonces=(0,))],
+        "masquerade": lambda d: [changed(d, forger)],
+        "masquerade without a code": lambda d: [changed(d, None)],
+        "addressing": lambda d: [changed(d, true, data_id=2)],
+        "another model": lambda d: [changed(d, true, model_hash=1)],
+        "another configuration": lambda d: [changed(d, true, config_hash=1)],
+    }
+    way: list[Callable[[bytes], list[bytes]]] = [lambda d: [d]]
+    with cell.daemon(), cell.replay(), Ear(cell.port) as ear:
+        send = ear.link.fast("spoilt")
+
+        def relay(_: str, data: bytes) -> None:
+            store.append(data)
+            for d in way[0](data):
+                send(d)
+
+        ear.link.subscribe("state", relay)
+        with consumers(cell, reader, ear.link, "spoilt") as both:
+            assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+            for name, spoil in ways.items():
+                refused, lost = [c.refused for c in both], [c.lost for c in both]
+                way[0] = spoil
+                assert wait(all_in(both, {State.FAULT}), 3.0), name
+                at = time.monotonic()
+                time.sleep(0.2)
+                assert not any(c.since(at) & GOOD for c in both), name
+                way[0] = lambda d: [d]
+                assert wait(all_in(both, GOOD), 10.0), (name, [c.said[-3:] for c in both])
+                assert wait(
+                    lambda r=refused, o=lost: all(c.refused > a or c.lost > b for c, a, b in zip(both, r, o, strict=True))
+                ), name
+    # all that was recorded, played to consumers who are there now: as it was, an hour late, after the daemon was killed
+    port = free_port()
+    listener = ZenohLink(PREFIX, listen=[f"tcp/127.0.0.1:{port}"])
+    speaker = ZenohLink(PREFIX, mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+    with consumers(cell, reader, listener, "spoilt") as both:
+        time.sleep(0.3)
+        send = speaker.fast("spoilt")
+        for data in store[-600:]:
+            send(data)
+            time.sleep(0.002)
+        assert wait(lambda: both[0].refused > 300, 5.0)
+        assert not any(c.since(0.0) & GOOD for c in both), "recorded messages say nothing of now"
+    speaker.close()
+    listener.close()
+
+
+def test_the_health_check_is_green_for_a_fresh_valid_message_only(cell: Cell) -> None:
+    def green(seconds: int) -> bool:
+        p = stopset("watch", "--config", str(cell.config), "--check", "--seconds", str(seconds))
+        _out, err = p.communicate(timeout=60)
+        assert "Traceback" not in err
+        return p.returncode == 0
+
+    assert not green(2), "nobody is there"
+    with cell.replay(), cell.daemon() as monitor, Ear(cell.port) as ear:
+        assert ear.wait(lambda: GOOD & set(ear.states[-50:]), 40.0)
+        assert green(20)
+        (cell.folder / "arm.keys").write_text(f"5 {'5b' * 32}\n")
+        assert not green(2), "another key"
+        (cell.folder / "arm.keys").write_text(f"5 {'5a' * 32}\n")
+        assert green(20)
+        monitor.send_signal(signal.SIGSTOP)
+        assert not green(2), "it stands still"
+        monitor.send_signal(signal.SIGCONT)
+    assert LENGTH == 616

@@ -1,0 +1,327 @@
+"""Effects in a stop: each by its own law, ours and others'; who cannot be bounded is refused by name, nobody is forgotten."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import stopset.effects.registry as registry
+from stopset.artifact import Model, save_model
+from stopset.cli.main import main
+from stopset.effects import Effect, Signals, Term, catalogue, check, get
+from stopset.effects.base import Fitted, Number
+from stopset.effects.bound import ACTING, SIGMAS, Sight, acting
+from stopset.errors import EffectError, NotCovered
+from stopset.fmu.sources import sources
+from stopset.fmu.stops import StopData, fmu_stop, stop_data, stop_refusal
+from stopset.fmu.variables import variables
+from stopset.monitor.config import Stops
+from stopset.monitor.stopdesk import StopDesk
+from stopset.monitor.watch import Quantum
+from stopset.offline.nominal.known_effects import described
+from stopset.offline.revise.revise import stop_figures
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.friction import torques_of
+from stopset.reach.stops.tubes import fastest, tube_of
+from stopset.ring import Interval, Slope, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
+from stopset.sets import Box
+from test_hidden_effects import ARM
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+from stops_effects import cases, hiding, identified, run, stopped
+
+JOINTS = prbt_like().joints
+CASES = cases(JOINTS)
+Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
+DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
+
+
+def wrapped(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """A hose that is wound up by the joint and rubs where it is bent: of no form that the catalogue has."""
+    return (sin(s.q * 2.0) + 0.3 * s.q * s.dq, (1.0 + s.q**2) * s.direction + 0.2 * s.dq * s.load)
+
+
+def of_acceleration(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """What no stop bounds."""
+    return (s.ddq,)
+
+
+def jumping(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """A law that intervals cannot follow."""
+    return (s.q if s.q > 0 else 0.0,)
+
+
+def outside(name: str, law: object, count: int = 1) -> Effect:
+    terms = tuple(Term(f"k{i}", "N m", "size", -50.0, 50.0) for i in range(count))
+    return Effect(name, "Somebody else's.", "q", terms, law, "compensation", "khalil2007", ("q", "dq", "load"))  # type: ignore[arg-type]
+
+
+def driving(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
+    """Damping of the wrong sign, if its size is below zero."""
+    return (s.dq,)
+
+
+OTHERS = (
+    outside("wrapped", wrapped, 2),
+    outside("driving", driving),
+    outside("of_acceleration", of_acceleration),
+    outside("jumping", jumping),
+)
+WRAPPED = (Fitted("wrapped", JOINTS[4], {"k0": 4.0, "k1": 0.5}, {"k0": 0.1, "k1": 0.01}),)
+
+
+@pytest.fixture
+def others(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Effects that an installed package registers."""
+    entries = [SimpleNamespace(name=e.name, value=f"theirs:{e.name}", load=lambda e=e: e) for e in OTHERS]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    registry.catalogue.cache_clear()
+    yield
+    monkeypatch.undo()
+    registry.catalogue.cache_clear()
+
+
+def test_a_slope_holds_every_value_and_how_fast_it_grows() -> None:
+    """``f(x)`` in ``all``, ``f(0)`` in ``start``, and ``f(x) - f(0)`` in ``rate x``, for every number in the intervals."""
+
+    def f(x: Number, y: Number, z: Number) -> list[Number]:
+        wave, bell = sin(x * 2.0 + y), exp(-square(x * (1.0 / z)))
+        return [
+            x**3 - y * x, wave * bell, absolute(x - 0.3) + maximum(x * y, z), minimum(x, 0.5) / (z + x), tanh(x * 3.0) - cos(x * y),
+            sqrt(z + x) * y, sign(y) * x, (1.0 - x) / (2.0 - y), absolute(-x) * z, -(2.0 - x) * square(x - 1.0),
+        ]  # fmt: skip
+
+    rng = np.random.default_rng(0)
+    y, z = Interval(np.array(-0.8), np.array(0.4)), Interval(np.array(0.5), np.array(1.5))
+    for way in (1.0, -1.0):
+        bounds = f(Slope.variable(0.45, way), Slope.constant(y), Slope.constant(z))
+        for _ in range(300):
+            x, fixed = rng.uniform(0.0, 0.45), (rng.uniform(-0.8, 0.4), rng.uniform(0.5, 1.5))
+            for b, value, start in zip(bounds, f(way * x, *fixed), f(0.0, *fixed), strict=True):
+                assert value in b.all and start in b.start
+                assert b.rate is None or b.rate.lo * x - 1e-12 <= value - start <= b.rate.hi * x + 1e-12
+
+
+def test_no_module_beyond_the_effects_asks_an_effect_for_its_name() -> None:
+    """What an effect does in a stop is in the effect: nobody compares its name."""
+    root = Path(__file__).resolve().parents[1]
+    names = "|".join(catalogue())
+    asks = re.compile(rf"""\.(?:effect|name)\s*(?:==|!=|in|not in)\s*\(?\s*["'](?:{names})["']""")
+    for folder in (
+        "model/stopset/reach",
+        "model/stopset/artifact",
+        "fmu/stopset",
+        "monitor/stopset",
+        "offline/stopset/offline/stops",
+    ):
+        for path in (root / folder).rglob("*.py"):
+            assert not asks.search(path.read_text()), path
+
+
+def test_every_effect_of_the_catalogue_is_hidden_in_a_stop() -> None:
+    assert {f.effect for effects in CASES.values() for f in effects} | {"coulomb", "viscous"} == set(catalogue())
+
+
+@pytest.mark.parametrize("name", [n for n in CASES if n != "elasticity"])
+def test_no_stop_leaves_its_tube_with_the_effect_in_the_arm(name: str) -> None:
+    found = run(CASES[name], states=4, stops=12, seed=3)
+    assert found["certified"] >= 3 and found["escapes"] == 0, found
+
+
+def test_no_stop_leaves_its_tube_with_an_effect_from_outside(others: None) -> None:
+    found = run(WRAPPED, states=4, stops=12, seed=4)
+    assert found["certified"] == 4 and found["escapes"] == 0, found
+    assert run(WRAPPED, states=4, stops=12, seed=4, blind=True)["escapes"] > 0
+
+
+@pytest.mark.parametrize("name", ["base_tilt", "residual_gravity", "coupling", "spring", "encoder_offset", "hysteresis"])
+def test_a_bound_that_forgets_the_effect_is_left(name: str) -> None:
+    """The same stops find it out: so the tests above would, too."""
+    assert run(CASES[name], states=6, stops=12, seed=5, blind=True)["escapes"] > 0
+
+
+@pytest.mark.parametrize("effect", [*(e for e in catalogue().values() if e.role in ACTING), OTHERS[0]], ids=lambda e: e.name)
+def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None:
+    """``way (dry + viscous |dq|) + push`` holds the law at every state, in both directions, for every parameter within 3 sigma."""
+    rng = np.random.default_rng(0)
+    values = {t.symbol: 0.7 * min(t.hi, 3.0) if t.hi > 0 else 0.7 * max(t.lo, -3.0) for t in effect.terms}
+    values |= {p.symbol: p.grid[len(p.grid) // 2] for p in effect.shapes}
+    f = Fitted(effect.name, "j", values, {t.symbol: 0.05 * abs(values[t.symbol]) for t in effect.terms})
+    ranges = {
+        "q": (-0.4, 1.1),
+        "load": (-12.0, 30.0),
+        "temp": (-9.0, 15.0),
+        "stiff": (-5.0, 9.0),
+        "inertia": (0.2, 2.0),
+        "coriolis": (-3.0, 3.0),
+    }
+    ends = {k: Interval(np.array([lo]), np.array([hi])) for k, (lo, hi) in ranges.items()}
+    tilt = (Interval(np.array([-4.0]), np.array([9.0])), Interval(np.array([-2.0]), np.array([3.0])))
+    one = np.ones(1)
+    a = acting(effect, [f], Sight(1.3 * one, 1.3 * one, 30.0 * one, other=0.8 * one, tilt=tilt, **ends))
+    least = np.inf
+    for _ in range(400):
+        corner = rng.random() < 0.5
+
+        def draw(lo: float, hi: float, corner: bool = corner) -> float:
+            return float(rng.choice([lo, hi])) if corner else float(rng.uniform(lo, hi))
+
+        way = float(rng.choice([-1.0, 1.0]))
+        speed = draw(0.0, 1.3)
+        s = Signals(
+            **{k: draw(*r) for k, r in ranges.items()}, dq=way * speed, way=way, warm=draw(0.0, 1.0), dq_other=draw(-0.8, 0.8),
+            tilt=(draw(-4.0, 9.0), draw(-2.0, 3.0)), memory=tuple(draw(max(x.lo, -1.0), min(x.hi, 1.3)) for x in effect.states),
+        )  # fmt: skip
+        drawn = {k: v + SIGMAS * f.std.get(k, 0.0) * draw(-1.0, 1.0) for k, v in values.items()}
+        for t in effect.terms:
+            drawn[t.symbol] = float(np.clip(drawn[t.symbol], min(t.lo, values[t.symbol]), max(t.hi, values[t.symbol])))
+        torque = float(effect.torque(s, drawn))
+        size = [np.sort(way * (a.dry[0] + a.viscous[0] * speed))[k] + a.push[0][k] for k in (0, 1)]
+        assert size[0] - 1e-9 <= torque <= size[1] + 1e-9
+        least = min(least, size[1] - torque, torque - size[0])
+    if (
+        effect.role != "arm or drive" and not effect.states and effect.name != "torque_ripple"
+    ):  # its two waves never crest together
+        assert least < 0.05 * (size[1] - size[0] + 1.0)  # and is no wider than it must be
+
+
+REFUSED = {
+    "elasticity": (CASES["elasticity"], "elasticity:arm_2_joint: it swings"),
+    "of_acceleration": ((Fitted("of_acceleration", JOINTS[0], {"k0": 1.0}),), "of_acceleration:arm_1_joint: it looks at ddq"),
+    "jumping": ((Fitted("jumping", JOINTS[0], {"k0": 1.0}),), "jumping:arm_1_joint: its law cannot be evaluated"),
+    "gone": ((Fitted("gone", JOINTS[0], {"k0": 1.0}),), "gone:arm_1_joint: it is in no catalogue"),
+    "unbounded": ((Fitted("wrapped", JOINTS[0], {"k0": np.inf, "k1": 0.0}),), "wrapped:arm_1_joint: its k0 has no bound"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_effect_without_a_bound_is_a_refusal_with_its_label(name: str, others: None) -> None:
+    effects, says = REFUSED[name]
+    model = hiding(effects)
+    with pytest.raises(NotCovered, match=says):
+        StopBounds.of(model)
+    assert says in stop_refusal(model)
+    assert fmu_stop(model, Q, DQ, np.zeros(6), np.zeros(6)) is None
+    assert fmu_stop(hiding(()), Q, DQ, np.zeros(6), np.zeros(6)) is not None
+    assert stop_figures(model, model) == {}
+
+
+def test_the_refusal_reaches_who_runs_an_fmu_a_command_or_a_monitor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = hiding(CASES["elasticity"])
+    text = sources(model, variables(model))[0]["model_data.c"]
+    assert ".has_brakes = 0," in text and "no stop is bounded with elasticity:arm_2_joint" in text
+    path = tmp_path / "m.model.json"
+    save_model(model, path)
+    assert main(["stops", str(path)]) == 2
+    assert "no stop is bounded with elasticity:arm_2_joint" in capsys.readouterr().err
+    desk = StopDesk(str(path), 6, Stops(("0",)), 0.0, Quantum.none(6))
+    try:
+        until, numbers, fresh = time.monotonic() + 120.0, {}, False
+        while not fresh and time.monotonic() < until:
+            desk.offer(time.monotonic(), Q, 0.0 * DQ)
+            numbers, fresh = desk.now(Q, 0.0 * DQ)
+            time.sleep(0.01)
+        assert fresh and not numbers["0"].provable.any() and np.all(np.isinf(numbers["0"].time))
+        assert "no stop is bounded with elasticity:arm_2_joint" in numbers["0"].why
+    finally:
+        desk.close()
+
+
+def test_an_fmu_refuses_misread_positions_and_stops_beyond_what_it_computed() -> None:
+    assert "encoder_offset:arm_2_joint" in stop_refusal(hiding(CASES["encoder_offset"]))
+    model = hiding(CASES["spring"])
+    data = stop_data(model)
+    assert np.all(data.stop_angle < 1.0) and np.allclose(data.stop_speed, 1.26)
+    slow, fast = (fmu_stop(model, 0.0 * Q, v * np.eye(6)[0], np.zeros(6), np.zeros(6)) for v in (0.3, 1.3))
+    assert slow is not None and fast is None
+    plain: StopData = stop_data(hiding(()))
+    assert np.all(np.isinf(plain.stop_angle)) and np.all(np.isinf(plain.stop_speed))
+
+
+def test_friction_must_be_silent_where_the_joint_stands() -> None:
+    for effect in catalogue().values():
+        check(effect, effect.name)
+    with pytest.raises(EffectError, match="pulls at a joint that stands"):
+        check(replace(get("spring"), role="friction"), "theirs")
+    with pytest.raises(EffectError, match="does not say by how much"):
+        check(replace(get("encoder_offset"), reading=None), "theirs")
+
+
+def test_a_tube_lies_inside_the_region_its_effects_were_evaluated_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = StopBounds.of(hiding(CASES["spring"]), (0.0, 0.25)).setting
+    assert s is not None
+    asked: list[tuple[Box, np.ndarray]] = []
+    over = type(s.torques).over
+    monkeypatch.setattr(type(s.torques), "over", lambda self, q, v: asked.append((q, v)) or over(self, q, v))
+    r = np.full(6, 1e-3)
+    for dq in (DQ, 0.05 * DQ, 4.0 * DQ):
+        tube = tube_of(s, Q, dq, r, r)
+        q, v = asked[-1]
+        assert np.all(Q - r + tube.d_lo.min(axis=0) > q.lo) and np.all(Q + r + tube.d_hi.max(axis=0) < q.hi)
+        assert np.all(fastest(tube) < v)
+
+
+def test_an_added_payload_counts_once_for_everyone() -> None:
+    """What an identified payload adds stands in the model's body, and nobody adds it again."""
+    plain, payload = hiding(()), tuple(replace(f, std={}) for f in CASES["payload"])
+    carried = np.array([payload[0].values[t.symbol] for t in get("payload").terms])
+    told = hiding(payload)
+    once = plain.robot.pi[-1] + carried
+    assert np.array_equal(told.robot.pi[-1], once)
+    assert np.array_equal(described(plain.robot, payload).pi[-1], once)  # what identification starts from
+    same = replace(told, effects=plain.effects)  # the same arm, described with what it carries
+    for load in ((0.0, 0.0), (0.2, 1.0)):
+        a, b = (StopBounds.of(m, load, payload_com=told.robot.tip).setting for m in (told, same))
+        assert a is not None and b is not None
+        for name in (f for f in a.plant._fields if f not in ("chain", "curvature")):
+            assert np.array_equal(getattr(a.plant, name), getattr(b.plant, name)), name
+        assert np.allclose(a.plant.pi[-1, 0], once[0] + 0.5 * sum(load)) and np.array_equal(a.torques.gear, b.torques.gear)
+    rows = np.array([Q, -Q]), np.array([DQ, 0.0 * DQ]), np.array([3.0 * DQ, DQ])
+    assert np.array_equal(told.input(*rows), same.input(*rows))
+    assert not np.allclose(told.input(*rows), plain.input(*rows))
+    doubtful = StopBounds.of(hiding(CASES["payload"]), (0.0, 0.0)).setting  # what it was weighed wrongly by, beside it
+    assert doubtful is not None and np.isclose(doubtful.plant.pi_half[-1, 0], SIGMAS * 0.04)
+    assert told.domain.payload == plain.domain.payload
+    texts = [sources(m, variables(m))[0]["model_data.c"] for m in (told, same)]
+    pi = [next(line for line in t.splitlines() if line.startswith("    .pi = ")) for t in texts]
+    assert pi[0] == pi[1]
+    for name in (f.name for f in fields(StopData) if f.name != "refusal"):
+        assert np.array_equal(getattr(stop_data(told), name), getattr(stop_data(same), name)), name
+
+
+def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was_asked_for(others: None) -> None:
+    model = hiding((Fitted("driving", JOINTS[0], {"k0": -9.0}),))
+    torques = torques_of(model)
+    assert not torques.settled and torques.speed[0] == pytest.approx(1.26)
+    q = Box.point(np.zeros(6))
+    push = [torques.over(q, np.full(6, v)).push.hi[0] for v in (1.0, 2.0)]
+    assert push[1] == pytest.approx(2.0 * push[0]) and push[0] >= 4.0
+
+
+def test_what_the_abstraction_damps_by_is_friction_where_no_effect_says_better() -> None:
+    model: Model = hiding(())
+    bare = replace(model, effects=tuple(f for f in model.effects if f.effect != "viscous"))
+    assert np.allclose(torques_of(bare).everywhere.viscous.centre, model.abstraction.viscous[:, 0])
+
+
+@pytest.mark.parametrize("hide", ["base_tilt", "payload"])
+def test_an_effect_hidden_in_the_simulated_arm_is_identified_and_its_stops_stay_inside(hide: str, tmp_path: Path) -> None:
+    """The simulator's laws are not the catalogue's, and its stops share no code with the bounds."""
+    (tmp_path / "three.urdf").write_text(ARM)
+    model, scenario = identified((hide,), tmp_path / "three.urdf", tmp_path)
+    assert any(f.effect == hide for f in model.effects)
+    found = stopped(model, scenario, states=60, seed=2)
+    assert found["certified"] >= 55 and found["escapes"] == 0, found
+    if hide == "payload":  # in the model's body once: as heavy as the arm that was recorded, not heavier
+        added = next(f.values["m"] for f in model.effects if f.effect == hide)
+        truth = scenario.cell.truth.plant.pi
+        assert added > 0.1 and np.allclose(model.robot.pi[:, 0], truth[:, 0], atol=0.3 * added)
