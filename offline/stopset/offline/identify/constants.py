@@ -109,7 +109,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
     ("reading error", reading_error, "SMOOTH FEWEST"),
     ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
-    ("absurd", absurd, "MOVES RANGES"),
+    ("absurd", absurd, "LATE MOVES RANGES"),
     ("drive gain", baseline, "POSES LOADED"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
