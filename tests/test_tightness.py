@@ -12,7 +12,7 @@ import pytest
 from stopset.cli.main import main
 from stopset.offline.campaign.survey import Survey
 from stopset.offline.compare.tightness import JUDGED, LIMIT, NAMES, Tightness, of_tube, table
-from stopset.offline.identify.absurd import absurd, told
+from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.pipeline import identify
 from stopset.reach.flowpipe import Tube
 from stopset.robot import load_robot
@@ -85,9 +85,13 @@ def test_absurd_sets_are_named(data: Path) -> None:
     U = dataclasses.replace(s.U, lo=s.U.hi.copy())
     odd = absurd(dataclasses.replace(s, U=U), {j: {**row, "torque_rmse": 2.9} for j, row in errors.items()}, survey)
     assert len(odd) == 2 and "0 N m wide" in odd[0]
-    late = dataclasses.replace(survey, late=np.array([0.012, 0.0]))
-    (text,) = told(late, JOINTS, found.tightness)
+    assert late(survey, JOINTS) == [] and silent(survey, JOINTS, found.tightness) == []
+    (text,) = late(dataclasses.replace(survey, late=np.array([0.012, 0.0])), JOINTS)
     assert "12.0 ms after the slope" in text and JOINTS[0] in text
+    blind = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 9.0]] * 3))
+    assert all(x.startswith("absurd") and "say nothing" in x for x in silent(survey, JOINTS, blind))
+    one = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 0.1]] * 3))
+    assert [x[:5] for x in silent(survey, JOINTS, one)] == ["wide:"]
 
 
 @pytest.mark.shared

@@ -16,25 +16,29 @@ MOVES = 5.0  # a joint moves if it is faster than so many times its noise
 RANGES = 3.0  # an open-loop prediction that errs by more than so many of the joint's ranges has diverged
 
 
-def told(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[str]:
-    """What a user should know of the readings and of sets that say little, one sentence each; none of it is a failure."""
+def late(found: Survey, joints: Sequence[str]) -> list[str]:
+    """One sentence for each joint whose speed is not read when its positions are."""
+    n = len(joints)
+    return [
+        f"the speed of {j} comes {1e3 * abs(x):.1f} ms {'after' if x > 0 else 'before'} the slope of its positions, as one that is "
+        f"filtered or derived; its readings are up to {found.readings.most.hi[n + k]:.3g} rad/s off them, and that is what V may hold"
+        for k, (j, x) in enumerate(zip(joints, found.late.tolist(), strict=True))
+        if abs(x) > LATE * found.dt
+    ]
+
+
+def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[str]:
+    """One sentence for each joint of which the sets say less after 0.1 s than that it moves as it always did."""
     n, out = len(joints), []
     fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
     for k, j in enumerate(joints):
-        late = float(found.late[k])
-        if abs(late) > LATE * found.dt:
-            most = float(found.readings.most.hi[n + k])
-            out.append(
-                f"the speed of {j} comes {1e3 * abs(late):.1f} ms {'after' if late > 0 else 'before'} the slope of its positions, as one "
-                f"that is filtered or derived; its readings are up to {most:.3g} rad/s off them, and that is what V may hold"
-            )
         half = float(tightness.half[JUDGED, n + k])
         if np.isfinite(half) and half > fastest[k] > MOVES * found.readings.least.hi[n + k]:
             out.append(
-                f"wide: after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than "
-                f"{fastest[k]:.3g} rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
+                f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {fastest[k]:.3g} "
+                "rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
             )
-    return out
+    return [f"{'absurd' if 2 * len(out) > n else 'wide'}: {x}" for x in out]
 
 
 def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[str]:
