@@ -16,7 +16,7 @@ from stopset.offline.campaign.survey import Source, Survey
 from stopset.recording import Recording
 
 FEWEST_MOTIONS = 4  # from which on every other motion judges
-BLOCK = 4.0  # [s] about, of one trial
+BLOCK = 2.5  # [s] about, of one trial
 GUARD = 0.3  # [s] at each end of a block that judges: longer than the filters, and than friction takes to settle after a reversal
 SHORTEST = 1.5  # [s] of a block
 

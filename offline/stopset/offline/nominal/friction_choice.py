@@ -67,7 +67,8 @@ def choose(
 
     first = solve_nominal(robot, accumulate(robot, pieces(), (*BASE, *asked)))
     data = accumulate(robot, pieces(), (*BASE, *asked, *laws), reference=first.pi)
-    ladder = _Ladder(robot, data, first)
+    # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack
+    ladder = _Ladder(robot, data, solve_nominal(robot, data))
     out: list[Gain] = []
     for j in range(robot.n):
         places = {x: ladder.places(j, x) for x in laws if f"{x}:{robot.joints[j]}" not in barred}
@@ -84,9 +85,9 @@ def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
 class _Ladder:
     """Held-out errors of models with some of the columns of ``data``."""
 
-    def __init__(self, robot: Robot, data: NormalEquations, first: Nominal) -> None:
-        self._robot, self._data, self._first = robot, data, first
-        lags = [lag_weights(float(d)) for d in first.delay_applied]
+    def __init__(self, robot: Robot, data: NormalEquations, richest: Nominal) -> None:
+        self._robot, self._data, self._richest = robot, data, richest
+        lags = [lag_weights(float(d)) for d in richest.delay_applied]
         moving = np.stack([joint_reduced(data.moving[:, j], w) for j, w in enumerate(lags)], axis=1)
         still = np.array([joint_reduced(data.still[j], w) for j, w in enumerate(lags)])
         groups = [g for g in range(GROUPS) if data.rows_moving[g].sum() > 0]
@@ -133,7 +134,7 @@ class _Ladder:
         if fold is not None:
             total, rows = total - self._held[fold], rows - self._rows_held[fold]
         p = problem_of(self._data.layout, total, self._still, rows, self._data.rows_still)
-        f, prior = self._first, self._first.prior
+        f, prior = self._richest, self._richest.prior
         w = np.where(rows > 0, 1 / np.maximum(f.rms**2 * f.inflation, 1e-12), 0.0)
         w = np.nan_to_num(w)
         w_still = np.where(self._data.rows_still > 0, 1 / np.maximum(np.nan_to_num(f.rms) ** 2, 1e-12), 0.0)
