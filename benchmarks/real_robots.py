@@ -86,12 +86,15 @@ def least_squares(robot: Robot, fit: Sequence[Recording], test: Sequence[Recordi
 
 
 def ours(model: Model, test: Sequence[Recording]) -> np.ndarray:
-    """(n,) held-out error [N m] of a model's rigid body, friction and effects in full."""
+    """(n,) held-out error [N m] of a model's rigid body, friction and effects in full; friction passes the torque's filter."""
     out = []
-    for q, dq, ddq, tau, t in rows(test):
-        r = Recording("closed_loop", 0, 0, 0, t, q, dq, tau)
-        u = model.input(q, dq, tau, None, 0.0, t)
-        out.append(left_over(model, r, u, float("nan"), ddq, window=1))
+    for r in test:
+        for m in motions(r, Preprocessing()):
+            q, dq, ddq = (np.ascontiguousarray(x) for x in (m.q, m.dq, m.ddq))
+            whole = Recording("closed_loop", 0, 0, 0, m.t, q, dq, m.raw_tau)
+            u = model.input(q, dq, m.raw_tau, m.temp, 0.0, m.t)
+            left = m.smooth(left_over(model, whole, u, float("nan"), ddq, window=1))
+            out.append(left[m.kept[np.abs(dq[m.kept]).max(axis=1) > MOVING]])
     return np.sqrt(np.mean(np.concatenate(out) ** 2, axis=0))
 
 

@@ -303,11 +303,11 @@ def _evened(t: Array) -> tuple[Array, float]:
     """Stamps, and what they were printed to: where that hides an even clock (all lie on one within a print), the clock itself."""
     if len(t) < FEWEST_STAMPS:
         return t, 0.0
-    h = float(t[-1] - t[0]) / (len(t) - 1)
+    h, first = (float(x) for x in np.polyfit(np.arange(len(t)), t, 1))
     printed = next((g for g in PRINTED if np.abs(t / g - np.round(t / g)).max() < 1e-4), 0.0)
-    even = t[0] + h * np.arange(len(t))
+    even = first + h * np.arange(len(t))
     off = t - even
-    if not ROUGH * h < printed or np.abs(np.diff(t) - h).max() <= ROUGH * h or np.ptp(off) > 1.001 * printed:
+    if not ROUGH * h < printed or np.abs(np.diff(t) - h).max() <= ROUGH * h or np.ptp(off) > 1.02 * printed:
         return t, 0.0
     return even + 0.5 * (off.max() + off.min()), printed
 
