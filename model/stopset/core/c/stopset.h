@@ -383,7 +383,7 @@ typedef struct {
     double *t;                          /* (steps + 1,) [s] */
     double *d_lo, *d_hi, *v_lo, *v_hi;  /* (steps + 1, n) [rad], [rad/s] */
     double *e_lo, *e_hi;                /* (steps, n) */
-    double *rates;                      /* (steps, 4, n) forward lo, hi, backward lo, hi [rad/s^2] */
+    double *rates[4];                   /* (steps, n) each: forward lo, hi, backward lo, hi [rad/s^2] */
     double *margin;                     /* (n,) [N m] */
 } StopsetTube;
 

@@ -22,11 +22,12 @@ Array = NDArray[np.float64]
 
 def follow(tube: Tube, low: Array, high: Array) -> Array:
     """Curves from speeds ``[low, high]`` (n,) under the tube's certified rates; (4, n): time, forward, back, speed."""
-    out, rates = np.empty((4, len(low))), np.stack([tube.forward_lo, tube.forward_hi, tube.backward_lo, tube.backward_hi], axis=1)
-    held = [given(x) for x in (tube.t, tube.v_lo, tube.v_hi, rates, low, high)]
-    t, v_lo, v_hi, r, lo, hi = (view(x) for x in held)
-    struct = ffi.new("StopsetTube *", {"t": t, "v_lo": v_lo, "v_hi": v_hi, "rates": r})
-    lib.stopset_follow(struct, len(low), len(rates), lo, hi, view(out))
+    out, steps = np.empty((4, len(low))), len(tube.forward_lo)
+    rates = [given(x) for x in (tube.forward_lo, tube.forward_hi, tube.backward_lo, tube.backward_hi)]
+    held = [given(x) for x in (tube.t, tube.v_lo, tube.v_hi, low, high)]
+    t, v_lo, v_hi, lo, hi = (view(x) for x in held)
+    struct = ffi.new("StopsetTube *", {"t": t, "v_lo": v_lo, "v_hi": v_hi, "rates": [view(x) for x in rates]})
+    lib.stopset_follow(struct, len(low), steps, lo, hi, view(out))
     return out
 
 

@@ -20,7 +20,8 @@ The tube is marched through time in steps, so nothing has to be guessed about th
    accelerations; where these cannot be verified the caps alone bound the step.
 
 Source: stop notes of the project, comparison system with zero crossing; Moreau (1988) for the inclusion;
-Goodnight (1979) for the sweep operator.
+Goodnight (1979) for the sweep operator; Spong, Hutchinson & Vidyasagar (2006), ch. 7, for the
+skew symmetry that the energy rests on.
 """
 
 from __future__ import annotations
@@ -131,22 +132,17 @@ def march(
         raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
     struct, _held = plant_struct(plant)
     t, knots, ends = np.empty(steps + 1), np.empty((4, steps + 1, n)), np.empty((2, steps, n))
-    rates, margin = np.empty((steps, 4, n)), np.empty(n)
-    tube = ffi.new("StopsetTube *", [view(x) for x in (t, *knots, *ends, rates, margin)])
+    rates, margin = np.empty((4, steps, n)), np.empty(n)
+    lines = [view(x) for x in (t, *knots, *ends)]
+    tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin)))
     end = lib.stopset_stop_tube(
         struct, *(view(x) for x in box), h, steps, ffi.new("StopsetParts *", tuple(parts)), int(energetic), tube, made
     )
     check(-min(end, 0))
     m = made[0]
-    return Tube(
-        end,
-        t[: m + 1],
-        *knots[:, : m + 1],
-        *ends[:, :m],
-        *(rates[:m, row] for row in range(4)),
-        margin=margin,
-        energetic=energetic,
-    )
+    d_lo, d_hi, v_lo, v_hi = knots[:, : m + 1]
+    e_lo, e_hi = ends[:, :m]
+    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic)  # type: ignore[call-arg]
 
 
 def largest_energy(plant: Plant, q: Array, x_lo: Array, x_hi: Array, v_lo: Array, v_hi: Array) -> float:

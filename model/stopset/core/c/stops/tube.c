@@ -266,7 +266,7 @@ static void displace(const March *m, int64_t k) {
             t->d_hi[at + n] = t->d_hi[at] + h * new_hi;
             t->d_lo[at + n] = t->d_lo[at] + h * new_lo;
         }
-        for (int row = 0; row < 4; row++) t->rates[(k * 4 + row) * n + i] = m->out[row][i];
+        for (int row = 0; row < 4; row++) t->rates[row][at] = m->out[row][i];
     }
 }
 
@@ -424,8 +424,9 @@ void stopset_follow(const StopsetTube *tube, int n, int64_t K, const double *low
         double U = high[i], L = low[i], ahead = 0.0, behind = 0.0, far = 0.0, back = 0.0, fast = most(size_of(U), size_of(L));
         int64_t last = 0;
         for (int64_t k = 0; k < K; k++) {
-            const double *rate = tube->rates + k * 4 * n + i, *v_lo = tube->v_lo + k * n + i, *v_hi = tube->v_hi + k * n + i;
-            const double forward_lo = rate[0], forward_hi = rate[n], backward_lo = rate[2 * n], backward_hi = rate[3 * n];
+            const int64_t at = k * n + i;
+            const double *v_lo = tube->v_lo + at, *v_hi = tube->v_hi + at, forward_lo = tube->rates[0][at], forward_hi = tube->rates[1][at],
+                         backward_lo = tube->rates[2][at], backward_hi = tube->rates[3][at];
             double up, down;
             if (U > 0.0) {
                 up = U + h * forward_hi;
