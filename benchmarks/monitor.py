@@ -132,12 +132,14 @@ def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
     gc.collect()
     gc.disable()
     for k, frames in enumerate(bus.cycles):
-        bus.ready = frames[::-1]
+        bus.ready = frames[::-1] + bus.ready
         clock.now += profile.cycle_s
         begin, begin_cpu = time.perf_counter_ns(), time.thread_time_ns()
         daemon.cycle()
         cpu[k], wall[k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
     gc.enable()
+    state = daemon._situation()
+    print(f"state {state.state.name}: {state.why}")
     warm = slice(len(daemon.watch.ages), None)
     cpu, wall = cpu[warm] * 1e-3, wall[warm] * 1e-3
     said = {n: float(np.median(np.array(p.took[warm])) * 1e-3) for n, p in parts.items()}

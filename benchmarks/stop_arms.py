@@ -75,6 +75,12 @@ def prbt_like(payload: tuple[float, float] = (0.0, 3.0), top_speed: float = 1.26
     )  # fmt: skip
 
 
+def shipped(payload: tuple[float, float] = (0.0, 3.0)) -> Model:
+    """The arm in the box before anything was measured: brakes and rotors of its data sheet, +-30 %, 15 to 60 ms."""
+    arm = prbt_like(payload)
+    return replace(arm, brakes=None, rotor=np.array([d.rotor_inertia for d in arm.robot.drives]))
+
+
 def uncertain_rotors() -> Model:
     """The PRBT-like arm as compensated torque tells it: two opinions on each rotor, 30 % apart, both allowed."""
     arm = prbt_like((0.0, 0.25))

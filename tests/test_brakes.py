@@ -119,7 +119,7 @@ def test_true_brakes_are_found_and_held_out_stops_enclosed(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("lag", [np.zeros(6), np.array([0.0, 0.0, 0.025, 0.0, 0.003, 0.0])])
-def test_windows_hold_every_stop_that_one_power_stage_can_cause_and_no_other(lag: np.ndarray) -> None:
+def test_windows_hold_every_stop_true_to_the_words_and_few_others(lag: np.ndarray) -> None:
     """ "Delays of a stop that, less each its own lag, lie apart by no more than 6 ms: every such stop is in a window, wherever the
     joints' intervals lie."""
     setting = setting_of(prbt_like((0.0, 0.0)))

@@ -269,7 +269,9 @@ def test_a_table_without_payloads_says_how_to_get_them(tmp_path: Path, capsys: p
     )
 
 
-def test_states_beyond_the_recordings_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a_mark_everywhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arm = prbt_like((0.0, 1.0))
     narrow = replace(arm, domain=replace(arm.domain, q=Box.symmetric(np.full(6, 0.3))))
     slow = replace(arm, domain=replace(arm.domain, dq=Box.symmetric(np.full(6, 0.5))))

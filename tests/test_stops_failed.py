@@ -56,7 +56,7 @@ def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: i
     q, dq = np.array([0.1, 0.9, 0.9, 0.2, 1.2, 0.0]), np.array([1.2, -1.2, 1.2, -1.0, 1.2, 1.0])
     mild = replace(bounds, ramp=replace(ramp, **weaker)).bound(q, dq, "1 guaranteed")
     assert mild.certified
-    assert sample_failed_ramps(bounds, mild, q, dq, 40, 1).escaped > 0
+    assert sample_failed_ramps(bounds, mild, q, dq, 200, 2).escaped > 0
 
 
 def test_monitored_ramps_allow_what_the_monitor_allows() -> None:

@@ -282,11 +282,21 @@ def _trial(
     temp = table("temp")
     t, rounded = _evened(np.array(columns["t"], dtype=np.float64))  # a copy: a view keeps the whole batch alive
     return Recording(
-        *key, place, t, q, dq, tau, rounded=rounded,
+        *key, place, t, q, dq, tau, rounded=rounded, condition=_condition(path, columns.get("condition")),
         temp=None if temp is None or np.isnan(temp).all() else temp,
         current=current,
         stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
     )  # fmt: skip
+
+
+def _condition(path: Path, column: Any) -> str:
+    """The condition of a trial, from its column; empty where there is none."""
+    values = [] if column is None else list(dict.fromkeys(str(v) for v in column if v is not None))
+    if len(values) > 1:
+        raise RecordingError(
+            f"{path}: the condition changes from {values[0]!r} to {values[1]!r} within a trial; expected one per trial: split it"
+        )
+    return values[0] if values else ""
 
 
 def _evened(t: Array) -> tuple[Array, float]:

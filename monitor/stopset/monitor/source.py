@@ -116,7 +116,11 @@ class CanSource:
                     found = sample
                     if self.clock.time_ns() * 1e-9 - sample.t <= self.oldest_s:
                         break
-            elif found is not None or self.clock.monotonic() >= end:
+            elif found is not None:
+                break
+            elif (held := self.decoder.quiet(self.clock.time_ns() * 1e-9)) is not None:
+                return self._sample(held)
+            elif self.clock.monotonic() >= end:
                 break
             wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
         return found
@@ -125,9 +129,10 @@ class CanSource:
         self.frames += 1
         now = self.clock.time_ns() * 1e-9
         cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
-        if cycle is None:
-            return None
-        bits, words = self.decoder.nodes.bad(now)
+        return None if cycle is None else self._sample(cycle)
+
+    def _sample(self, cycle: Cycle) -> Sample:
+        bits, words = self.decoder.nodes.bad(self.clock.time_ns() * 1e-9)
         sample = sample_of(cycle, self._count(cycle))
         return replace(sample, doubt=words, bad_nodes=bits) if words else sample
 

@@ -181,6 +181,13 @@ class Decoder:
             return None
         return cycle
 
+    def quiet(self, now: float) -> Cycle | None:
+        """No frame has come up to ``now`` [s]: gives out a cycle that was held back, if the next one is overdue."""
+        if self._held is None or now - self._held_at < self.cycle_s:
+            return None
+        held, self._held = self._held, None
+        return held
+
     def _next_sync(self, counter: int | None, t: float) -> Cycle | None:
         held, self._held = self._held, None
         self._hold = max(0, self._hold - 1)

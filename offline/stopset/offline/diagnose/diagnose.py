@@ -12,6 +12,7 @@ from stopset.artifact import Model
 from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
@@ -28,6 +29,7 @@ from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
+SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 MOVE = "Move every joint through its range at several speeds."
 
 
@@ -54,6 +56,7 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    change: Change | None = None  # of a level that the model had
     doubt: str = ""  # why it is no finding after all
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
@@ -96,6 +99,7 @@ class Diagnosis:
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
     notes: tuple[str, ...] = ()  # on what the recordings were measured against
+    changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
@@ -115,6 +119,7 @@ class Diagnosis:
                     "says": r.says,
                     "in_model": r.in_model,
                 }
+                | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std")}})
                 for r in self.ranked
             ],
             "rivals": [list(group) for group in self.rivals],
@@ -133,6 +138,7 @@ class Diagnosis:
                 }
                 for u in self.unexplained
             ],
+            "changed": [c.says for c in self.changed],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
             "excess": self.excess,
@@ -244,7 +250,8 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
     base = baseline(model, recordings)
-    fitted = settled(model)
+    # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
+    fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
     found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
@@ -253,7 +260,26 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes), base.against
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes)
+    if base.known is None or names is not None:
+        return found, base.against
+    return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
+
+
+def _with_changes(found: Diagnosis, told: Sequence[Change]) -> Diagnosis:
+    """The answer with what changed since identification: that is the verdict where nothing is missing besides."""
+    if not told:
+        return found
+    if found.verdict == "missing":
+        return replace(found, changed=tuple(told))
+    ranked = tuple(
+        Ranked(
+            c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
+            {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c,
+        )
+        for c in told
+    )  # fmt: skip
+    return replace(found, verdict="changed", ranked=ranked, changed=tuple(told), next_experiment=SINCE)
 
 
 def moves(r: Recording) -> bool:

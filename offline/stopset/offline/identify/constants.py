@@ -88,7 +88,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("coupled pairs", pair_choice, "EFFECT TELLS LOOKED_AT"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
     ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
@@ -109,7 +109,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
     ("reading error", reading_error, "SMOOTH FEWEST"),
     ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
-    ("absurd", absurd, "MOVES RANGES"),
+    ("absurd", absurd, "LATE MOVES RANGES"),
     ("drive gain", baseline, "POSES LOADED"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
@@ -151,7 +151,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
-    ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )
 

@@ -21,7 +21,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
-from stopset.reach.stops.plant import HEAVIEST, OUTSIDE, beyond_payload
+from stopset.reach.stops.plant import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
 
 Array = NDArray[np.float64]
 SHARES = (33, 66, 100)
@@ -97,9 +97,8 @@ class Table:
 
 
 def top_speed(model: Model) -> Array:
-    """(n,) [rad/s]: 100 % speed: the robot's limit, or the fastest seen in both directions if that is less (trap P25)."""
-    back, ahead = np.maximum(-model.domain.dq.lo, 0.0), np.maximum(model.domain.dq.hi, 0.0)
-    seen = np.where((back > 0) & (ahead > 0), np.minimum(back, ahead), np.maximum(back, ahead))
+    """(n,) [rad/s]: 100 % speed: the robot's limit, or the fastest the model has seen if that is less (trap P25)."""
+    seen = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     return np.minimum(model.robot.dq_limit, np.where(seen > 0, seen, np.inf))
 
 
@@ -213,17 +212,27 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
 def _worst_direction(
     bounds: StopBounds, q: Array, group: Sequence[int], speed: Array, categories: Sequence[Category]
 ) -> list[tuple[StopBound, Array]]:
-    """For each category the worst of all directions: both of one axis, every combination of several."""
+    """For each category the worst of all directions: both of one axis, every combination of several.
+
+    Of directions in which recordings have not seen such speeds nothing is told; where there are others the bound says so.
+    """
     worst: dict[Category, tuple[StopBound, Array]] = {}
+    ways = []
     for signs in product((1.0, -1.0), repeat=len(group)):
         dq = np.zeros(len(q))
         dq[list(group)] = np.array(signs) * speed[list(group)]
+        ways.append(dq)
+    covered = [dq for dq in ways if bounds.extrapolate_state or not beyond_domain(bounds.model, q, dq)] or ways
+    for dq in covered:
         for c in categories:
             bound = bounds.bound(q, dq, c)
             known = worst.get(c)
             if known is None or _badness(bound, group) > _badness(known[0], group):
                 worst[c] = (bound, dq)
-    return [worst[c] for c in categories]
+    if len(covered) == len(ways):
+        return [worst[c] for c in categories]
+    only = f"not covered in {len(ways) - len(covered)} of {len(ways)} directions, in which no recording is as fast"
+    return [(replace(b, why="; ".join(x for x in (b.why, only) if x)), dq) for b, dq in (worst[c] for c in categories)]
 
 
 def _badness(bound: StopBound, group: Sequence[int]) -> float:

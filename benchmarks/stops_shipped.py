@@ -1,0 +1,74 @@
+"""How tight STOP 0 bounds are: the arm as shipped, its brakes known from the data sheet, beside narrow assumed brakes.
+
+    python benchmarks/stops_shipped.py [--states 40] [--model FILE.model.json]
+
+For random states up to full speed (for a model file: states of its domain, payloads extrapolated): the bound as in a table
+(64 pieces) over the worst of 250 sampled stops; median over states of angle (joints faster than a fifth of full speed), time and
+TCP, how many states have a bound, and how many the kinetic energy bounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from stop_arms import prbt_like, shipped
+
+from stopset.artifact import Model, load_model
+from stopset.offline.stops.sampling import ANGLE_ERROR, sample_stops
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.tube import OK
+from stopset.reach.stops.tubes import march_box
+
+PER_STATE, PIECES, TOP = 250, 64, 1.26
+ARMS = {
+    "as shipped (data sheet: torque +-30 %, delay 15 to 60 ms)": shipped,
+    "assumed: torque +-10 %, delay 15 to 25 ms": prbt_like,
+}
+LOADS = ((0.0, 0.0), (2.75, 3.0))
+
+
+def measure(model: Model, load: tuple[float, float], states: int) -> str:
+    """One line of figures."""
+    bounds, rng = StopBounds.of(model, load, pieces=PIECES, extrapolate=True), np.random.default_rng(11)
+    limit, seen = model.robot.q_limit, model.domain
+    poses = np.maximum(limit[:, 0], seen.q.lo), np.minimum(limit[:, 1], seen.q.hi)
+    speeds = np.maximum(-TOP, seen.dq.lo), np.minimum(TOP, seen.dq.hi)
+    s = bounds.setting
+    assert s is not None
+    r, v = s.noise.radius[:6], s.noise.radius[6:]
+    angle: list[float] = []
+    time, tcp, energy, escapes = [], [], 0, 0
+    for k in range(states):
+        q, dq = rng.uniform(*poses), rng.uniform(*speeds)
+        b = bounds.bound(q, dq)
+        if b.forward is None or b.back is None or b.angle is None or b.time is None or b.tcp is None:
+            continue
+        energy += b.layer == "energy"
+        whole = march_box(s, s.plant, q, dq, r, v, True)  # for how long to sample
+        assert whole.end == OK
+        x = sample_stops(s.plant, q, dq, r, v, s.payload_com, whole, PER_STATE, k)
+        left = np.any(x.forward > b.forward + ANGLE_ERROR) or np.any(x.back > b.back + ANGLE_ERROR)
+        escapes += bool(left or x.tcp > b.tcp + 1e-6 or x.time.max() > b.time.max() + 5e-4)
+        angle += (b.angle / np.maximum(x.forward, x.back))[np.abs(dq) > 0.2 * TOP].tolist()
+        time.append(float(b.time.max() / x.time.max()))
+        tcp.append(b.tcp / x.tcp)
+    return (
+        f"{len(time)} of {states} states bounded, {energy} by the kinetic energy, {escapes} left by one of {PER_STATE} stops each; median "
+        f"bound over worst sampled: angle {np.median(angle):.2f}, time {np.median(time):.2f}, TCP {np.median(tcp):.2f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--states", type=int, default=40)
+    parser.add_argument("--model", help="an identified model too")
+    args = parser.parse_args()
+    arms = {name: arm() for name, arm in ARMS.items()} | ({args.model: load_model(args.model)} if args.model else {})
+    for name, arm in arms.items():
+        for load in LOADS:
+            print(f"{name}, {load[0]:g} to {load[1]:g} kg: {measure(arm, load, args.states)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
