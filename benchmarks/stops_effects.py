@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from stop_arms import prbt_like
 
@@ -150,7 +149,6 @@ def drawn(model: Model, q: Array, dq: Array, com: Array, rng: np.random.Generato
     )  # fmt: skip
 
 
-@njit(cache=True)
 def _pieces(
     chain: Chain, pi: Array, rotor: Array, fc: Array, brake: Array, delay: Array, rise: Array, q: Array, dq: Array, u: Array
 ) -> None:
