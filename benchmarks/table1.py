@@ -103,7 +103,7 @@ def inputs(robot: Robot, rotor: Array, viscous: Array, at: Callable, times: Arra
     out = []
     for t in times:
         q, dq, ddq = at(float(t))
-        u = np.array([torque(chain, robot.pi, a, b, c) for a, b, c in zip(q, dq, ddq, strict=True)]) + rotor * ddq
+        u = torques(chain, robot.pi, q, dq, ddq) + rotor * ddq
         out.append(u + sum(viscous[:, k] * dq ** (k + 1) for k in range(viscous.shape[1])))
     return out
 
