@@ -13,6 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stopset.core.library import ffi, integers, lib, maths, view
+from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
+from stopset.reach.stops.expansion import Curvature
+from stopset.reach.stops.fast import follow
+from stopset.reach.stops.parts import ALL_PARTS
+from stopset.reach.stops.tube import OK, Plant, march
 from stopset.ring.tape import STEPS, TANH, Tape
 from stopset.robot.rigid import (
     Chain,
@@ -120,6 +125,35 @@ def test_simulated_friction_and_stops(seed: int) -> None:
     pi = np.tile([1.0, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1], (n, 1))
     one = np.ones(n)
     simulate_stop(chain, pi, one, one, one, one, 0.01 * one, 0.01 * one, drawn(rng, n), drawn(rng, n), 1e-3, 20, drawn(rng, 2, n))
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_stop_tubes(seed: int) -> None:
+    """Plants out of their senses: a tube ends, and one that comes to rest holds the arm."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 8))
+    chain = Chain(np.tile(np.eye(3), (n, 1, 1)), drawn(rng, n, 3), np.tile([0.0, 1.0, 0.0], (n, 1)), np.array([0.0, 0.0, -9.81]))
+    pi, half = np.tile([1.0, 0, 0, 0.05, 0.1, 0, 0.1, 0, 0, 0.1], (n, 1)), np.zeros((n, 10))
+    half[-1] = drawn(rng, 10)
+
+    def between() -> list[Array]:
+        return list(np.sort(np.abs(drawn(rng, 2, n)), axis=0))
+
+    curved = [np.abs(drawn(rng, *shape)) for shape in ((n,) * 4, (n,) * 3, (n,) * 3 + (n,), (n,), (n,))]
+    rotor, u = np.abs(drawn(rng, n)) + 0.1, np.abs(drawn(rng, n))
+    plant = Plant(
+        chain, pi, half, rotor, 0.01 * np.ones(n), *between(), *between(), -u, u, *between(), *between(), *between(), Curvature(*curved)
+    )  # fmt: skip
+    q, (v_lo, v_hi) = drawn(rng, n), np.sort(drawn(rng, 2, n), axis=0)
+    tube = march(plant, q - 1e-3, q + 1e-3, v_lo, v_hi, 0.01, 30, ALL_PARTS, bool(rng.integers(2)))
+    assert tube.end in (OK, 1, 2) and 1 <= len(tube.t) <= 31
+    if tube.end == OK:
+        assert not tube.v_lo[-1].any() and not tube.v_hi[-1].any() and np.all(tube.margin >= 0.0)
+        cut = slices(tube, 5)
+        point_motion(chain, q, np.full(n, 1e-3), cut, n - 1, np.zeros(3))
+        swept_capsules(chain, q, np.full(n, 1e-3), tube, np.zeros(3))
+        follow(tube, v_lo, v_hi)
 
 
 def test_a_tape_never_looks_ahead() -> None:

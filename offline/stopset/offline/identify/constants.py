@@ -64,7 +64,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -129,14 +129,12 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("stop energy", energy, "CLAIMS ROUNDING"),
     ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
-    ("stop accelerations", moving, "ROUNDING"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
-    ("stop tube", tube, "REDOS PASSES RECENTRE"),
+    ("stop tube", tube, "REDOS PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
