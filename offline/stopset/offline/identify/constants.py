@@ -106,7 +106,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
-    ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
+    ("readings", noise, "WINDOW COVERAGE TELLING FLOAT32_STEP _WEIGHTS"),
     ("reading error", reading_error, "SMOOTH FEWEST"),
     ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
     ("absurd", absurd, "LATE MOVES RANGES"),
