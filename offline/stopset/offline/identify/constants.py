@@ -126,7 +126,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("stop energy", energy, "CLAIMS ROUNDING"),
-    ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
+    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES REWARD SLICE ANGLE_WEIGHT"),
     ("stop accelerations", moving, "ROUNDING"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
