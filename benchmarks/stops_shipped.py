@@ -1,22 +1,27 @@
 """How tight STOP 0 bounds are: the arm as shipped, its brakes known from the data sheet, beside narrow assumed brakes.
 
     python benchmarks/stops_shipped.py [--states 40] [--model FILE.model.json]
+    python benchmarks/stops_shipped.py --tables
 
 For random states up to full speed (for a model file: states of its domain, payloads extrapolated): the bound as in a table
 (64 pieces) over the worst of 250 sampled stops; median over states of angle (joints faster than a fifth of full speed), time and
-TCP, how many states have a bound, and how many the kinetic energy bounds.
+TCP, how many states have a bound, and how many the kinetic energy bounds.  With ``--tables``: processor time and memory of whole
+tables of the arm as shipped, one category at a time, after the compiled code is loaded.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
+import time
 
 import numpy as np
 from stop_arms import prbt_like, shipped
 
 from stopset.artifact import Model, load_model
 from stopset.offline.stops.sampling import ANGLE_ERROR, sample_stops
-from stopset.reach.stops import StopBounds
+from stopset.offline.stops.table import Question, stop_table
+from stopset.reach.stops import CATEGORIES, Ramp, StopBounds
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import march_box
 
@@ -38,7 +43,7 @@ def measure(model: Model, load: tuple[float, float], states: int) -> str:
     assert s is not None
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     angle: list[float] = []
-    time, tcp, energy, escapes = [], [], 0, 0
+    times, tcp, energy, escapes = [], [], 0, 0
     for k in range(states):
         q, dq = rng.uniform(*poses), rng.uniform(*speeds)
         b = bounds.bound(q, dq)
@@ -51,19 +56,42 @@ def measure(model: Model, load: tuple[float, float], states: int) -> str:
         left = np.any(x.forward > b.forward + ANGLE_ERROR) or np.any(x.back > b.back + ANGLE_ERROR)
         escapes += bool(left or x.tcp > b.tcp + 1e-6 or x.time.max() > b.time.max() + 5e-4)
         angle += (b.angle / np.maximum(x.forward, x.back))[np.abs(dq) > 0.2 * TOP].tolist()
-        time.append(float(b.time.max() / x.time.max()))
+        times.append(float(b.time.max() / x.time.max()))
         tcp.append(b.tcp / x.tcp)
     return (
-        f"{len(time)} of {states} states bounded, {energy} by the kinetic energy, {escapes} left by one of {PER_STATE} stops each; median "
-        f"bound over worst sampled: angle {np.median(angle):.2f}, time {np.median(time):.2f}, TCP {np.median(tcp):.2f}"
+        f"{len(times)} of {states} states bounded, {energy} by the kinetic energy, {escapes} left by one of {PER_STATE} stops each; median "
+        f"bound over worst sampled: angle {np.median(angle):.2f}, time {np.median(times):.2f}, TCP {np.median(tcp):.2f}"
     )
+
+
+def tables() -> None:
+    """One line for every category, and for the guaranteed one with either way of taking the power."""
+    kept, watched = Ramp.stated(6, time=0.5, off_after=0.6), Ramp.stated(6, time=0.3, monitored=True)
+    model = shipped()
+    for c in CATEGORIES:
+        StopBounds.of(model, ramp=kept).bound(np.zeros(6), np.full(6, 0.1), c)
+    for c, ramp in [*((c, kept) for c in CATEGORIES), ("1 guaranteed", watched)]:
+        begin = time.process_time()
+        table = stop_table(model, Question(ramp=ramp, categories=(c,)), lambda items, what: iter(items))
+        how = "SS1-r, 0.3 s" if ramp.monitored else "SS1-t, ramp 0.5 s, power off after 0.6 s"
+        certified, loose = sum(r.certified for r in table.rows), sum("kinetic energy" in r.why for r in table.rows)
+        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"STOP {c} ({how}): {certified} of {len(table.rows)} rows, {loose} with the kinetic energy, "
+            f"{time.process_time() - begin:.0f} s, {size:.0f} MiB",
+            flush=True,
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--states", type=int, default=40)
     parser.add_argument("--model", help="an identified model too")
+    parser.add_argument("--tables", action="store_true", help="time and memory of whole tables instead")
     args = parser.parse_args()
+    if args.tables:
+        tables()
+        return
     arms = {name: arm() for name, arm in ARMS.items()} | ({args.model: load_model(args.model)} if args.model else {})
     for name, arm in arms.items():
         for load in LOADS:

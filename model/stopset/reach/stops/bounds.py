@@ -12,7 +12,7 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.failed import failed_stops
+from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
 from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.plant import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
@@ -46,7 +46,8 @@ class StopBounds:
     """Stop bounds of one model, prepared: ``StopBounds.of(model)`` once, then ``bound(q, dq)`` every cycle.
 
     ``setting`` is None when the model knows no brakes: then no STOP 0 can be proved. ``ramp``: for categories 1 and 2;
-    ``pieces``: how many tubes a hard case may be cut into (64 for tables); ``fast``: for a loop, some milliseconds each.
+    ``pieces``: how many tubes a hard case may be cut into (64 for tables); ``fast``: for a loop, some milliseconds each;
+    ``tubes``: the budget of a failed ramp, see `stopset.reach.stops.failed`.
     """
 
     model: Model
@@ -55,6 +56,7 @@ class StopBounds:
     pieces: int = 1
     fast: bool = False
     extrapolate_state: bool = False
+    tubes: tuple[int, int] = TUBES
 
     @classmethod
     def of(
@@ -67,7 +69,7 @@ class StopBounds:
         not seen get numbers, marked and not certified, instead of "not covered".
         """
         setting = setting_of(model, payload, payload_com, extrapolate)
-        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate_state)
+        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate_state, FAST_TUBES if fast else TUBES)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
@@ -233,7 +235,7 @@ class StopBounds:
     def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
         assert self.setting is not None and self.ramp is not None
         ramp, setting = self.ramp, self.setting
-        found = failed_stops(setting, ramp, q, dq, q_radius, dq_radius, self.fast)
+        found = failed_stops(setting, ramp, q, dq, q_radius, dq_radius, self.tubes, self.fast)
         if found is None:
             return self._refused("1 guaranteed", NO_POWER_OFF, q)
         tubes: list[Tube] = []

@@ -30,9 +30,10 @@ from stopset.robot.rigid import Array
 
 SLICES = 8  # of the monitored ramp, by when it is left
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
-TUBES = 15, 160  # tried for a failed ramp while none comes to rest, and at all: then the kinetic energy bounds what is open
-FAST_TUBES = 7, 23  # in a fast loop
-REWARD = 4  # more tubes for each that comes to rest: cutting then helps
+# how many tubes are tried for a failed ramp while none comes to rest, and at all; then the kinetic energy bounds what is open
+TUBES, TABLE_TUBES, FAST_TUBES = (63, 320), (15, 160), (7, 23)  # for one state, in a table of hundreds, in a fast loop
+REWARD = 3  # more tubes for each that comes to rest: cutting then helps
+SLICE = 8  # one more for every further slice of a monitored ramp and so many of the first number
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 
 
@@ -159,11 +160,11 @@ def cover(
 
 
 def failed_stops(
-    setting: Setting, ramp: Ramp, q: Array, dq: Array, q_radius: Array, dq_radius: Array, fast: bool
+    setting: Setting, ramp: Ramp, q: Array, dq: Array, q_radius: Array, dq_radius: Array, tubes: tuple[int, int], fast: bool
 ) -> Cover | None:
     """Tubes of all stops after a failed ramp, from requests at ``q +- q_radius, dq +- dq_radius`` (true states, (n,) each).
 
-    None where nothing says when power is taken; ``fast``: fewer and coarser, for a loop.
+    None where nothing says when power is taken; ``tubes``: see `TUBES`; ``fast``: coarser steps, for a loop.
     """
     cells = failed_cells(ramp, dq)
     if not cells:
@@ -183,5 +184,5 @@ def failed_stops(
             return [(c, plant) for c in cell.halves(dq, ramp.together)]
         return [(cell, p) for p in halves(plant, q, lasts)]
 
-    least, most = FAST_TUBES if fast else TUBES
-    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least + 2 * (len(cells) - 1), most))
+    least = tubes[0] + tubes[0] // SLICE * (len(cells) - 1)
+    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least, tubes[1]))

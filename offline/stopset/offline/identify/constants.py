@@ -129,7 +129,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("failed stops", failed, "SLICES NARROW TUBES FAST_TUBES REWARD ANGLE_WEIGHT"),
+    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES REWARD SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),

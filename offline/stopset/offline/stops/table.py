@@ -21,6 +21,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
+from stopset.reach.stops.failed import TABLE_TUBES
 from stopset.reach.stops.plant import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
 
 Array = NDArray[np.float64]
@@ -179,7 +180,8 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
     ready: dict[float, StopBounds] = {}
     outside: set[str] = set()
     for percent, kg, extension, group in progress(cases, "stop bounds"):
-        bounds = ready.setdefault(kg, prepared(model, kg, question))
+        bounds = ready.get(kg) or replace(prepared(model, kg, question), tubes=TABLE_TUBES)
+        ready[kg] = bounds
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
         outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
