@@ -148,7 +148,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
-    ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )
 
