@@ -313,7 +313,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     trials, robot = bent(6, np.array(v3)), three_joints()
     head = Meta(joints=JOINTS, robot="three")
     found = survey(lambda: trials)
-    settings = Settings(effects=("cubic_viscous",))
+    settings = Settings(effects=("cubic_viscous",), friction="plain")
     part = fit_nominal(robot, head, lambda: trials, found, settings)
     values = [f.values["v_3"] for f in part.effects if f.effect == "cubic_viscous"]
     np.testing.assert_allclose(values, v3, rtol=0.1)  # at every joint, since none was named
@@ -322,9 +322,8 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     assert "held out of the fit" in out.notes[-1] and "order 1:" in out.notes[-1] and "order 3:" in out.notes[-1]
     linear = abstracted(robot, head, lambda: trials, found, replace(settings, order=1), (), part)
     assert linear.abstraction.linear  # what is asked for is done
-    bare = Settings(friction="plain")
-    plain = fit_nominal(robot, head, lambda: trials, found, bare)
-    assert abstracted(robot, head, lambda: trials, found, bare, (), plain) is plain
+    plain = fit_nominal(robot, head, lambda: trials, found, Settings(friction="plain"))
+    assert abstracted(robot, head, lambda: trials, found, Settings(friction="plain"), (), plain) is plain
     # what judges is never what was fitted
     seen: list[tuple[str, int]] = []
 

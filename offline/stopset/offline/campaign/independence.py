@@ -25,7 +25,8 @@ NOISES = 1.5
 ALIKE = 0.1
 VARIES = 2.0  # in noises: what hardly moves tells nothing
 # Pieces of one recording: the next begins where the last one ended, in position and in speed, while the arm moves
-SEAM = 0.05  # [s] that may be lost, or recorded twice, between pieces: longer, and motions of one joint go on by chance
+SEAM = 0.25  # [s] that may be lost, or recorded twice, between pieces
+FEWEST_JOINTS = 3  # of an arm whose state tells where in its motion it is
 SEAM_ANGLE, SEAM_SPEED = 2e-3, 0.05  # [rad], [rad/s] besides a tenth of what the arm moved and a usual acceleration
 SEAM_ACCELERATION = 10.0  # [rad/s^2]
 UNDER_WAY = 0.05  # [rad/s] slower, every trial that starts where the last one rested would be a piece
@@ -112,12 +113,14 @@ def goes_on(a: Ends, b: Ends) -> bool:
     way, speed = b.q[0] - a.q[1], 0.5 * (a.dq[1] + b.dq[0])
     top = float(np.abs(speed).max())
     # the time lost between them that fits best
-    gap = float(np.clip(way @ speed / max(float(speed @ speed), 1e-12), -SEAM, SEAM))
+    seam = SEAM if len(way) >= FEWEST_JOINTS else 0.0  # one or two joints meet by chance, sooner or later
+    gap = float(np.clip(way @ speed / max(float(speed @ speed), 1e-12), -seam, seam))
     off, turned = np.abs(way - gap * speed).max(), np.abs(b.dq[0] - a.dq[1]).max()
     if off > SEAM_ANGLE + 0.1 * abs(gap) * top or turned > SEAM_SPEED + 0.1 * top + SEAM_ACCELERATION * abs(gap):
         return False
     # an arm at rest tells nothing, unless the clock ran on: a trial's own time begins at zero
-    return bool(top > UNDER_WAY or (b.t[0] > 0 and abs(b.t[0] - a.t[1]) <= SEAM))
+    under_way = min(float(np.abs(a.dq[1]).max()), float(np.abs(b.dq[0]).max())) > UNDER_WAY
+    return bool(under_way or (b.t[0] > 0 and abs(b.t[0] - a.t[1]) <= SEAM))
 
 
 class _Signals:

@@ -82,7 +82,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effect signals", signals, "_STEP"),
     ("survey", survey, "JITTER DRIFT KEEP STOPS"),
     ("session", session, "REPEATED POWERED"),
-    ("independence", independence, "OVERLAP FEWEST NOISES ALIKE VARIES SEAM SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY"),
+    (
+        "independence",
+        independence,
+        "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY",
+    ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
