@@ -1,15 +1,20 @@
 """What one cycle of the monitor costs, part by part, and how late it publishes when fed over a bus by another process.
 
-``python benchmarks/monitor.py [MODEL RECORDING]``; without arguments a known arm with a horizon of 0.4 s is used.
+``python benchmarks/monitor.py [MODEL RECORDING] [--json FILE] [--no-live]``; without arguments an arm with torque input,
+friction, gravity and 650 ages is used. ``--json`` writes ``{"cycle_cpu_us": {"median", "p99"}, "wall_us": {"p999"}, "parts_us"}``:
+thread CPU from the frames of a cycle in memory to packed bytes, laws evaluated, stop box tested.
 """
 
 from __future__ import annotations
 
+import argparse
+import gc
 import json
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,49 +24,170 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from monitor_arm import known_model, meta, motion
 from monitor_process import Ear, free_port, running, stopset, write_config
-from stopset.artifact import load_model, save_model
-from stopset.monitor.layout import pack, unpack
-from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.artifact import Model, load_model, save_model
+from stopset.effects import Fitted
+from stopset.monitor.authentication import Key
+from stopset.monitor.config import Bus, Config, Publish
+from stopset.monitor.daemon import Daemon
+from stopset.monitor.layout import unpack
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
-from stopset.monitor.source import sample_of
-from stopset.monitor.watch import Quantum, Watch
+from stopset.monitor.source import CanSource
+from stopset.monitor.stopdesk import Answer, Numbers
+from stopset.monitor.watch import Quantum
 from stopset.recording import Recording, read_recordings, write_recordings
+from stopset.sets import Box
+
+CYCLES = 4000
+KEY = Key(1, bytes(32))
 
 
-def timed(what: str, work: Callable[[], None], repeat: int) -> None:
-    """Median and 99.9th percentile of ``work`` in microseconds."""
-    t = np.empty(repeat)
-    for i in range(repeat):
-        begin = time.perf_counter()
-        work()
-        t[i] = time.perf_counter() - begin
-    print(f"{what:<44} {1e6 * np.median(t):8.1f} us   p99.9 {1e6 * np.quantile(t, 0.999):8.1f} us")
+class Clock:
+    """Each sample has just come."""
+
+    def __init__(self) -> None:
+        self.now = 1_700_000_000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def time_ns(self) -> int:
+        return round(self.now * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
 
 
-def parts(model_path: Path, trial: Recording) -> None:
-    model, p = load_model(model_path), load_profile("lwa4p/monitor")
-    encoder, decoder = Encoder(p), Decoder(p)
-    rows = signal_rows(trial)
-    frames = list(encoder.frames(rows[0]))
-    cycle = next(c for c in (decoder.frame(i, d, 0.0) for i, d in frames) if c is not None)
+class Frames:
+    """A bus whose frames are in memory."""
 
-    def decode() -> None:
-        for cob_id, data in frames:
-            decoder.frame(cob_id, data, 0.0)
+    def __init__(self, trial: Recording, clock: Clock, cycles: int) -> None:
+        p = load_profile("lwa4p/monitor")
+        encoder, rows, dt = Encoder(p), signal_rows(trial), p.cycle_s
+        self.clock, self.ready = clock, []
+        back_and_forth = np.abs((np.arange(cycles) + len(rows) - 1) % (2 * len(rows) - 2) - (len(rows) - 1))
+        self.cycles = [
+            [Frame(c, d, clock.now + k * dt) for c, d in encoder.frames(rows[i])] for k, i in enumerate(back_and_forth)
+        ]
 
-    timed("decode 13 frames of a cycle", decode, 5000)
-    watch = Watch(model, Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau")))
-    k = iter(range(10**9))
-    for _ in range(len(watch.ages)):
-        watch.step(sample_of(cycle, next(k)))
-    timed(f"step against {watch.stride and len(watch.ages) - 1} ages", lambda: void(watch.step(sample_of(cycle, next(k)))), 3000)
-    values = {"data_id": 1, "stop0_time": np.full(6, 0.1)}
-    timed("pack a message", lambda: void(pack(values)), 5000)
+    def recv(self, timeout: float) -> Frame | None:
+        return self.ready.pop() if self.ready else None
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
-def void(_: object) -> None:
-    """A result that is not needed."""
+class Outlet:
+    """Takes the bytes."""
+
+    def fast(self, name: str) -> Callable[[bytes], None]:
+        return len  # type: ignore[return-value]
+
+    def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
+        """Slow messages are another matter."""
+
+    subscribe = serve = alive = lambda *_: None
+
+
+class Desk:
+    """A certified answer, tested against every state as the real one does."""
+
+    def __init__(self, n: int) -> None:
+        a = np.full(n, 0.1)
+        numbers = {c: Numbers(a, a, a, 0.02, np.full(n, True)) for c in ("0", "1", "1 guaranteed")}
+        wide = np.full(n, 10.0)
+        self.answer = Answer(np.zeros(n), np.zeros(n), wide, wide, numbers, 0.001)
+        self.quantum = Quantum.none(n)
+
+    def offer(self, t: float, q: object, dq: object) -> None:
+        """Asked in another process."""
+
+    def now(self, q: np.ndarray, dq: np.ndarray) -> tuple[dict[str, Numbers], bool]:
+        return self.answer.numbers, self.answer.covers(q, dq, self.quantum)
+
+    def close(self) -> None:
+        """Nothing runs."""
+
+
+def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
+    """CPU and wall of a whole cycle, and of its parts, in one run."""
+    model, clock = load_model(model_path), Clock()
+    profile = load_profile("lwa4p/monitor")
+    bus = Frames(trial, clock, CYCLES)
+    source = CanSource(bus, profile, profile.cycle_s, clock=clock)
+    config = Config(
+        str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32,
+        publish=Publish(json_hz=1e-9),
+    )  # fmt: skip
+    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=Desk(model.n))  # type: ignore[arg-type]
+    daemon._next_json = daemon._next_health = 1e18
+    parts = {name: Part(owner, name) for owner, name in ((source, "next"), (daemon.watch, "step"), (daemon.publisher, "state"))}
+    source_next, step, publish = parts["next"], parts["step"], parts["state"]
+    daemon.source = replace_calls(source, next=source_next)
+    daemon.watch = replace_calls(daemon.watch, step=step)
+    daemon.publisher.state = publish  # type: ignore[method-assign]
+    cpu, wall = np.empty(len(bus.cycles)), np.empty(len(bus.cycles))
+    gc.collect()
+    gc.disable()
+    for k, frames in enumerate(bus.cycles):
+        bus.ready = frames[::-1] + bus.ready
+        clock.now += profile.cycle_s
+        begin, begin_cpu = time.perf_counter_ns(), time.thread_time_ns()
+        daemon.cycle()
+        cpu[k], wall[k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
+    gc.enable()
+    state = daemon._situation()
+    print(f"state {state.state.name}: {state.why}")
+    warm = slice(len(daemon.watch.ages), None)
+    cpu, wall = cpu[warm] * 1e-3, wall[warm] * 1e-3
+    said = {n: float(np.median(np.array(p.took[warm])) * 1e-3) for n, p in parts.items()}
+    print(f"{len(daemon.watch.ages) - 1} ages, {model.effort}, {len(model.effects)} effects, {len(cpu)} cycles: "
+          f"{daemon.tally.verdicts}")  # fmt: skip
+    for name, us in (*said.items(), ("the rest", float(np.median(cpu)) - sum(said.values()))):
+        print(f"  {name:<10} {us:8.1f} us CPU")
+    print(
+        f"  cycle      {np.median(cpu):8.1f} us CPU, p99 {np.quantile(cpu, 0.99):.1f}; wall p99.9 {np.quantile(wall, 0.999):.1f} us"
+    )
+    return {
+        "cycle_cpu_us": {"median": float(np.median(cpu)), "p99": float(np.quantile(cpu, 0.99))},
+        "wall_us": {"p999": float(np.quantile(wall, 0.999))}, "parts_us": said,
+        "ages": len(daemon.watch.ages) - 1, "joints": model.n, "effort": model.effort,
+    }  # fmt: skip
+
+
+class Part:
+    """A call whose thread CPU [ns] is written down."""
+
+    def __init__(self, owner: object, name: str) -> None:
+        self.call, self.took = getattr(owner, name), []
+
+    def __call__(self, *args: object) -> object:
+        begin = time.thread_time_ns()
+        try:
+            return self.call(*args)
+        finally:
+            self.took.append(time.thread_time_ns() - begin)
+
+
+class replace_calls:  # noqa: N801 - reads as the verb it is
+    """An object with some calls replaced."""
+
+    def __init__(self, owner: object, **calls: object) -> None:
+        self.__dict__.update(calls, _owner=owner)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._owner, name)
+
+
+def torque_input(horizon: float = 2.6) -> Model:
+    """The known arm with measured motor torque: gravity, friction and their rounding are evaluated at every sample."""
+    m = known_model(horizon=horizon)
+    effects = tuple(Fitted("coulomb", j, {"F_c": 3.0}, {}) for j in m.joints)
+    wide = Box.symmetric(np.full(m.n, 500.0))
+    sets = replace(m.powered, U=wide)
+    return replace(m, effort="motor_torque", effects=effects, sets={"powered": sets}, domain=replace(m.domain, u=wide))
 
 
 def live(model_path: Path, recording: Path, trials: int, speed: float) -> None:
@@ -86,15 +212,25 @@ def live(model_path: Path, recording: Path, trials: int, speed: float) -> None:
 
 
 def main() -> None:
-    if len(sys.argv) > 2:
-        model_path, recording = Path(sys.argv[1]), Path(sys.argv[2])
-    else:
-        folder = Path(tempfile.mkdtemp())
-        model_path, recording = folder / "known.model.json", folder / "known.parquet"
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", nargs="*", type=Path, metavar="MODEL RECORDING")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--no-live", action="store_true", help="only the cost of a cycle")
+    args = parser.parse_args()
+    folder = Path(tempfile.mkdtemp())
+    model_path, recording = args.files or (folder / "known.model.json", folder / "known.parquet")
+    torque_path = model_path
+    if not args.files:
         save_model(known_model(), model_path)
         write_recordings(recording, meta(), [motion(s, 1000, s) for s in range(3)])
-    parts(model_path, next(iter(read_recordings(recording))))
-    for speed in (1.0, 4.0):
+        torque_path = folder / "torque.model.json"
+        save_model(torque_input(), torque_path)
+        told = cycle_cost(torque_path, motion(0, CYCLES))
+    else:
+        told = cycle_cost(model_path, next(iter(read_recordings(recording))))
+    if args.json:
+        args.json.write_text(json.dumps(told))
+    for speed in () if args.no_live else (1.0, 4.0):
         live(model_path, recording, 3, speed)
 
 

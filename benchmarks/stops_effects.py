@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from stop_arms import prbt_like
 
@@ -65,6 +64,7 @@ def cases(joints: Sequence[str]) -> dict[str, tuple[Fitted, ...]]:
         "base_tilt": (one("base_tilt", None, roll=0.1, pitch=-0.05),),
         "coriolis": (one("coriolis", None, x=0.8),),
         "coulomb": (),
+        "coupled_wrist": (one("coupled_wrist", f"{joints[4]}+{joints[5]}", J=0.1, c=0.5, F=1.0),),
         "coupling": (one("coupling", pair, c=4.0),),
         "cubic_viscous": (one("cubic_viscous", 1, v_3=-2.5),),
         "delay": (one("delay", 1, d=0.01),),
@@ -150,7 +150,6 @@ def drawn(model: Model, q: Array, dq: Array, com: Array, rng: np.random.Generato
     )  # fmt: skip
 
 
-@njit(cache=True)
 def _pieces(
     chain: Chain, pi: Array, rotor: Array, fc: Array, brake: Array, delay: Array, rise: Array, q: Array, dq: Array, u: Array
 ) -> None:

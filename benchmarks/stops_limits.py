@@ -14,7 +14,7 @@ import numpy as np
 from stop_arms import ur5_like
 
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.local import ALL_PARTS
+from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, Plant, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, tubes_of
 

@@ -20,7 +20,7 @@ from stop_arms import prbt_like, ur5_like
 
 from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import Certificate, StopBounds
-from stopset.reach.stops.local import ALL_PARTS
+from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop, tube_of
 from stopset.simulation.stop import simulate_stop

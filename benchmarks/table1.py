@@ -24,12 +24,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from stopset.artifact import Abstraction
 from stopset.offline.abstraction import ORDERS, build, degrees
 from stopset.robot import Robot, load_robot
-from stopset.robot.rigid import Array, Chain, mass_matrix, torque
+from stopset.robot.rigid import Array, Chain, mass_matrices, torques
 
 # v1 [N m s/rad]: per-joint model 1 fitted to the paper's open-loop recordings; v3 = CUBIC * v1: a friction curve that
 # flattens by a tenth at 1 rad/s, a common size; v2 = 0 (no preferred direction). An arm of other size gets these too,
@@ -49,17 +48,12 @@ PAPER = {
 Flow = Callable[[Array, Array, Array], Array]  # ddq of q, dq, u
 
 
-@njit
 def exact_ddq(chain: Chain, pi: Array, rotor: Array, viscous: Array, q: Array, dq: Array, u: Array) -> Array:
     """``M_m(q)^-1 (u - c(q, dq) - tau_nu(dq))`` at the rows of ``q, dq, u`` (N, n), eq. (10); gravity is inside u."""
-    weightless = Chain(chain.R, chain.p, chain.axis, np.zeros(3))
-    out = np.empty_like(q)
-    for k in range(q.shape[0]):
-        rest = u[k] - torque(weightless, pi, q[k], dq[k], np.zeros(q.shape[1]))
-        for j in range(viscous.shape[1]):
-            rest = rest - viscous[:, j] * dq[k] ** (j + 1)
-        out[k] = np.linalg.solve(mass_matrix(chain, pi, q[k]) + np.diag(rotor), rest)
-    return out
+    rest = u - torques(chain._replace(gravity=np.zeros(3)), pi, q, dq, np.zeros_like(q))
+    for j in range(viscous.shape[1]):
+        rest = rest - viscous[:, j] * dq ** (j + 1)
+    return np.asarray(np.linalg.solve(mass_matrices(chain, pi, q) + np.diag(rotor), rest[:, :, None])[:, :, 0])
 
 
 def motion(rng: np.random.Generator, n: int, top: float, N: int, family: str) -> Callable[[float], tuple[Array, Array, Array]]:
@@ -109,7 +103,7 @@ def inputs(robot: Robot, rotor: Array, viscous: Array, at: Callable, times: Arra
     out = []
     for t in times:
         q, dq, ddq = at(float(t))
-        u = np.array([torque(chain, robot.pi, a, b, c) for a, b, c in zip(q, dq, ddq, strict=True)]) + rotor * ddq
+        u = torques(chain, robot.pi, q, dq, ddq) + rotor * ddq
         out.append(u + sum(viscous[:, k] * dq ** (k + 1) for k in range(viscous.shape[1])))
     return out
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import threading
 import time
@@ -21,6 +22,7 @@ from stopset.monitor.links.bus import Talker, listen, parse, talk
 from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
 from stopset.monitor.links.stamps import Stamps
+from stopset.monitor.logs import play_log
 from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
@@ -211,6 +213,13 @@ def test_a_lost_sync_does_not_mix_two_cycles() -> None:
     d = Decoder(PROFILE)
     late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
     assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
+    d = Decoder(PROFILE)
+    assert (
+        not [c for t, cob, data in late[:13] if (c := d.frame(cob, data, t)) is not None]
+        and d.quiet(late[12][0] + 0.5 * DT) is None
+    )
+    last = d.quiet(late[12][0] + 1.5 * DT)
+    assert last is not None and last.counter == 1 and d.quiet(1e9) is None, "the last one of all, once"
 
 
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
@@ -312,6 +321,39 @@ def test_import_of_a_log_returns_the_recording(suffix: str, tmp_path: Path) -> N
             # half a count, and the float32 of the file
             error = np.abs(getattr(a, name) - getattr(b, name)) - 2.0**-24 * np.abs(getattr(a, name))
             assert np.all(error <= PROFILE.quantum(name) * (1 + 1e-6) + 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["screen", "screen.gz", "log.gz"])
+def test_other_ways_to_keep_a_log(kind: str, tmp_path: Path) -> None:
+    trial, out = motion(0, 40), tmp_path / "rec.parquet"
+    frames = [(1.7e9 + f.t, f.cob_id, f.data) for f in recorded([trial]).frames]
+    if "screen" in kind:
+        lines = [f" ({t:.6f})  can0  {c:03X}   [{len(d)}]  {bytes(d).hex(' ').upper()}" for t, c, d in frames]
+    else:
+        lines = [f"({t:.6f}) can0 {c:03X}#{bytes(d).hex().upper()}" for t, c, d in frames]
+    path = tmp_path / ("bus.log.gz" if kind.endswith("gz") else "bus.log")
+    path.write_bytes(gzip.compress("\n".join(lines).encode()) if kind.endswith("gz") else "\n".join(lines).encode())
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    (back,) = read_recordings(out)
+    assert np.abs(back.q - trial.q).max() < 1e-5
+
+
+def test_replay_sends_what_drives_say_and_not_to_a_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = recorded([motion(0, 5)]).frames
+    commands = [(0x000, b"\1\0"), (0x603, bytes(8)), (0x583, bytes(8)), (0x203, bytes(8)), (0x701, b"\5"), (0x2A5, b"")]
+    said = [(0x703, b"\5"), (0x085, bytes(8))]
+    path = tmp_path / "bus.log"
+    lines = [
+        f"(1700000000.000000) can0 {c:03X}#{bytes(d).hex()}" for c, d in [*commands, *said, *((f.cob_id, f.data) for f in frames)]
+    ]
+    path.write_text("\n".join(lines))
+    tape = Tape()
+    assert play_log(path, tape.send, 1e6, PROFILE) == (len(frames) + 2, len(commands))
+    assert [f.cob_id for f in tape.frames] == [0x703, 0x085, *(f.cob_id for f in frames)]
+    assert main(["replay", str(path), "--to", "socketcan:can0"]) == 2
+    assert "--yes-this-bus-is-not-a-robot" in capsys.readouterr().err
+    assert main(["replay", str(path), "--to", "socketcan:nope0", "--yes-this-bus-is-not-a-robot"]) == 2
+    assert "cannot be opened" in capsys.readouterr().err
 
 
 def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,14 +120,16 @@ def test_another_sampling_rate_is_brought_to_the_models_grid(planar, tmp_path: P
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("joint", [1, 2])
-def test_one_joints_torque_off_by_half_is_found_on_the_real_arm(schunk, schunk_file, tmp_path: Path, joint: int) -> None:
-    """Joint 3 in most trials; joint 2, whose unknown torque is as wide as half its torque, in a few."""
+@pytest.mark.parametrize(("joint", "factor", "least"), [(0, 1.5, 30), (1, 2.2, 1), (2, 1.5, 50), (4, 1.5, 30)])
+def test_one_joints_torque_off_by_half_is_found_on_the_real_arm(
+    schunk, schunk_file, tmp_path: Path, joint: int, factor: float, least: int
+) -> None:
+    """But for joint 2: it brakes harder than its friction at the end of some trials, and that is in its unknown torque."""
     data = read_recordings(schunk_file)
-    scaled = [dataclasses.replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in data]
+    scaled = [dataclasses.replace(r, tau=r.tau * np.where(np.arange(6) == joint, factor, 1.0)) for r in data]
     write_recordings(tmp_path / "scaled.parquet", Meta(data.meta.joints, effort="compensated_torque"), scaled)
     result = compare(schunk.model, [tmp_path / "scaled.parquet"])
-    assert len(result.violations) >= (1 if joint == 1 else 50)
+    assert len(result.violations) >= least
     assert {v.state.removeprefix("d") for v in result.violations} == {f"q_arm_{joint + 1}_joint"}
     assert answer(schunk.model, result)["violations"] == len(result.violations)
 

@@ -21,8 +21,10 @@ from nominal_cases import arm as three_joints
 from stopset.cli.main import DEBUG, DEFECT, commands, main
 from stopset.errors import NotConformant
 from stopset.offline.conform import monotone_sets, program
+from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.baseline import drive_gain
+from stopset.offline.diagnose.evidence.priors import DRIVES
 from stopset.offline.nominal import physical, qp
 from stopset.recording import write_recordings
 from stopset.robot.arm import robot_from_text
@@ -100,7 +102,7 @@ def test_a_linear_program_without_answer_is_told_in_our_words(status: int, monke
     monkeypatch.setattr(program, "linprog", lambda *a, **k: answer)
     G, h = np.ones((3, 10)), np.zeros(3)
     with pytest.raises(NotConformant, match="joint a") as e:
-        program.cheapest(G, h, np.ones(10), program.Bounds(Box.symmetric(np.ones(2)), 1), "joint a")
+        program.cheapest(G, h, np.ones(10), program.Bounds(ReadingError.exact(Box.symmetric(np.ones(2))), 1), "joint a")
     own_words(str(e.value))
     with pytest.raises(NotConformant, match="joint a") as e:
         program.solved(
@@ -175,13 +177,23 @@ def test_a_last_link_without_inertia_is_diagnosed(tmp_path: Path, capsys: pytest
 def test_a_scale_of_torque_beyond_reason_is_said() -> None:
     """Neither silently 1 nor believed: the description and the identified arm contradict each other."""
     described = three_joints()
-    recorded = campaign(Truth(described), seconds=3.0, static=2)
-    for factor in (0.6, 1.0, 1.9):
-        gain, notes = drive_gain(described, described.with_parameters(factor * described.pi), recorded)
-        assert gain == pytest.approx(factor) and not notes
+    reach = Box.symmetric(np.full(described.n, 2.0))
+    for factor in (0.6, 1.0, 1.9):  # all joints agree, so most of it is the drives', the rest the description's
+        gain, std, notes = drive_gain(described, described.with_parameters(factor * described.pi), reach)
+        assert gain == pytest.approx(1.0 + 0.72 * (factor - 1.0), abs=0.01) and 0.02 < std < 0.04 and not notes
     for factor in (0.3, 2.5, -1.0):
-        gain, notes = drive_gain(described, described.with_parameters(factor * described.pi), recorded)
-        assert gain == 1.0 and len(notes) == 1
+        gain, std, notes = drive_gain(described, described.with_parameters(factor * described.pi), reach)
+        assert (gain, std) == (1.0, DRIVES) and len(notes) == 1
         assert f"{factor:.2g} times" in notes[0] and "expected 0.5 to 2" in notes[0] and "URDF" in notes[0]
     flat = replace(described, chain=described.chain._replace(gravity=np.zeros(3)))
-    assert drive_gain(flat, flat, recorded) == (1.0, ())
+    assert drive_gain(flat, flat, reach) == (1.0, DRIVES, ())
+
+
+def test_joints_that_disagree_speak_against_the_description_not_the_drives() -> None:
+    described = three_joints()
+    reach = Box.symmetric(np.full(described.n, 2.0))
+    pi = 1.15 * described.pi
+    _, alike, _ = drive_gain(described, described.with_parameters(pi), reach)
+    pi[-1] *= 1.5
+    gain, apart, _ = drive_gain(described, described.with_parameters(pi), reach)
+    assert 1.0 < gain < 1.3 and 1.2 * alike < apart <= DRIVES

@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import stopset.effects.registry as registry
 from stopset.artifact.inputs import entry
+from stopset.core import build
 from stopset.effects import Effect, Signals, catalogue, check, get
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError
@@ -151,7 +153,19 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     folder = tmp_path_factory.mktemp("laws")
     source, library = folder / "laws.c", folder / "laws.so"
     source.write_text("\n".join(lines))
-    flags = ["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-o", str(library), str(source), "-lm"]
+    core = Path(build.__file__).with_name("c")
+    flags = [
+        "-O1",
+        "-ffp-contract=off",
+        f"-I{core}",
+        "-shared",
+        "-fPIC",
+        "-o",
+        str(library),
+        str(source),
+        str(core / "maths.c"),
+        "-lm",
+    ]
     subprocess.run([*compiler(), *flags], check=True, capture_output=True, timeout=180)
     return ctypes.CDLL(str(library))
 

@@ -23,7 +23,20 @@ LAYERS = (
 )  # fmt: skip
 LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
 # what the monitor's host must not need
-HEAVY = ("scipy", "plotly", "pinocchio", "osqp", "cvxpy", "clarabel", "toppra", "matplotlib", "fmpy", "pandas")
+HEAVY = (
+    "numba",
+    "llvmlite",
+    "scipy",
+    "plotly",
+    "pinocchio",
+    "osqp",
+    "cvxpy",
+    "clarabel",
+    "toppra",
+    "matplotlib",
+    "fmpy",
+    "pandas",
+)
 
 
 @cache

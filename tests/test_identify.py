@@ -322,8 +322,9 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     assert "held out of the fit" in out.notes[-1] and "order 1:" in out.notes[-1] and "order 3:" in out.notes[-1]
     linear = abstracted(robot, head, lambda: trials, found, replace(settings, order=1), (), part)
     assert linear.abstraction.linear  # what is asked for is done
-    plain = fit_nominal(robot, head, lambda: trials, found, Settings())
-    assert abstracted(robot, head, lambda: trials, found, Settings(), (), plain) is plain
+    bare = Settings(friction="plain")
+    plain = fit_nominal(robot, head, lambda: trials, found, bare)
+    assert abstracted(robot, head, lambda: trials, found, bare, (), plain) is plain
     # what judges is never what was fitted
     seen: list[tuple[str, int]] = []
 

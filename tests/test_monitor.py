@@ -17,8 +17,9 @@ from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc, status
 from stopset.monitor.config import ConfigError, load_config
-from stopset.monitor.latch import Latch
-from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward, outward_all, pack, unpack
+from stopset.monitor.journal import Journal, blank
+from stopset.monitor.latch import Latch, Record
+from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
@@ -239,6 +240,70 @@ def test_violations_stay_latched_and_are_classified() -> None:
     assert not latch.latched and latch.count == 0
 
 
+class Disk:
+    """Two slots in memory; ``data`` may be spoilt."""
+
+    def __init__(self, record: Any) -> None:
+        self.data, self.full = bytearray(blank(record)), False
+
+    def read(self) -> bytes:
+        return bytes(self.data)
+
+    def write(self, offset: int, data: bytes) -> None:
+        if self.full:
+            raise OSError(28, "No space left on device")
+        self.data[offset : offset + len(data)] = data
+
+    def flush(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_torn_journal_never_forgets() -> None:
+    """Power is lost at every point of the write that latches, sectors in any order: latched, or as before the violation."""
+    before = Disk(Record())
+    latch, watch = Latch(Journal(before)), Watch(known_model())
+    old = bytes(before.data)
+    for s in samples(with_torque_scaled(motion(1), 1, 1.5)):
+        latch.take(s, watch.step(s), s.t)
+        if latch.latched:
+            break
+    new = bytes(before.data)
+    written = [i for i in range(len(new)) if new[i] != old[i]]
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        torn = Disk(Record())
+        torn.data[:] = old
+        for i in rng.permutation(written)[: rng.integers(len(written) + 1)]:
+            torn.data[i] = new[i]
+        again = Latch(Journal(torn))
+        assert again.latched or bytes(torn.data) == old
+    whole = Disk(Record())
+    whole.data[:] = new
+    back = Latch(Journal(whole))
+    assert back.record == latch.record and back.joints == ("arm_2_joint",)
+    for spoilt in (b"", b"\0" * len(new), new[:-1], new + b"\0", b"x" * len(new)):
+        whole.data[:] = spoilt
+        assert Latch(Journal(whole)).latched
+    whole.data[:] = new
+    back = Latch(Journal(whole))
+    back.reset("A. Person", "seen to", 0.0)
+    assert not Latch(Journal(whole)).latched and Latch(Journal(whole)).record.reset["name"] == "A. Person"
+
+
+def test_a_full_disk_is_said_and_tried_again() -> None:
+    disk = Disk(Record())
+    latch, watch = Latch(Journal(disk)), Watch(known_model())
+    disk.full = True
+    for s in samples(with_torque_scaled(motion(1), 1, 1.5)):
+        latch.take(s, watch.step(s), s.t)
+    assert latch.latched and "No space left" in latch.keep(10.0)
+    disk.full = False
+    assert latch.keep(12.0) == "" and Latch(Journal(disk)).count == latch.count
+
+
 # ---- cycles and states ----------------------------------------------------------------------------------------------
 
 
@@ -322,6 +387,16 @@ def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> No
 
 def message(**more: Any) -> bytes:
     return pack({"data_id": 7, "boot_id": 1, "state": int(State.OK), **more})
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**32 - 1), st.floats(-1e9, 1e9)), min_size=1, max_size=5))
+def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int, float]]) -> None:
+    blocks = [{"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k} for k in range(3)]
+    packer = Packer()
+    for k, seq, room in rows:
+        values = {"seq": seq, "room_min": room, "nonces": (seq, 0, 0, k)}
+        assert packer.again(values, blocks[k]) == pack({**blocks[k], **values})
 
 
 def test_codes_differ_in_four_bits() -> None:

@@ -389,3 +389,11 @@ def test_sums_survive_a_file_and_take_new_recordings_in(tmp_path) -> None:  # ty
     other = arm()
     with pytest.raises(ModelFileError, match="joints"):
         load_sums(path, replace(other, joints=("a", "b", "c")))
+
+
+def test_two_joints_whose_lags_differ_share_none() -> None:
+    """The median of two lies between them, near neither: their weighted mean was 0 / 0."""
+    from stopset.offline.nominal import delay
+
+    common, std = delay._common(np.array([0.0258, 0.0009]), np.array([0.0034, 0.0012]))
+    assert common == pytest.approx(0.01335) and std == np.inf

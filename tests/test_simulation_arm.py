@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from stopset.core import build
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 from stopset.simulation import plant as plant_module
 from stopset.simulation import simulate_stop
@@ -138,10 +142,13 @@ def test_the_arm_and_the_bare_stop_are_one_physics() -> None:
 
 
 def test_the_table_the_loops_see_is_the_plant() -> None:
-    names = Plant._fields[2:]
-    assert [getattr(plant_module, name.upper()) for name in names] == list(range(len(names)))
-    assert len(names) == plant_module.COLUMNS
-    assert plant_module.table(plant(tooth=0.25))[:, plant_module.TOOTH] == pytest.approx(0.25)
+    """The core's columns have the names of the plant's fields, in their order."""
+    text = (Path(build.__file__).parent / "c" / "simulation" / "arm.c").read_text()
+    columns = re.search(r"enum \{\s*(ROTOR,.*?)\};", text, re.DOTALL)
+    assert columns is not None
+    assert [x.strip().lower() for x in columns.group(1).split(",")] == [*Plant._fields[2:], "columns"]
+    assert len(Plant._fields) - 2 == plant_module.COLUMNS
+    assert plant_module.table(plant(tooth=0.25))[:, Plant._fields[2:].index("tooth")] == pytest.approx(0.25)
 
 
 def creeping(p: Plant) -> tuple[Array, Array]:

@@ -41,6 +41,14 @@ from stops_effects import cases, hiding, identified, run, stopped
 
 JOINTS = prbt_like().joints
 CASES = cases(JOINTS)
+REFUSED = {
+    "elasticity": (CASES["elasticity"], "elasticity:arm_2_joint: it swings"),
+    "coupled_wrist": (CASES["coupled_wrist"], f"coupled_wrist:{JOINTS[4]}.{JOINTS[5]}: it looks at ddq_other"),
+    "of_acceleration": ((Fitted("of_acceleration", JOINTS[0], {"k0": 1.0}),), "of_acceleration:arm_1_joint: it looks at ddq"),
+    "jumping": ((Fitted("jumping", JOINTS[0], {"k0": 1.0}),), "jumping:arm_1_joint: its law cannot be evaluated"),
+    "gone": ((Fitted("gone", JOINTS[0], {"k0": 1.0}),), "gone:arm_1_joint: it is in no catalogue"),
+    "unbounded": ((Fitted("wrapped", JOINTS[0], {"k0": np.inf, "k1": 0.0}),), "wrapped:arm_1_joint: its k0 has no bound"),
+}
 Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
 DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
 
@@ -131,7 +139,7 @@ def test_every_effect_of_the_catalogue_is_hidden_in_a_stop() -> None:
     assert {f.effect for effects in CASES.values() for f in effects} | {"coulomb", "viscous"} == set(catalogue())
 
 
-@pytest.mark.parametrize("name", [n for n in CASES if n != "elasticity"])
+@pytest.mark.parametrize("name", [n for n in CASES if n not in REFUSED])
 def test_no_stop_leaves_its_tube_with_the_effect_in_the_arm(name: str) -> None:
     found = run(CASES[name], states=4, stops=12, seed=3)
     assert found["certified"] >= 3 and found["escapes"] == 0, found
@@ -149,7 +157,9 @@ def test_a_bound_that_forgets_the_effect_is_left(name: str) -> None:
     assert run(CASES[name], states=6, stops=12, seed=5, blind=True)["escapes"] > 0
 
 
-@pytest.mark.parametrize("effect", [*(e for e in catalogue().values() if e.role in ACTING), OTHERS[0]], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "effect", [*(e for e in catalogue().values() if e.role in ACTING and e.name not in REFUSED), OTHERS[0]], ids=lambda e: e.name
+)
 def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None:
     """``way (dry + viscous |dq|) + push`` holds the law at every state, in both directions, for every parameter within 3 sigma."""
     rng = np.random.default_rng(0)
@@ -194,22 +204,13 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         assert least < 0.05 * (size[1] - size[0] + 1.0)  # and is no wider than it must be
 
 
-REFUSED = {
-    "elasticity": (CASES["elasticity"], "elasticity:arm_2_joint: it swings"),
-    "of_acceleration": ((Fitted("of_acceleration", JOINTS[0], {"k0": 1.0}),), "of_acceleration:arm_1_joint: it looks at ddq"),
-    "jumping": ((Fitted("jumping", JOINTS[0], {"k0": 1.0}),), "jumping:arm_1_joint: its law cannot be evaluated"),
-    "gone": ((Fitted("gone", JOINTS[0], {"k0": 1.0}),), "gone:arm_1_joint: it is in no catalogue"),
-    "unbounded": ((Fitted("wrapped", JOINTS[0], {"k0": np.inf, "k1": 0.0}),), "wrapped:arm_1_joint: its k0 has no bound"),
-}
-
-
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_effect_without_a_bound_is_a_refusal_with_its_label(name: str, others: None) -> None:
     effects, says = REFUSED[name]
     model = hiding(effects)
     with pytest.raises(NotCovered, match=says):
         StopBounds.of(model)
-    assert says in stop_refusal(model)
+    assert re.search(says, stop_refusal(model))
     assert fmu_stop(model, Q, DQ, np.zeros(6), np.zeros(6)) is None
     assert fmu_stop(hiding(()), Q, DQ, np.zeros(6), np.zeros(6)) is not None
     assert stop_figures(model, model) == {}

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stopset.core.library import lib, view
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.energy import largest, power_excess, start_energy
-from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.local import ALL_PARTS, box_terms, empty_local
-from stopset.reach.stops.tube import OK
+from stopset.reach.stops.tube import OK, largest_energy
 from stopset.reach.stops.tubes import march_box, tube_of
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -66,27 +64,21 @@ def test_energy_without_disturbance_is_escaped() -> None:
 
 
 def test_largest_energy_is_the_largest_of_the_box() -> None:
-    robot, rng = prbt_like().robot, np.random.default_rng(4)
-    E = expand(robot.chain, robot.pi, 0 * robot.pi, np.ones(6), rng.uniform(-2, 2, 6))
-    at = empty_local(6)
-    box_terms(E, StopBounds.of(prbt_like()).setting.plant.curvature, np.full(6, -0.05), np.full(6, 0.05), np.zeros(6), np.zeros(6),
-              ALL_PARTS, at, np.zeros((8, 6)))  # fmt: skip
-    lo, hi = rng.uniform(-1, 0, 6), rng.uniform(0, 1, 6)
-    bound, found = largest(at, lo, hi), 0.0
+    plant, rng = StopBounds.of(prbt_like()).setting.plant, np.random.default_rng(4)
+    plant = plant._replace(rotor=np.ones(6), rotor_half=np.zeros(6), pi_half=0 * plant.pi_half)
+    q0, lo, hi = rng.uniform(-2, 2, 6), rng.uniform(-1, 0, 6), rng.uniform(0, 1, 6)
+    bound, found = largest_energy(plant, q0, np.full(6, -0.05), np.full(6, 0.05), lo, hi), 0.0
     for _ in range(4000):
         v = np.where(rng.random(6) < 0.5, lo, hi)
-        q = E.q + rng.choice([-0.05, 0.05], 6)
-        M = mass_matrix(robot.chain, robot.pi, q) + np.eye(6)
+        M = mass_matrix(plant.chain, plant.pi, q0 + rng.choice([-0.05, 0.05], 6)) + np.eye(6)
         found = max(found, float(np.sqrt(v @ M @ v)))
     assert found <= bound <= 1.25 * found
 
 
 def test_power_looks_at_the_directions_that_are_possible() -> None:
-    at, w = empty_local(2), np.zeros(2)
-    e = start_energy(at, np.zeros(2), np.zeros(2))
-    e.g_lo[:], e.g_hi[:] = [4.0, 4.0], [6.0, 6.0]
-    u, B = np.array([1.0, 1.0]), np.array([10.0, 10.0])
-    power_excess(e, -u, u, B, np.array([-1.0, 0.0]), np.array([1.0, 1.0]), w)
+    numbers = [np.array(x) for x in ([4.0, 4.0], [6.0, 6.0], [-1.0, -1.0], [1.0, 1.0], [10.0, 10.0], [-1.0, 0.0], [1.0, 1.0])]
+    w = np.zeros(2)
+    lib.stopset_power_excess(2, *(view(x) for x in numbers), view(w))
     # joint 1 may fall with gravity, 6 + 1 - 10; joint 2 only rises against it, 1 - 4 - 10
     assert w.tolist() == [-3.0, -13.0]
 

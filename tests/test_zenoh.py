@@ -201,6 +201,13 @@ def test_import_of_bags_returns_the_recording(suffix: str, tmp_path: Path) -> No
         # stamps are whole nanoseconds, signals float32
         assert np.abs(a.t - b.t).max() < 1e-9 and np.abs(a.tau - b.tau).max() <= 2.0**-24 * np.abs(a.tau).max()
     assert main(["import", str(path), "--topic", "/other", "--out", str(tmp_path / "no.parquet")]) == 2
+    zstandard = pytest.importorskip("zstandard")
+    folder = tmp_path / "as_ros_writes_it"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    (folder / f"bag_0{suffix}.zstd").write_bytes(zstandard.ZstdCompressor().compress(path.read_bytes()))
+    assert main(["import", str(folder), "--out", str(tmp_path / "again.parquet")]) == 0
+    assert len(read_recordings(tmp_path / "again.parquet")) == 2
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")

@@ -20,8 +20,11 @@ from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.ring.ctext import PRELUDE
 
-UNITS = ("core.c", "linear.c", "tube.c", "rigid.c", "motion.c", "stop.c", "fmi.c", "fmi2.c", "fmi3.c")
-HEADERS = ("stopset_core.h", "stopset_fmi.h")
+OWN_UNITS = ("core.c", "linear.c", "tube.c", "body.c", "motion.c", "stop.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
+# the compiled core's own files: what the monitor runs is what the FMU runs
+CORE_UNITS, CORE_HEADERS = ("maths.c", "rigid.c"), ("maths.h", "stopset.h", "vectors.h")
+UNITS = (*OWN_UNITS, *CORE_UNITS)
 FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",
     "fmi3FunctionTypes.h", "fmi3Functions.h", "fmi3PlatformTypes.h",
@@ -140,7 +143,11 @@ def fmi_headers() -> Path:
 def sources(model: Model, variables: Variables) -> tuple[dict[str, str], str]:
     """File name -> text of all C sources of a model's FMU, and the instantiation token (from the sources' hash)."""
     core = resources.files("stopset.fmu") / "core"
-    text = {name: (core / name).read_text() for name in (*UNITS, *HEADERS)}
+    shared = resources.files("stopset.core") / "c"
+    text = {name: (core / name).read_text() for name in (*OWN_UNITS, *OWN_HEADERS)}
+    text |= {name: (shared / name).read_text() for name in (*CORE_UNITS, *CORE_HEADERS)}
+    # two FMUs in one process must not share their functions
+    text["stopset.h"] = "#define STOPSET_API /* inside an FMU */\n" + text["stopset.h"]
     text |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
     laws = effect_laws(model)
     flags = {"HAS_EFFECTS": int(laws.effects), "HAS_DIRECTION": int(laws.direction), "HAS_LOAD": int(laws.load)}

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_keep_options, add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_condition_options, add_keep_options, add_output_options, check_outputs, say, write_json
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--joint", help="joint it acts at, for a single EFFECT (left out: every joint, or the whole arm)")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings to identify the revision from")
     parser.add_argument("--out", required=True, type=Path, metavar="M2", help="the new model file")
+    add_condition_options(parser)
     add_keep_options(parser)
     parser.add_argument("--force", action="store_true", help="add it even if it does not help on held-out data")
     add_output_options(parser)
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     def tell(text: str) -> None:
         sys.stderr.write(f"{text}\n")
 
-    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None)
+    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None, args.condition)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:

@@ -30,6 +30,14 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_condition_options(parser: argparse.ArgumentParser) -> None:
+    """``--condition KEY=VALUE@FILE``, as often as wanted."""
+    parser.add_argument(
+        "--condition", action="append", default=[], metavar="KEY=VALUE@FILE",
+        help="what holds for a recording (payload=2.8@a.parquet; without @FILE for all); several conditions are not taken as one",
+    )  # fmt: skip
+
+
 def add_keep_options(parser: argparse.ArgumentParser) -> None:
     """``--keep FILE.state`` and ``--keep-as``."""
     parser.add_argument(

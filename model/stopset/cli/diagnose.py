@@ -40,6 +40,8 @@ def run(args: argparse.Namespace) -> int:
             std = "" if p.std is None else f" +- {p.std:.2g}"
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")
         say(f"     look at: {r.look_at}")
+    for c in found.changed if found.verdict == "missing" else ():
+        say(f"also changed since identification: {c.says}")
     for group in found.rivals:
         say(f"these data hardly separate {' from '.join(group)}")
     if found.depends_on:

@@ -9,7 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_keep_options, add_output_options, add_robot_options, check_outputs, say, write_json
+from stopset.cli.common import (
+    add_condition_options,
+    add_keep_options,
+    add_output_options,
+    add_robot_options,
+    check_outputs,
+    say,
+    write_json,
+)
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
@@ -54,6 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot_options(parser)
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    add_condition_options(parser)
+    parser.add_argument("--mixed", action="store_true", help="take recordings of several conditions as one")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
     parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
     parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
@@ -164,9 +174,11 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
     settings = Settings(
         model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
-        shape=args.shape, friction=args.friction,
+        shape=args.shape, friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
-    return identify(robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
+    return identify(
+        robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None, conditions=args.condition
+    )
 
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
@@ -183,6 +195,10 @@ def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identific
             "order",
             "effects",
             "friction",
+            "mixed",
+            "condition",
+            "tip",
+            "lock",
             "conform",
             "windows",
             "margin",

@@ -12,7 +12,13 @@ HELP = "turn CAN logs, ROS 2 bags or MCAP files into recordings"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help="candump (.log), .asc, .blf, .trc, or .mcap / .db3")
+    parser.add_argument(
+        "log",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="REC.parquet", help="the recording to write")
     parser.add_argument("--profile", default="lwa4p/monitor", help="CAN: bus profile, name or path (default: %(default)s)")
     parser.add_argument("--cycle", type=float, metavar="S", help="SYNC or message period in seconds (default: the profile's)")
@@ -27,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from stopset.errors import RecordingError
-    from stopset.monitor.bags import BAG_SUFFIXES, meta_of_bag, trials_of_bag
+    from stopset.monitor.bags import is_bag, meta_of_bag, trials_of_bag
     from stopset.monitor.logs import log_meta, trials_of_log
     from stopset.monitor.profile import load_profile
     from stopset.recording import Meta, Recording, write_recordings
@@ -38,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     trials: list[Recording] = []
     meta: Meta | None = None
     for suite, path in enumerate(args.log):
-        if path.suffix.lower() in BAG_SUFFIXES:
+        if is_bag(path):
             joints = tuple(args.joints.split(",")) if args.joints else None
             found = list(progress(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name))
             this = meta_of_bag(found, args.effort)

@@ -20,6 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "serves a bus on loopback for several processes; zenoh:tcp/127.0.0.1:7447 sends joint_states",
     )  # fmt: skip
     parser.add_argument("--profile", default="lwa4p/monitor", help="bus profile (default: lwa4p/monitor)")
+    parser.add_argument(
+        "--yes-this-bus-is-not-a-robot",
+        action="store_true",
+        dest="no_robot",
+        help="needed for buses that a real arm may be on: all but hub, virtual, serial, udp_multicast and zenoh",
+    )
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="X times real time; inf: as fast as possible")
     parser.add_argument("--trials", type=int, metavar="N", help="only the first N trials")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
@@ -33,22 +39,30 @@ def run(args: argparse.Namespace) -> int:
 
     from stopset.cli.common import say
     from stopset.errors import BusError, RecordingError
-    from stopset.monitor.links.bus import talk
+    from stopset.monitor.links.bus import may_hold_a_robot, talk
     from stopset.monitor.links.hub import Hub
-    from stopset.monitor.logs import LOG_SUFFIXES, play_log
+    from stopset.monitor.logs import LOG_SUFFIXES, log_suffix, play_log
     from stopset.monitor.profile import load_profile
     from stopset.monitor.replay import CanSink, JointStateSink, Sink, cycle_of, play
     from stopset.recording import read_meta, stream_recordings
 
     if not args.speed > 0:
         raise BusError(f"--speed is {args.speed}; expected a positive number or inf")
-    if args.recording.suffix.lower() in LOG_SUFFIXES:
+    if not args.no_robot and may_hold_a_robot(args.to):
+        raise BusError(
+            f"--to {args.to} may be the bus of a real arm, whose master would take the replay for its drives; expected a bus "
+            "without one: say --yes-this-bus-is-not-a-robot if it is"
+        )
+    if log_suffix(args.recording) in LOG_SUFFIXES:
+        profile = load_profile(args.profile)
         bus = talk(args.to)
         try:
-            frames = play_log(args.recording, bus.send, args.speed)
+            frames, kept_back = play_log(args.recording, bus.send, args.speed, profile)
         finally:
             bus.close()
-        say(f"{frames} frames of {args.recording.name} sent to {args.to}")
+        say(
+            f"{frames} frames of {args.recording.name} sent to {args.to}; {kept_back} kept back that no drive of the profile sends"
+        )
         return 0
 
     first = next(stream_recordings(args.recording))

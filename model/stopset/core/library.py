@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,8 @@ except ImportError as e:  # a clone that was never installed
 
 Array = NDArray[np.float64]
 ffi: Any = _binding.ffi
-lib: Any = ffi.dlopen(str(HERE / library_name()))
+# another library in its place: one compiled with sanitizers, for tests
+lib: Any = ffi.dlopen(os.environ.get("STOPSET_CORE") or str(HERE / library_name()))
 _DOUBLES, _INTEGERS, _FLAGS = (ffi.typeof(f"{kind}[]") for kind in ("double", "int64_t", "uint8_t"))
 REASONS = {
     lib.STOPSET_OUT_OF_RANGE: "a place outside its array; expected one within: please report this",

@@ -212,14 +212,16 @@ def _signals(effect: Effect, sight: Sight, shapes: Mapping[str, Interval]) -> Si
     way = np.array([1.0, -1.0])[:, None, None]
     other = None if sight.other is None else Interval(-sight.other, sight.other)
     tilt = (_Unbounded("tilt"),) * 2 if sight.tilt is None else tuple(seen(x, "tilt") for x in sight.tilt)
-    return Signals(
-        q=seen(sight.q, "q"), dq=Slope.variable(sight.speed[:, None], way), way=Slope.constant(way), ddq=_Unbounded("ddq"),
-        load=load, tau=_Unbounded("tau"), dtau=_Unbounded("dtau"), link=_Unbounded("link"),
-        temp=seen(sight.temp, "temp, and no temperature was recorded"), warm=Slope.constant(Interval(np.array(0.0), np.array(1.0))),
-        t=_Unbounded("t"), tip=(_Unbounded("tip"),) * 10, tilt=tilt, stiff=seen(sight.stiff, "stiff"),
-        inertia=seen(sight.inertia, "inertia"), coriolis=seen(sight.coriolis, "coriolis"), dq_other=seen(other, "dq_other"),
-        memory=_memory(effect, shapes, np.maximum(sight.speed, sight.past)),
-    )  # fmt: skip
+    # a signal that nothing here bounds is never taken for zero: who looks at it is refused
+    every: dict[str, Any] = {f.name: _Unbounded(f.name) for f in fields(Signals)}
+    bounded = {
+        "q": seen(sight.q, "q"), "dq": Slope.variable(sight.speed[:, None], way), "way": Slope.constant(way), "load": load,
+        "temp": seen(sight.temp, "temp, and no temperature was recorded"), "stiff": seen(sight.stiff, "stiff"),
+        "warm": Slope.constant(Interval(np.array(0.0), np.array(1.0))), "tip": (_Unbounded("tip"),) * 10, "tilt": tilt,
+        "inertia": seen(sight.inertia, "inertia"), "coriolis": seen(sight.coriolis, "coriolis"), "dq_other": seen(other, "dq_other"),
+        "memory": _memory(effect, shapes, np.maximum(sight.speed, sight.past)),
+    }  # fmt: skip
+    return Signals(**(every | bounded))
 
 
 def _memory(effect: Effect, shapes: Mapping[str, Interval], fastest: Array) -> tuple[Slope, ...]:

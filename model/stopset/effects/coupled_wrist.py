@@ -11,7 +11,7 @@ from stopset.ring import sign
 def law(s: Signals, shape: Mapping[str, Number]) -> Sequence[Number]:
     """``J ddq_other + c dq_other + F sign(dq + dq_other)``, the same on both rows; each joint's own part is its own rotor and friction.
 
-    Source: Khalil & Dombre (2002), Modeling, Identification and Control of Robots, coupled axes.
+    Source: Gautier, Janot & Vandanjon (2013), coupling of joints 5 and 6.
     """
     return (s.ddq_other, s.dq_other, sign(s.dq + s.dq_other))
 
@@ -28,7 +28,7 @@ EFFECT = Effect(
     law=law,
     needs=("dq", "dq_other", "ddq_other"),
     enters="compensation",
-    source="khalil2007",
+    source="gautier2013",
     scope="pair",
     looks_like=("coupling", "coriolis"),
     tell_apart="Move both joints with different ratios of their speeds: with opposite speeds of one size the common motor stands still.",

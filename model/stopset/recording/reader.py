@@ -282,22 +282,32 @@ def _trial(
     temp = table("temp")
     t, rounded = _evened(np.array(columns["t"], dtype=np.float64))  # a copy: a view keeps the whole batch alive
     return Recording(
-        *key, place, t, q, dq, tau, rounded=rounded,
+        *key, place, t, q, dq, tau, rounded=rounded, condition=_condition(path, columns.get("condition")),
         temp=None if temp is None or np.isnan(temp).all() else temp,
         current=current,
         stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
     )  # fmt: skip
 
 
+def _condition(path: Path, column: Any) -> str:
+    """The condition of a trial, from its column; empty where there is none."""
+    values = [] if column is None else list(dict.fromkeys(str(v) for v in column if v is not None))
+    if len(values) > 1:
+        raise RecordingError(
+            f"{path}: the condition changes from {values[0]!r} to {values[1]!r} within a trial; expected one per trial: split it"
+        )
+    return values[0] if values else ""
+
+
 def _evened(t: Array) -> tuple[Array, float]:
     """Stamps, and what they were printed to: where that hides an even clock (all lie on one within a print), the clock itself."""
     if len(t) < FEWEST_STAMPS:
         return t, 0.0
-    h = float(t[-1] - t[0]) / (len(t) - 1)
+    h, first = (float(x) for x in np.polyfit(np.arange(len(t)), t, 1))
     printed = next((g for g in PRINTED if np.abs(t / g - np.round(t / g)).max() < 1e-4), 0.0)
-    even = t[0] + h * np.arange(len(t))
+    even = first + h * np.arange(len(t))
     off = t - even
-    if not ROUGH * h < printed or np.abs(np.diff(t) - h).max() <= ROUGH * h or np.ptp(off) > 1.001 * printed:
+    if not ROUGH * h < printed or np.abs(np.diff(t) - h).max() <= ROUGH * h or np.ptp(off) > 1.02 * printed:
         return t, 0.0
     return even + 0.5 * (off.max() + off.min()), printed
 

@@ -52,6 +52,7 @@ class Recording:
     current: Array | None = None  # (N, n) [A]
     stop_trigger: NDArray[np.bool_] | None = None  # (N,)
     file: int = 0  # which of the files read together it comes from
+    condition: str = ""  # what the arm carried, which day it was: recordings of different conditions are not fitted as one
     rounded: float = 0.0  # [s] what its stamps were printed to, where they were put back on the even clock they came from
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED

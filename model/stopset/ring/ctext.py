@@ -1,6 +1,7 @@
 """C text: the same law, written out as a C99 expression in double precision for the FMU.
 
-Needs ``<math.h>`` and the two lines of `PRELUDE`. Powers are written as products, so that C and Python round alike.
+Needs the core's ``stopset.h``, for functions with the same bits everywhere, and the lines of `PRELUDE`. Powers are written as
+products, so that C and Python round alike.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 PRELUDE = """#include <math.h>
+#include "stopset.h"
 static double stopset_sign(double x) { return (double)((x > 0.0) - (x < 0.0)); }
 static double stopset_square(double x) { return x * x; }
 """
@@ -73,20 +75,20 @@ class CText:
         return CText(f"{name}({', '.join([self.text, *map(_text, more)])})")
 
     def sin(self) -> CText:
-        """``sin``."""
-        return self._call("sin")
+        """``stopset_sin`` of the core."""
+        return self._call("stopset_sin")
 
     def cos(self) -> CText:
-        """``cos``."""
-        return self._call("cos")
+        """``stopset_cos`` of the core."""
+        return self._call("stopset_cos")
 
     def exp(self) -> CText:
-        """``exp``."""
-        return self._call("exp")
+        """``stopset_exp`` of the core."""
+        return self._call("stopset_exp")
 
     def tanh(self) -> CText:
-        """``tanh``."""
-        return self._call("tanh")
+        """``stopset_tanh`` of the core."""
+        return self._call("stopset_tanh")
 
     def sqrt(self) -> CText:
         """``sqrt``."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sqlite3
+import tempfile
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -21,19 +23,59 @@ SHORTEST = 10
 GAP = 2.5  # periods without a message that end a trial
 
 
+def is_bag(path: Path) -> bool:
+    """An MCAP file, a ``.db3``, either compressed (``.zstd``), or the folder that ROS 2 writes them into."""
+    name = path.name.removesuffix(".zstd") if path.suffix == ".zstd" else path.name
+    return Path(name).suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def _parts(path: Path) -> list[Path]:
+    """The files of a bag, in the order in which they were written (ROS 2 numbers them)."""
+    if not path.is_dir():
+        return [path]
+
+    def number(p: Path) -> tuple[int, str]:
+        digits = re.search(r"_(\d+)\.", p.name)
+        return (int(digits[1]) if digits else 0, p.name)
+
+    parts = sorted((p for p in path.iterdir() if p.is_file() and is_bag(p)), key=number)
+    if not parts:
+        raise RecordingError(
+            f"{path} holds no .db3 or .mcap; expected the folder of a ROS 2 bag: give the folder with metadata.yaml"
+        )
+    return parts
+
+
+def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
+    for part in _parts(path):
+        if part.suffix != ".zstd":
+            yield from _messages(part, topic)
+            continue
+        import zstandard
+
+        with tempfile.TemporaryDirectory() as folder:
+            whole = Path(folder) / part.name.removesuffix(".zstd")
+            try:
+                with part.open("rb") as packed, whole.open("wb") as f:
+                    zstandard.ZstdDecompressor().copy_stream(packed, f)
+            except (zstandard.ZstdError, OSError) as e:
+                raise RecordingError(f"{part} cannot be unpacked ({e}); copy it again, or unpack it with zstd -d") from e
+            yield from _messages(whole, topic)
+
+
 def _messages(path: Path, topic: str) -> Iterator[bytes]:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; expected an MCAP file or the .db3 of a ROS 2 bag")
     if path.suffix.lower() == ".mcap":
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
 
         try:
             with path.open("rb") as f:
                 for _, _, message in make_reader(f).iter_messages(topics=[topic]):
                     yield message.data
-        except (McapError, ValueError, EOFError, OSError) as e:
-            raise RecordingError(f"{path} is not a readable MCAP file ({e}); record or copy it again") from e
+        except Exception as e:
+            why = f"{type(e).__name__}: {str(e)[:200]}"
+            raise RecordingError(f"{path} is not a readable MCAP file ({why}); record or copy it again") from e
         return
     try:
         db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
@@ -42,10 +84,14 @@ def _messages(path: Path, topic: str) -> Iterator[bytes]:
                 "select m.data from messages m join topics t on m.topic_id = t.id where t.name = ? order by m.timestamp", (topic,)
             )
             for (data,) in rows:
-                yield bytes(data)
+                if not isinstance(data, bytes):
+                    raise RecordingError(
+                        f"{path} holds a message that is no bytes; expected a ROS 2 bag: record or copy it again"
+                    )
+                yield data
         finally:
             db.close()
-    except sqlite3.Error as e:
+    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as e:
         raise RecordingError(f"{path} is not a readable ROS 2 bag ({e}); give the .db3 file") from e
 
 
@@ -54,7 +100,7 @@ def trials_of_bag(
 ) -> Iterator[tuple[Recording, tuple[str, ...]]]:
     """Unbroken runs of messages as trials, with the joints' names; time is the header stamp."""
     states: list[JointState] = []
-    for data in _messages(path, topic):
+    for data in _all_messages(path, topic):
         try:
             states.append(decode(data))
         except BusError as e:

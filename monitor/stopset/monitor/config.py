@@ -160,7 +160,7 @@ def load_config(path: str | Path) -> Config:
         raw = tomllib.loads(text)
     except FileNotFoundError as e:
         raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
         raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
     config: Config = _build(Config, raw, "")
     if (config.bus is None) == (config.joint_states is None):

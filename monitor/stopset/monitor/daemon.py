@@ -80,6 +80,7 @@ class Daemon:
         self._reloads: queue.SimpleQueue[Loaded | str] = queue.SimpleQueue()
         self._reloading = self.reload_asked = False
         self.publisher = Publisher(outlet, self.clock, self._identity(), signer)
+        self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
         outlet.serve("model", lambda: self._loaded.text)
@@ -212,7 +213,7 @@ class Daemon:
         return Turn(state, flags, why, numbers)
 
     def _send(self, turn: Turn) -> None:
-        s, v, n = self.sample, self.verdict, self.model.n
+        s, v = self.sample, self.verdict
         first, dropped = self.latch.first, self.source.counters().get("dropped", 0)
         joint = first.first.joint if first else ""
         values: dict[str, Any] = {
@@ -224,10 +225,18 @@ class Daemon:
             "holding_margin_min": min((x.margin for x in turn.numbers.values()), default=-np.inf),
             "bad_nodes": s.bad_nodes if s else 0, "dropped": (dropped + self.orders.dropped) & 0xFFFFFFFF,
         }  # fmt: skip
-        for category in CATEGORIES:
-            values |= stop_fields(PREFIX[category], turn.numbers.get(category) or Numbers.none(n, "not asked for"))
-        self.publisher.state(values)
+        self.publisher.state(values, self._block_of(turn.numbers))
         self._notify.say("WATCHDOG=1")
+
+    def _block_of(self, numbers: dict[str, Numbers]) -> dict[str, Any]:
+        """The fields that stay while the stop numbers do: they are rounded once."""
+        known, identity, block = self._block
+        if known is not numbers or identity is not self.publisher.identity:
+            block = dict(self.publisher.identity)
+            for category in CATEGORIES:
+                block |= stop_fields(PREFIX[category], numbers.get(category) or Numbers.none(self.model.n, "not asked for"))
+            self._block = numbers, self.publisher.identity, block
+        return block
 
     def _obey(self, now: float) -> None:
         for nonce in self.orders.challenges():

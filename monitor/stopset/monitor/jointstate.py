@@ -51,9 +51,7 @@ def decode(data: bytes) -> JointState:
     if len(set(state.name)) != n:
         raise BusError("joint_states names a joint twice; expected each once: look at the sender")
     if not 0 <= state.stamp_ns < MAX_STAMP_NS:
-        raise BusError(
-            f"joint_states is stamped {state.stamp_ns:.3g} ns; expected the time since 1970: look at the sender's clock"
-        )
+        raise BusError(f"joint_states is stamped {state.stamp_ns} ns; expected the time since 1970: look at the sender's clock")
     if not all(abs(x) <= MAX_VALUE for x in (*state.position, *state.velocity, *state.effort)):  # nor is NaN
         raise BusError(f"joint_states carries a value that is not a number up to {MAX_VALUE:g}; look at the sender")
     return state
@@ -64,7 +62,7 @@ _Row = Annotated[tuple[float, ...], msgspec.Meta(max_length=MAX_JOINTS)]
 
 class _Json(msgspec.Struct):
     name: Annotated[tuple[Annotated[str, msgspec.Meta(max_length=MAX_NAME)], ...], msgspec.Meta(max_length=MAX_JOINTS)]
-    stamp_ns: int | None = None
+    stamp_ns: Annotated[int, msgspec.Meta(ge=0, lt=MAX_STAMP_NS)] | None = None
     stamp: float | None = None
     position: _Row = ()
     velocity: _Row = ()

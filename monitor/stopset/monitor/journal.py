@@ -40,20 +40,19 @@ class Unreadable(Exception):
 
 
 def _slot(number: int, record: Any) -> bytes:
-    body = msgspec.json.encode(record)
-    head = _HEAD.pack(_MARK, number, len(body))
-    whole = head + body + hashlib.blake2b(head + body, digest_size=_DIGEST).digest()
-    if len(whole) > SLOT:
-        raise ValueError(f"the record has {len(whole)} bytes, a slot {SLOT}")
-    return whole.ljust(SLOT, b"\0")
+    body = msgspec.json.encode(record, enc_hook=float)
+    whole = _HEAD.pack(_MARK, number, len(body)) + body
+    if len(whole) > SLOT - _DIGEST:
+        raise ValueError(f"the record has {len(body)} bytes, a slot {SLOT}")
+    whole = whole.ljust(SLOT - _DIGEST, b"\0")  # also what is empty is held, or half a write could go unseen
+    return whole + hashlib.blake2b(whole, digest_size=_DIGEST).digest()
 
 
 def _read_slot(data: bytes) -> tuple[int, Any] | None:
     mark, number, length = _HEAD.unpack_from(data)
     end = _HEAD.size + length
-    if mark != _MARK or end + _DIGEST > SLOT:
-        return None
-    if hashlib.blake2b(data[:end], digest_size=_DIGEST).digest() != data[end : end + _DIGEST]:
+    whole, digest = data[: SLOT - _DIGEST], data[SLOT - _DIGEST :]
+    if mark != _MARK or end > len(whole) or hashlib.blake2b(whole, digest_size=_DIGEST).digest() != digest:
         return None
     return number, msgspec.json.decode(data[_HEAD.size : end])
 
@@ -90,7 +89,7 @@ class Journal:
             self._store.write(SLOT * (self._number % 2), _slot(self._number, record))
             self._store.flush()
             self.trouble = ""
-        except (OSError, ValueError, msgspec.MsgspecError) as e:
+        except (OSError, ValueError, TypeError, msgspec.MsgspecError) as e:
             self.trouble = f"the journal of the latch cannot be written ({e}); a restart would not know of what came last"
 
     def renew(self, record: Any) -> None:

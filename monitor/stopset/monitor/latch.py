@@ -79,11 +79,11 @@ class Latch:
         for d in verdict.deviations:
             entry = known.get((d.joint, d.state, d.side))
             if entry is None:
-                entry = Entry(d, d, sample.t, sample.t)
+                entry = Entry(d, d, float(sample.t), float(sample.t))
                 new.append(entry)
             else:
                 entry.samples += 1
-                entry.last_t = sample.t
+                entry.last_t = float(sample.t)
                 if d.fraction > entry.worst.fraction:
                     entry.worst = d
             entry.recent = [*entry.recent[1 - DRIFT :], sample.k]

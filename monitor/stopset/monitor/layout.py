@@ -181,6 +181,7 @@ _REAL = tuple(f for f in FIELDS if f.kind == "f32")
 _SLOTS = {f.name: slice(at, at + f.count) for f, at in zip(_REAL, np.cumsum([0, *(f.count for f in _REAL)]), strict=False)}
 _WORDS = np.concatenate([_AT[f.name] // 4 + np.arange(f.count) for f in _REAL])
 _UP = np.concatenate([np.full(f.count, f.rounds == "up") for f in _REAL])
+_SCALARS = {f.name: (_AT[f.name] // 4, f.rounds) for f in _REAL if f.count == 1}
 _CHECKED = (("check", "crc"), ("end_check", "end_crc"))
 
 
@@ -192,6 +193,7 @@ class Packer:
         self._bytes = bytearray(LENGTH)
         self._real = np.zeros(len(_WORDS))
         self._floats = np.frombuffer(self._bytes, "<f4")
+        self._block: object = None
         self._views = {
             f.name: np.frombuffer(self._bytes, "<" + {"B": "u1", "H": "u2", "I": "u4", "Q": "u8"}[KINDS[f.kind][0]], f.count, _AT[f.name])
             for f in _WHOLE
@@ -199,18 +201,43 @@ class Packer:
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
         """One message from field values; magic, version, length, code and checks are filled in, missing fields are 0."""
-        data, views, real = self._bytes, self._views, self._real
-        data[:] = bytes(LENGTH)
-        real[:] = 0.0
-        views["magic"][0], views["layout_version"][0], views["length"][0] = MAGIC, LAYOUT_VERSION, LENGTH
+        self._bytes[:] = bytes(LENGTH)
+        self._real[:] = 0.0
+        self._block = None
+        self._set(values)
+        self._floats[_WORDS] = outward_all(self._real, _UP)
+        return self._finish()
+
+    def again(self, values: Mapping[str, Any], block: Mapping[str, Any]) -> bytes:
+        """The same where many fields stay: ``block`` is only looked at if it is another object than the last time, and what
+        ``values`` leaves out keeps its value."""
+        if block is not self._block:
+            self._bytes[:] = bytes(LENGTH)
+            self._real[:] = 0.0
+            self._set(block)
+            self._floats[_WORDS] = outward_all(self._real, _UP)
+            self._block = block
+        views = self._views
+        for name, value in values.items():
+            if name in _SCALARS:
+                self._floats[_SCALARS[name][0]] = outward(value, _SCALARS[name][1])
+            elif type(value) is tuple:
+                views[name][:] = value
+            else:
+                views[name][0] = value
+        return self._finish()
+
+    def _set(self, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
             place = _SLOTS.get(name)
             if place is None:
-                view = views[name]
-                view[: np.size(value)] = value
+                self._views[name][: np.size(value)] = value
             else:
-                real[place.start : place.start + np.size(value)] = value
-        self._floats[_WORDS] = outward_all(real, _UP)
+                self._real[place.start : place.start + np.size(value)] = value
+
+    def _finish(self) -> bytes:
+        data, views = self._bytes, self._views
+        views["magic"][0], views["layout_version"][0], views["length"][0] = MAGIC, LAYOUT_VERSION, LENGTH
         self._check(*_CHECKED[0])
         if self.signer is not None:
             views["key_id"][0] = self.signer.key_id

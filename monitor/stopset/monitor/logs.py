@@ -1,4 +1,4 @@
-"""CAN logs (candump, ASC, BLF, TRC): played back frame by frame, or decoded into recordings."""
+"""CAN logs (candump, ASC, BLF, TRC, also .gz): played back as far as drives have said it, or decoded into recordings."""
 
 from __future__ import annotations
 
@@ -9,22 +9,35 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.monitor.links.canopen_map import Decoder
-from stopset.monitor.links.logfile import LOG_SUFFIXES, read_log
+from stopset.monitor.links.canopen_map import SYNC_ID, Decoder, frame_maps
+from stopset.monitor.links.logfile import LOG_SUFFIXES, log_suffix, read_log
+from stopset.monitor.nodes import EMCY, HEARTBEAT
 from stopset.monitor.profile import Profile
 from stopset.monitor.source import CycleCount, sample_of
 from stopset.monitor.watch import Sample
 from stopset.recording import Meta, Recording
 
-__all__ = ["LOG_SUFFIXES", "log_meta", "play_log", "trials_of_log"]
+__all__ = ["LOG_SUFFIXES", "log_meta", "log_suffix", "play_log", "said_by_drives", "trials_of_log"]
 SHORTEST = 10  # samples; a shorter run between two gaps is not a trial
 
 
-def play_log(path: Path, send: Callable[[int, bytes], None], speed: float) -> int:
-    """Send a log's frames at their times / ``speed``; returns how many."""
+def said_by_drives(profile: Profile) -> frozenset[int]:
+    """COB-IDs that may be played onto a bus: SYNC, and PDOs, emergencies and heartbeats of the profile's nodes.
+
+    Commands (NMT, SDO, RPDO) of a log would move a real arm, or stop it.
+    """
+    nodes = profile.nodes.values()
+    return frozenset({SYNC_ID, *frame_maps(profile), *(EMCY + n for n in nodes), *(HEARTBEAT + n for n in nodes)})
+
+
+def play_log(path: Path, send: Callable[[int, bytes], None], speed: float, profile: Profile) -> tuple[int, int]:
+    """Send what the drives of ``profile`` say in a log, at its times / ``speed``; returns how many frames, and how many not."""
     start: tuple[float, float] | None = None
-    count = 0
+    count, kept_back, allowed = 0, 0, said_by_drives(profile)
     for frame in read_log(path):
+        if frame.cob_id not in allowed:
+            kept_back += 1
+            continue
         now = time.monotonic()
         if start is None:
             start = (frame.t, now)
@@ -33,7 +46,7 @@ def play_log(path: Path, send: Callable[[int, bytes], None], speed: float) -> in
             time.sleep(wait)
         send(frame.cob_id, bytes(frame.data))
         count += 1
-    return count
+    return count, kept_back
 
 
 def trials_of_log(path: Path, profile: Profile, cycle_s: float, suite: int = 0) -> Iterator[Recording]:

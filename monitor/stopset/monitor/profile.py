@@ -75,11 +75,11 @@ def load_profile(where: str | Path) -> Profile:
     except FileNotFoundError as e:
         shipped = ", ".join(shipped_profiles())
         raise BusError(f"bus profile {where}: no such file; expected a path or one of {shipped}") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
         raise BusError(f"bus profile {path} is not readable TOML ({e}); mend it") from e
     try:
         return _profile(raw, str(where), path)
-    except (KeyError, TypeError, ValueError) as e:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, OSError) as e:
         raise BusError(
             f"bus profile {path} is unusable ({type(e).__name__}: {e}); expected dcf, bitrate, cycle_s, [nodes] and [signals.q]"
         ) from e

@@ -48,14 +48,20 @@ class Publisher:
         """Another key from the next message on."""
         self._packer.signer = signer
 
-    def state(self, values: Mapping[str, Any] | None) -> None:
-        """The next state message; None, or values that cannot be packed, go out as FAULT without numbers."""
+    def state(self, values: Mapping[str, Any] | None, block: Mapping[str, Any] | None = None) -> None:
+        """The next state message; None, or values that cannot be packed, go out as FAULT without numbers.
+
+        ``block``: fields that stay while it is the same object.
+        """
         now = {
             "seq": self.seq & 0xFFFFFFFF, "boot_id": self.boot, "t_pub_ns": self.clock.time_ns() & U64,
             "nonces": tuple(self._nonces),
         }  # fmt: skip
         try:
-            data = self._packer.pack({**self.identity, **(self._nothing if values is None else values), **now})
+            if values is None or block is None:
+                data = self._packer.pack({**self.identity, **(self._nothing if values is None else values), **now})
+            else:
+                data = self._packer.again({**values, **now}, block)
         except Exception as e:  # noqa: BLE001 - whatever it is, the consumers must hear FAULT rather than nothing
             self._failed("a message could not be packed", e)
             data = self._packer.pack({**self.identity, **self._nothing, **now})

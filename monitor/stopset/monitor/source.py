@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -108,7 +109,12 @@ class CanSource:
         """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
         end, wait, found = self.clock.monotonic() + timeout, timeout, None
         for _ in range(TURN):
-            frame = self.bus.recv(wait)
+            try:
+                frame = self.bus.recv(wait)
+            except BusError:  # told at the next call, if a cycle is still to be given out
+                if (held := self.decoder.quiet(math.inf)) is None:
+                    raise
+                return self._sample(held)
             if frame is not None:
                 sample = self._take(frame)
                 if sample is not None:
@@ -116,7 +122,11 @@ class CanSource:
                     found = sample
                     if self.clock.time_ns() * 1e-9 - sample.t <= self.oldest_s:
                         break
-            elif found is not None or self.clock.monotonic() >= end:
+            elif found is not None:
+                break
+            elif (held := self.decoder.quiet(self.clock.time_ns() * 1e-9)) is not None:
+                return self._sample(held)
+            elif self.clock.monotonic() >= end:
                 break
             wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
         return found
@@ -125,9 +135,10 @@ class CanSource:
         self.frames += 1
         now = self.clock.time_ns() * 1e-9
         cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
-        if cycle is None:
-            return None
-        bits, words = self.decoder.nodes.bad(now)
+        return None if cycle is None else self._sample(cycle)
+
+    def _sample(self, cycle: Cycle) -> Sample:
+        bits, words = self.decoder.nodes.bad(self.clock.time_ns() * 1e-9)
         sample = sample_of(cycle, self._count(cycle))
         return replace(sample, doubt=words, bad_nodes=bits) if words else sample
 

@@ -10,6 +10,15 @@ from stopset.monitor.layout import Flag, State
 from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance, Sample, Verdict
 
+# whole numbers: combining flags in a loop of microseconds costs tens of them
+_LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE = (
+    int(f)
+    for f in (
+        Flag.VIOLATION_LATCHED, Flag.OUT_OF_DOMAIN, Flag.BUS_GAP, Flag.BUS_STALE, Flag.NO_STOP_PROVABLE, Flag.DEADLINE_MISS,
+        Flag.DRIVES_NOT_POWERED, Flag.NO_TORQUE, Flag.STOP_NOT_FRESH, Flag.NODE_NOT_GOOD,
+    )
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -42,19 +51,25 @@ class Situation:
 
 def flags_of(s: Situation) -> Flag:
     """What is seen, whatever follows from it."""
-    v, x = s.verdict, s.sample
-    gap = v is not None and v.conformance is Conformance.UNKNOWN and v.why.startswith("gap")
-    seen = {
-        Flag.VIOLATION_LATCHED: bool(s.latched), Flag.BUS_STALE: s.stale, Flag.DEADLINE_MISS: s.late,
-        Flag.OUT_OF_DOMAIN: v is not None and bool(v.outside), Flag.BUS_GAP: gap,
-        Flag.DRIVES_NOT_POWERED: x is not None and not x.powered, Flag.NO_TORQUE: x is not None and x.tau is None,
-        Flag.NO_STOP_PROVABLE: not s.numbers or not all(n.provable.all() for n in s.numbers.values()),
-        Flag.STOP_NOT_FRESH: not s.fresh, Flag.NODE_NOT_GOOD: x is not None and bool(x.doubt),
-    }  # fmt: skip
-    flags = Flag(0)
-    for flag, there in seen.items():
-        flags |= flag if there else Flag(0)
-    return flags
+    v, x, bits = s.verdict, s.sample, 0
+    if s.latched:
+        bits |= _LATCHED
+    if s.stale:
+        bits |= _STALE
+    if s.late:
+        bits |= _LATE
+    if not s.fresh:
+        bits |= _NOT_FRESH
+    if not s.numbers or not all(n.provable.all() for n in s.numbers.values()):
+        bits |= _NO_STOP
+    if v is not None:
+        if v.outside:
+            bits |= _OUTSIDE
+        if v.conformance is Conformance.UNKNOWN and v.why.startswith("gap"):
+            bits |= _GAP
+    if x is not None:
+        bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.doubt else 0)
+    return Flag(bits)
 
 
 def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
@@ -86,8 +101,10 @@ def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
     if v.oldest < limits.evidence:
         why = f"held against predictions of the last {v.oldest * 1e3:.0f} ms only; OK needs {limits.evidence * 1e3:.0f} ms"
         return State.UNKNOWN, flags | Flag.EVIDENCE_YOUNG, why
-    unproven = next((c for c, x in s.numbers.items() if not x.provable.all()), None)
-    if unproven is not None:
+    if flags & Flag.NO_STOP_PROVABLE:
+        unproven = next((c for c, x in s.numbers.items() if not x.provable.all()), None)
+        if unproven is None:
+            return State.DEGRADED, flags, "no stop is bounded"
         return State.DEGRADED, flags, f"STOP {unproven}: {s.numbers[unproven].why}"
     return State.OK, flags, v.why
 

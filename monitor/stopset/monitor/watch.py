@@ -132,6 +132,7 @@ class Watch:
     _predictions: Any = field(init=False)  # the C struct of the above
     _held: Any = field(init=False)  # what it points at
     _oldest: Any = field(init=False)
+    _limits: Array = field(init=False)  # (4, 3n or 4n): signals, domain lo and hi, rounding, of q, dq, u and temperature
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
@@ -169,6 +170,11 @@ class Watch:
             kept.shared(self._foreign), kept.array(self._Ad), kept.array(self._Bd), view(self._lo),
             view(self._hi), view(self._room), kept.shared(self._row),
         ))  # fmt: skip
+        d = m.domain
+        boxes, h = [d.q, d.dq, d.u, *([] if d.temp is None else [d.temp])], [self.quantum.q, self.quantum.dq]
+        self._limits = np.zeros((4, n * len(boxes)))
+        self._limits[1], self._limits[2] = (np.concatenate([getattr(b, end) for b in boxes]) for end in ("lo", "hi"))
+        self._limits[3, : 2 * n] = np.concatenate(h)
         self._held, self._oldest = kept, ffi.new("int64_t *")
         self._forget()
 
@@ -258,8 +264,15 @@ class Watch:
 
     def _outside(self, s: Sample, u: Array, du: Array) -> tuple[str, ...]:
         """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
-        d, q = self.model.domain, self.quantum
+        d, q, n = self.model.domain, self.quantum, self.model.n
         assert q is not None
+        here, lo, hi, slack = self._limits
+        here[:n], here[n : 2 * n], here[2 * n : 3 * n], slack[2 * n : 3 * n] = s.q, s.dq, u, du + 1e-12
+        signals = 3 * n
+        if s.temp is not None and d.temp is not None:
+            here[3 * n :], signals = s.temp, 4 * n
+        if not lib.stopset_beyond(signals, view(here), view(lo), view(hi), view(slack)):
+            return ()
         rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, du + 1e-12)]
         if s.temp is not None and d.temp is not None:
             rows.append(("temp", s.temp, d.temp, np.zeros(self.model.n)))
@@ -283,7 +296,7 @@ class Watch:
         oldest = self._oldest[0]
         if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
-        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0]
+        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0] if self._row.max() >= 0 else []
         deviations = tuple(self._deviation(x, i, side) for side, i in found)
         room = np.where(np.isfinite(self._room), self._room, 1.0)
         result, why = Conformance.CONFORMANT, "inside every prediction"

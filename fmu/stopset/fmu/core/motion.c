@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "stopset_core.h"
+#include "stopset.h"
 
 enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
 
@@ -93,7 +94,7 @@ void stopset_memory_step(StopsetState *s, double h) {
     measured_rates(s, at, whole);
     for (int k = 0; k < N_MEMORY; k++) {
         double a = whole[k] - b[k], x = a * h, z = s->r[VR_MEMORY + k];
-        s->r[VR_MEMORY + k] = z + (b[k] + a * z) * h * (fabs(x) < 1e-12 ? 1.0 : expm1(x) / x);
+        s->r[VR_MEMORY + k] = z + (b[k] + a * z) * h * (fabs(x) < 1e-12 ? 1.0 : stopset_expm1(x) / x);
     }
 }
 
@@ -275,7 +276,7 @@ const char *stopset_integrate(StopsetState *s, double h) {
         double now = step < left ? step : left;
         double error = dormand_prince(s, t, y, mode, now, next);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
-        double factor = error > 0.0 ? 0.9 * pow(error, -0.2) : 4.0;
+        double factor = error > 0.0 ? 0.9 * stopset_exp(-0.2 * stopset_log(error)) : 4.0;
         if (error > 1.0 && now > 1e-12) {
             step = now * fmax(factor, 0.1);
             continue;

@@ -117,7 +117,7 @@ void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[
                      const double load[NJ], const double *memory, double tau[NJ]);
 void stopset_memory_rates(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
                           const double load[NJ], const double *memory, double *rate);
-/* rigid.c */
+/* body.c */
 void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
 void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
 void stopset_link_motion(const double q[NJ], const double dq[NJ], double w[NJ][3], double v[NJ][3], double radius[NJ]);

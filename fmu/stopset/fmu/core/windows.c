@@ -1,7 +1,6 @@
 /* What a Windows library needs when it is linked against msvcrt.dll alone, which every Windows has.
  *
- * Linking the compiler's own C runtime instead would first build it: a minute on a fresh machine, for three functions.
- * Compiled without built-ins, or the compiler would turn sincos into a call of itself.
+ * Linking the compiler's own C runtime instead would first build it: a minute on a fresh machine, for two functions.
  */
 #include <stdarg.h>
 #include <stddef.h>
@@ -13,14 +12,6 @@ int DllMainCRTStartup(void *library, unsigned long reason, void *reserved) {
 }
 
 int _fltused = 1; /* the linker's mark of floating-point code */
-
-double sin(double x);
-double cos(double x);
-void sincos(double x, double *s, double *c);
-void sincos(double x, double *s, double *c) {
-    *s = sin(x);
-    *c = cos(x);
-}
 
 int _vsnprintf(char *out, size_t size, const char *format, va_list values);
 int snprintf(char *out, size_t size, const char *format, ...);

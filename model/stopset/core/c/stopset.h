@@ -9,7 +9,9 @@
 
 #include <stdint.h>
 
-#if defined(_WIN32)
+#if defined(STOPSET_API)
+/* said by whoever compiles it */
+#elif defined(_WIN32)
 #define STOPSET_API __declspec(dllexport)
 #elif defined(__GNUC__)
 #define STOPSET_API __attribute__((visibility("default")))
@@ -157,6 +159,9 @@ typedef struct {
  * `ends` (states, 2): intervals of the states at this sample, then at the next. `temp` may be 0. */
 STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double *q, const double *dq, const double *tau,
                                      const double *temp, double *ends, double *u, double *du);
+
+/* How many of x (N,) lie outside [lo - slack, hi + slack]. */
+STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
@@ -342,6 +347,85 @@ typedef struct {
 STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, int64_t ticks, int64_t steps_per_tick,
                                 const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
                                 double *link, double *speed);
+
+/* ---- stops/: proofs of power-off stops; at most STOPSET_STOP_JOINTS joints; redos of a step when a first excursion can end with
+ * less brake impulse than was taken; passes of claims per step */
+
+#define STOPSET_STOP_JOINTS 12
+#define STOPSET_TUBE_REDOS 4
+#define STOPSET_TUBE_PASSES 40
+#define STOPSET_ENERGY_CLAIMS 12
+
+/* Bounds over all poses: |d2 M_ij/dq_k dq_l| (n, n, n, n), |d2 g_i/dq_k dq_l| (n, n, n); of M_ii without rotor, |g_i| (n,). */
+typedef struct {
+    const double *M, *g, *size, *load;
+} StopsetCurvature;
+
+/* How much of each part of the bound is taken: all of it (1), but for mutants. */
+typedef struct {
+    double coupling, christoffel, gravity_slope, whole_step;
+} StopsetParts;
+
+/* What bounds a power-off stop: (n,) arrays unless said. */
+typedef struct {
+    StopsetArm arm;                                         /* pi at the middle of the payload's range */
+    const double *pi_half;                                  /* (n, 10) half the payload's range */
+    const double *rotor, *rotor_half;                       /* [kg m^2] */
+    const double *coulomb_lo, *coulomb_hi;                  /* [N m] */
+    const double *viscous_lo, *viscous_hi;                  /* [N m s/rad] */
+    const double *u_lo, *u_hi, *brake_lo, *brake_hi;        /* [N m] */
+    const double *delay_lo, *delay_hi, *rise_lo, *rise_hi;  /* [s] */
+    StopsetCurvature curvature;
+} StopsetPlant;
+
+/* Filled by the proof: bounds at the knots (steps + 1, n), lines' ends and accelerations of each step. */
+typedef struct {
+    double *t;                          /* (steps + 1,) [s] */
+    double *d_lo, *d_hi, *v_lo, *v_hi;  /* (steps + 1, n) [rad], [rad/s] */
+    double *e_lo, *e_hi;                /* (steps, n) */
+    double *rates[4];                   /* (steps, n) each: forward lo, hi, backward lo, hi [rad/s^2] */
+    double *margin;                     /* (n,) [N m] */
+} StopsetTube;
+
+/* Sum of angles [rad] from the pose of expansion after which a new one is worth its cost; outward factor of energies and widening
+ * of accelerations, where the arithmetic itself errs by some 1e-13. */
+STOPSET_API extern const double stopset_tube_recentre, stopset_energy_rounding, stopset_rate_rounding;
+
+/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi] at the cut, in steps of h [s]. Returns how it ends: 0 at rest, 1 still moving
+ * at the last step, 2 not provable; negative: a code. `made`: steps that count. */
+STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo,
+                                  const double *v0_hi, double h, int64_t steps, const StopsetParts *parts, int energetic,
+                                  const StopsetTube *tube, int64_t *made);
+/* Curves from speeds [low, high] (n,) under certified rates of K steps; out (4, n): time, forward, back, speed. */
+STOPSET_API void stopset_follow(const StopsetTube *tube, int n, int64_t K, const double *low, const double *high, double *out);
+/* Inertia, gravity and Christoffel symbols at q and their slopes, of the middle payload and of half its range. */
+STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
+                               double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
+/* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
+STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
+                                          const double *v_lo, const double *v_hi);
+/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, for the directions in which
+ * speeds within [v_lo, v_hi] point. */
+STOPSET_API void stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
+                                      const double *B_lo, const double *v_lo, const double *v_hi, double *w);
+/* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
+ * speeds (S, n). */
+STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
+                                   const double *d_hi, const double *v_lo, const double *v_hi, int link, const double *point, double *way,
+                                   double *way_ball, double *pace, double *pace_ball);
+/* The largest length [m], speed [m/s] and box (3, 2) [m] of such sets. */
+STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way,
+                                      const double *way_ball, const double *pace, const double *pace_ball, double *far, double *fast,
+                                      double *box);
+/* Capsules (S, n, 7) that contain every link's axis: both ends [m], radius [m]. */
+STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
+                                       const double *d_hi, const double *tip, double *out);
+/* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
+ * Returns how many. */
+STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
+                                   const double *e_lo, const double *e_hi, const double *t, int64_t count, double *border, double *work,
+                                   double *out_dl, double *out_dh, double *out_vl, double *out_vh);
 /* cffi end */
+
 
 #endif

@@ -129,6 +129,12 @@ int stopset_sample_input(const StopsetMonitor *m, const double *q, const double 
     return STOPSET_OK;
 }
 
+int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack) {
+    int64_t count = 0;
+    for (int64_t k = 0; k < N; k++) count += x[k] < lo[k] - slack[k] || x[k] > hi[k] + slack[k];
+    return count;
+}
+
 /* Coefficients of one step where a joint's position and speed depend on nothing but these two: rows (4, n) of position by
  * position and speed, speed by position and speed. 0 if joints are coupled. */
 static int own_steps(const StopsetPredictions *s, double own[4][J]) {

@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted
 from stopset.effects.bound import ACTING, Acting, Sight, acting, misread, uncovered
-from stopset.effects.registry import get
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand, gravity_curvature
-from stopset.reach.stops.payload import bodies, largest_gravity, weighed
+from stopset.reach.stops.payload import bodies, effect_of, largest_gravity, weighed
 from stopset.ring import Interval
 from stopset.robot.rigid import Chain
 from stopset.sets import Box
@@ -132,8 +131,8 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     """
     n, brakes = model.n, brakes_of(model)
     payload = model.domain.payload if payload is None else payload
-    groups = _groups(model)  # first: it knows every effect, or refuses it
     com = weighed(model, com)[1]
+    groups = _groups(model)
     pi, half = bodies(model, payload, com)
     body = _Body.of(model.robot.chain, pi, half, any("tilt" in g.effect.needs for g in groups))
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
@@ -169,7 +168,7 @@ def misreadings(model: Model, fastest: Array) -> Box:
     """(2n,) true less recorded state, of the effects that misread a position, up to ``fastest`` (n,) [rad/s]."""
     n, lo, hi = model.n, np.zeros(2 * model.n), np.zeros(2 * model.n)
     for f in model.effects:
-        effect = _known(f)
+        effect = effect_of(f)
         if effect.role != "reading":
             continue
         for i in _places(effect, f, model):
@@ -183,13 +182,13 @@ def misreadings(model: Model, fastest: Array) -> Box:
 
 def misreading(model: Model) -> tuple[str, ...]:
     """Labels of the effects by which positions are misread."""
-    return tuple(f.label for f in model.effects if _known(f).role == "reading")
+    return tuple(f.label for f in model.effects if effect_of(f).role == "reading")
 
 
 def described(model: Model) -> tuple[str, ...]:
     """What stop bounds make of the effects, in sentences, where it is not friction."""
     of = {
-        role: [f.label for f in model.effects if _known(f).role == role]
+        role: [f.label for f in model.effects if effect_of(f).role == role]
         for role in ("torque", "arm or drive", "input", "reading")
     }
     out = []
@@ -204,13 +203,6 @@ def described(model: Model) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _known(f: Fitted) -> Effect:
-    try:
-        return get(f.effect)
-    except EffectError as e:
-        raise NotCovered(uncovered(f.label, "it is in no catalogue that is installed here")) from e
-
-
 def _places(effect: Effect, f: Fitted, model: Model) -> tuple[int, ...]:
     try:
         return effect.acts_on(f.joint, model.joints)
@@ -221,7 +213,7 @@ def _places(effect: Effect, f: Fitted, model: Model) -> tuple[int, ...]:
 def _groups(model: Model) -> tuple[_Group, ...]:
     found: dict[str, tuple[Effect, list[tuple[Fitted, int, int]]]] = {}
     for f in model.effects:
-        effect = _known(f)
+        effect = effect_of(f)
         if effect.role == "swing":
             raise NotCovered(uncovered(f.label, "it swings in a way that a rigid arm does not have"))
         if effect.role in ACTING:

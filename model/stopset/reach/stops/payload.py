@@ -6,11 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.effects.bound import SIGMAS
+from stopset.effects.base import Effect, Fitted
+from stopset.effects.bound import SIGMAS, uncovered
 from stopset.effects.registry import get
+from stopset.errors import EffectError, NotCovered
 from stopset.robot.arm import standard_parameters
 
 Array = NDArray[np.float64]
+
+
+def effect_of(f: Fitted) -> Effect:
+    """What a model's effect is. Raises `NotCovered` for one that is not installed here: it may weigh, rub or push."""
+    try:
+        return get(f.effect)
+    except EffectError as e:
+        raise NotCovered(uncovered(f.label, "it is in no catalogue that is installed here")) from e
 
 
 def weighed(model: Model, given: Array | None) -> tuple[float, Array]:
@@ -20,7 +30,7 @@ def weighed(model: Model, given: Array | None) -> tuple[float, Array]:
     """
     mass, doubt, moment = 0.0, 0.0, np.zeros(3)
     for f in model.effects:
-        effect = get(f.effect)
+        effect = effect_of(f)
         if effect.carried:
             m, *first = (t.symbol for t in effect.terms[:4])
             mass, doubt = mass + f.values.get(m, 0.0), doubt + SIGMAS * f.std.get(m, 0.0)

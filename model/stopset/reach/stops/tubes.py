@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stopset.reach.stops.local import ALL_PARTS, Parts
+from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.split import certify
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march

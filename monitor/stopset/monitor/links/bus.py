@@ -44,6 +44,12 @@ def parse(spec: str) -> tuple[str, str, dict[str, Any]]:
     return interface, channel, {k: int(v) if v.lstrip("-").isdigit() else v for k, v in parse_qsl(query)}
 
 
+def may_hold_a_robot(spec: str) -> bool:
+    """Whether a real arm could hear what is sent there: not on buses that only programs share. (A bad name is another matter.)"""
+    interface = spec.partition("?")[0].partition(":")[0]
+    return interface in can.VALID_INTERFACES and interface not in ("virtual", "udp_multicast", "serial")
+
+
 def _python_can(spec: str, **extra: Any) -> can.BusABC:
     interface, channel, options = parse(spec)
     if interface == "udp_multicast":

@@ -30,7 +30,7 @@ FORMATS = {
 }  # fmt: skip
 SYNC_ID = 0x080
 HOLD = 0.2  # [s] in which a frame that was missed may still come
-APART = 0.1  # of a period between the last frame of a cycle and the next SYNC, or they have changed places
+APART = 2e-5  # [s] a frame takes longer than this on any CAN bus: what is stamped closer together has changed places
 LATEST = 0.9  # of a period after its SYNC: frames that come later may be the next one's
 
 
@@ -181,6 +181,13 @@ class Decoder:
             return None
         return cycle
 
+    def quiet(self, now: float) -> Cycle | None:
+        """No frame has come up to ``now`` [s]: gives out a cycle that was held back, if the next one is overdue."""
+        if self._held is None or now - self._held_at < self.cycle_s:
+            return None
+        held, self._held = self._held, None
+        return held
+
     def _next_sync(self, counter: int | None, t: float) -> Cycle | None:
         held, self._held = self._held, None
         self._hold = max(0, self._hold - 1)
@@ -188,7 +195,7 @@ class Decoder:
             self._spoilt()
         overflow = self.profile.sync_overflow
         lost = overflow and held is not None and held.counter is not None and counter != held.counter % overflow + 1
-        if held is not None and (lost or t - self._held_at < APART * self.cycle_s):
+        if held is not None and (lost or t - self._held_at < APART):
             held = None
             self._spoilt()
         self._sync = (counter, t)

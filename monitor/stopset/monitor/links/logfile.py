@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
+import gzip
+import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 import can
 
@@ -15,18 +16,57 @@ from stopset.monitor.links.hub import Frame
 LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
 
 
+def log_suffix(path: Path) -> str:
+    """The format by name, ``.gz`` taken off."""
+    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).suffix.lower()
+
+
 def read_log(path: str | Path) -> Iterator[Frame]:
     """Classic data frames in file order; raises `RecordingError` for a file that is none of candump, ASC, BLF, TRC."""
     p = Path(path)
     if not p.is_file():
         what = "is a directory" if p.is_dir() else "no such file"
         raise RecordingError(f"{p}: {what}; expected a candump (.log), ASC, BLF or TRC log")
-    if p.suffix.lower() not in LOG_SUFFIXES:
-        raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc")
+    suffix = log_suffix(p)
+    if suffix not in LOG_SUFFIXES:
+        raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc, perhaps .gz")
     try:
-        with can.LogReader(str(p), **({"relative_timestamp": False} if p.suffix.lower() == ".asc" else {})) as reader:
+        if suffix == ".log" and (screen := _screen_lines(p)) is not None:
+            yield from screen
+            return
+        with can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {})) as reader:
             for m in reader:
                 if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
                     yield Frame(m.arbitration_id, m.data, m.timestamp)
-    except (can.CanError, ValueError, IndexError, OSError, KeyError, struct.error, zlib.error) as e:
-        raise RecordingError(f"{p} is not a readable {p.suffix} log ({type(e).__name__}: {e}); export it again") from e
+    except Exception as e:
+        why = f"{type(e).__name__}: {str(e)[:200]}"
+        raise RecordingError(f"{p} is not a readable {suffix} log ({why}); export it again") from e
+
+
+# what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; stamps with -t a only
+_SCREEN = re.compile(r"^\s*(?:\(([\d.]+)\)\s+)?\S+\s+([0-9A-Fa-f]{3,8})\s+\[(\d)\]((?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$")
+
+
+def _screen_lines(p: Path) -> Iterator[Frame] | None:
+    """Frames of a log in candump's screen format; None if it is another. Raises ValueError for lines that are none, or unstamped."""
+    with _opened(p) as f:
+        first = next((line for line in f if line.strip()), "")
+    return _frames_of_screen(p) if _SCREEN.match(first) else None
+
+
+def _opened(p: Path) -> TextIO:
+    return gzip.open(p, "rt", errors="replace") if p.suffix.lower() == ".gz" else p.open(errors="replace")
+
+
+def _frames_of_screen(p: Path) -> Iterator[Frame]:
+    with _opened(p) as f:
+        for number, line in enumerate(f, 1):
+            found = _SCREEN.match(line)
+            if found is None and line.strip() and "remote request" not in line:
+                raise ValueError(f"line {number} is not candump's")
+            if found is None or len(found[2]) > 3:  # an extended identifier
+                continue
+            data = bytes.fromhex(found[4])
+            if found[1] is None or len(data) != int(found[3]):
+                raise ValueError(f"line {number} has no absolute stamp (candump -t a), or not the bytes it says")
+            yield Frame(int(found[2], 16), data, float(found[1]))

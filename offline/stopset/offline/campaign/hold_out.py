@@ -17,7 +17,7 @@ from stopset.recording import Recording
 
 FOLDS = 6  # parts that are left out in turn where an error is judged
 FEWEST_MOTIONS = 4  # from which on every other motion judges
-BLOCK = 4.0  # [s] about, of one trial
+BLOCK = 2.5  # [s] about, of one trial
 GUARD = 0.3  # [s] at each end of a block that judges: longer than the filters, and than friction takes to settle after a reversal
 SHORTEST = 1.5  # [s] of a block
 

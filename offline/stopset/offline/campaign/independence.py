@@ -25,7 +25,7 @@ NOISES = 1.5
 ALIKE = 0.1
 VARIES = 2.0  # in noises: what hardly moves tells nothing
 # Pieces of one recording: the next begins where the last one ended, in position and in speed, while the arm moves
-SEAM = 0.25  # [s] that may be lost, or recorded twice, between pieces
+SEAM = 0.05  # [s] that may be lost, or recorded twice, between pieces: longer, and motions of one joint go on by chance
 SEAM_ANGLE, SEAM_SPEED = 2e-3, 0.05  # [rad], [rad/s] besides a tenth of what the arm moved and a usual acceleration
 SEAM_ACCELERATION = 10.0  # [rad/s^2]
 UNDER_WAY = 0.05  # [rad/s] slower, every trial that starts where the last one rested would be a piece

@@ -105,12 +105,14 @@ class Tally:
     samples: int = 0
     longest: float = 0.0
     irregular: bool = False
+    conditions: set[str] = field(default_factory=set)
     kept: list[Recording] = field(default_factory=list)
     stride: int = 1
 
     def add(self, r: Recording) -> None:
         """Take one trial in."""
         self.places = max(self.places, r.place + 1)
+        self.conditions.add(r.condition)
         if r.phase != self.phase or len(r.t) < 3:
             self.noise.add(r)
             return

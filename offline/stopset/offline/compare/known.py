@@ -16,18 +16,19 @@ from stopset.recording.types import Array
 from stopset.robot.rigid import gravity_torques, torques
 
 
-def left_over(model: Model, r: Recording, u: Array, dt: float) -> Array:
+def left_over(model: Model, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None) -> Array:
     """(W, n) [N m] torque without explanation, averaged over windows of `AVERAGING`; ``u`` (N, n): the model's input.
 
-    Accelerations are differences of the recorded speeds; averaged, their noise is that of a window's two ends.
+    Accelerations are differences of the recorded speeds where ``ddq`` (N, n) is not given; averaged, their noise is that of a
+    window's two ends.  ``window``: in samples, where another one is wanted.
     """
-    ddq = np.gradient(r.dq, dt, axis=0)
+    ddq = np.gradient(r.dq, dt, axis=0) if ddq is None else ddq
     chain, pi, q = model.robot.chain, model.robot.pi, np.ascontiguousarray(r.q)
     needed = torques(chain, pi, q, np.ascontiguousarray(r.dq), ddq) - gravity_torques(chain, pi, q) + model.rotor * ddq
     needed = needed + ddq @ shared_inertia(model.robot, model.effects)
     for power, v in enumerate(model.abstraction.viscous.T, start=1):
         needed = needed + v * r.dq**power
     left = u - needed
-    m = max(1, round(AVERAGING / dt))
+    m = window or max(1, round(AVERAGING / dt))
     count = len(left) // m
     return np.asarray(left[: count * m].reshape(count, m, -1).mean(axis=1))

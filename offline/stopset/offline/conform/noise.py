@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual
+TELLING = 1.5  # times its noise: a slower reading does not tell which way a joint moves, and its friction would jump by chance
 FLOAT32_STEP = 5e-7  # files hold float32: values up to 2 pi have steps of 4.8e-7 of their own
 
 

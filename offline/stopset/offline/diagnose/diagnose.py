@@ -12,6 +12,7 @@ from stopset.artifact import Model
 from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Known, Scored
 from stopset.offline.diagnose.explain import advice
@@ -20,7 +21,7 @@ from stopset.offline.diagnose.explain.identifiable import Blind, blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
-from stopset.offline.diagnose.explain.uncertainty import deviations
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -28,8 +29,8 @@ from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
+SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 MOVE = "Move every joint through its range at several speeds."
-TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class Ranked:
     says: str
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    change: Change | None = None  # of a level that the model had
     doubt: str = ""  # why it is no finding after all
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
@@ -97,6 +99,7 @@ class Diagnosis:
     rows: int = 0
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
     notes: tuple[str, ...] = ()  # on what the recordings were measured against
+    changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
@@ -116,6 +119,7 @@ class Diagnosis:
                     "says": r.says,
                     "in_model": r.in_model,
                 }
+                | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std")}})
                 for r in self.ranked
             ],
             "rivals": [list(group) for group in self.rivals],
@@ -134,6 +138,7 @@ class Diagnosis:
                 }
                 for u in self.unexplained
             ],
+            "changed": [c.says for c in self.changed],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
             "excess": self.excess,
@@ -245,7 +250,8 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
 
         return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
     base = baseline(model, recordings)
-    fitted = settled(model)
+    # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
+    fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
     found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
@@ -254,7 +260,26 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    return replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes), base.against
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes)
+    if base.known is None or names is not None:
+        return found, base.against
+    return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
+
+
+def _with_changes(found: Diagnosis, told: Sequence[Change]) -> Diagnosis:
+    """The answer with what changed since identification: that is the verdict where nothing is missing besides."""
+    if not told:
+        return found
+    if found.verdict == "missing":
+        return replace(found, changed=tuple(told))
+    ranked = tuple(
+        Ranked(
+            c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
+            {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c,
+        )
+        for c in told
+    )  # fmt: skip
+    return replace(found, verdict="changed", ranked=ranked, changed=tuple(told), next_experiment=SINCE)
 
 
 def moves(r: Recording) -> bool:
@@ -337,8 +362,8 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
         why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]),
-                given, c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
+                c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
             )
         )  # fmt: skip
         before = after

@@ -1,17 +1,44 @@
-"""Sets that enclose all that was recorded and yet cannot be meant: said in words, and no success unless they are accepted."""
+"""Sets that enclose all that was recorded and yet say little: told in words, and no success where they cannot be meant."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from stopset.artifact import UncertaintySets
 from stopset.offline.campaign.survey import Survey
+from stopset.offline.compare.tightness import JUDGED, Tightness
 
+LATE = 0.5  # samples: a speed that comes later than this after the slope of its positions is told
 MOVES = 5.0  # a joint moves if it is faster than so many times its noise
 RANGES = 3.0  # an open-loop prediction that errs by more than so many of the joint's ranges has diverged
+
+
+def late(found: Survey, joints: Sequence[str]) -> list[str]:
+    """One sentence for each joint whose speed is not read when its positions are."""
+    n = len(joints)
+    return [
+        f"the speed of {j} comes {1e3 * abs(x):.1f} ms {'after' if x > 0 else 'before'} the slope of its positions, as one that is "
+        f"filtered or derived; its readings are up to {found.readings.most.hi[n + k]:.3g} rad/s off them, and that is what V may hold"
+        for k, (j, x) in enumerate(zip(joints, found.late.tolist(), strict=True))
+        if abs(x) > LATE * found.dt
+    ]
+
+
+def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[str]:
+    """One sentence for each joint of which the sets say less after 0.1 s than that it moves as it always did."""
+    n, out = len(joints), []
+    fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
+    for k, j in enumerate(joints):
+        half = float(tightness.half[JUDGED, n + k])
+        if np.isfinite(half) and half > fastest[k] > MOVES * found.readings.least.hi[n + k]:
+            out.append(
+                f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {fastest[k]:.3g} "
+                "rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
+            )
+    return [f"{'absurd' if 2 * len(out) > n else 'wide'}: {x}" for x in out]
 
 
 def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[str]:

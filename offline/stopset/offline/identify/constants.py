@@ -21,7 +21,7 @@ from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
 from stopset.offline.campaign import hold_out, independence, session, survey
-from stopset.offline.compare import metrics
+from stopset.offline.compare import metrics, tightness
 from stopset.offline.conform import (
     bands,
     corners,
@@ -42,6 +42,7 @@ from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
 from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
@@ -63,7 +64,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, energy, failed, moving, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -87,7 +88,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("coupled pairs", pair_choice, "EFFECT TELLS LOOKED_AT"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
     ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
@@ -105,8 +106,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
-    ("error of readings", reading_error, "SMOOTH FEWEST"),
-    ("readings", noise, "WINDOW COVERAGE FLOAT32_STEP _WEIGHTS"),
+    ("readings", noise, "WINDOW COVERAGE TELLING FLOAT32_STEP _WEIGHTS"),
+    ("reading error", reading_error, "SMOOTH FEWEST"),
+    ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
+    ("absurd", absurd, "LATE MOVES RANGES"),
+    ("drive gain", baseline, "POSES LOADED"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
     ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
@@ -125,14 +129,12 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("stop energy", energy, "CLAIMS ROUNDING"),
     ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES REWARD SLICE ANGLE_WEIGHT"),
-    ("stop accelerations", moving, "ROUNDING"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
-    ("stop tube", tube, "REDOS PASSES RECENTRE"),
+    ("stop tube", tube, "REDOS PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
@@ -141,16 +143,15 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
-    ("diagnosis baseline", baseline, "POSES LOADED"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
     ("diagnosis engine", engine, "GIVEN"),
-    ("diagnosis evidence", evidence, "SIGMAS"),
-    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP"),
-    ("diagnosis doubt", doubt, "SURE EDGE"),
+    ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
+    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
+    ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
-    ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )
 

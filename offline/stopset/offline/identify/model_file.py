@@ -19,7 +19,7 @@ from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
-from stopset.offline.identify.absurd import absurd
+from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
@@ -88,7 +88,9 @@ def packed(
     if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
         result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
         by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
-    tightness, odd = tight(result.sets), absurd(result.sets, errors, found)
+    tightness = tight(result.sets)
+    odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found)]
+    said = (*late(found, robot.joints), *tightness.words(robot.joints), *odd)
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
     total = widths | _sums(errors)
@@ -104,9 +106,9 @@ def packed(
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
-        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *tightness.words(robot.joints), *odd),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
-    return Identification(model, result, found, settings, tightness, tuple(odd))
+    return Identification(model, result, found, settings, tightness, tuple(x for x in odd if x.startswith("absurd")))
 
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:

@@ -13,6 +13,7 @@ from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Source, Survey, Tally, tallied
@@ -41,17 +42,20 @@ Keep = Literal["signals", "sums"] | None
 
 def identify(
     robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None, conditions: Sequence[str] = (),
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
     ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
     later recordings can be added to (`stopset.offline.update.update`), the signals themselves or sums of constant size;
+    ``conditions``: of the recordings, ``KEY=VALUE@FILE`` (`stopset.offline.campaign.conditions`);
     ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
-    return identified(robot, campaign_of(robot, paths), settings or Settings(), tell, scheduler, known, keep)
+    return identified(
+        robot, tagged(campaign_of(robot, paths), conditions, paths), settings or Settings(), tell, scheduler, known, keep
+    )
 
 
 def identified(
@@ -61,6 +65,8 @@ def identified(
     meta, source = campaign.meta, campaign.trials
     tell("reading the recordings")
     tally, stops = tallied(source)
+    if not chosen.mixed:
+        one_condition(tally.conditions)
     found = tally.survey()
     told = check_signals(robot, meta, found.sample)
     for text in told:

@@ -20,4 +20,5 @@ class Settings:
     horizon: float = HORIZON
     bands: int = 0  # temperature bands beside the whole; 0: none
     shape: str = "box"  # or "zonotope": of the torque set
+    mixed: bool = False  # recordings of several conditions are taken as one
     friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for

@@ -149,6 +149,8 @@ def _common(best: Array, std: Array) -> tuple[float, float]:
     sharp = s <= max(BLUNT, 2 * float(s.min()))
     middle = float(np.median(d[sharp]))
     near = np.abs(d - middle) <= 3 * s + CLOSE
+    if not near.any():  # two joints apart, and the median between them
+        return middle, float("inf")
     w = near / s**2
     mean = float(w @ d / w.sum())
     chi2 = float(w @ (d - mean) ** 2) / max(int(near.sum()) - 1, 1)

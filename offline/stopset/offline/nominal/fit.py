@@ -24,7 +24,7 @@ ASSUMED_SPREAD = 0.02  # of friction from motion to motion, where one motion can
 ASSUMED_FREEDOM = 4.0  # motions that the assumed spread counts for beside those seen
 COVERED = 0.975  # by two standard errors, one-sided
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
-WIDEST_PRIOR = 10.0  # times: a CAD further off than this is another robot
+WIDEST_PRIOR = 30.0  # times: a CAD further off than this is another robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +151,46 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     layout, n = data.layout, data.layout.n
     rows, rows_still = data.rows_moving.sum(axis=0), data.rows_still
     p = problem_of(layout, moving.sum(axis=0), still, rows, rows_still)
+    # a description believed too much explains itself: what it leaves then counts as noise, and the noise lets it be believed
+    believed, doubted = (_weighed(data, p, moving, prior, start) for start in (1.0, WIDEST_PRIOR))
+    weighed = min(believed, doubted, key=lambda x: x.unlikely)
+    variance, variance_still, inflation, scale, H, b = (
+        weighed.variance, weighed.variance_still, weighed.inflation, weighed.scale, weighed.H, weighed.b
+    )  # fmt: skip
+    limits = ranges(layout) + passivity(layout, *_seen(data))
+    theta, notes = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
+    if scale > 1.5:
+        notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
+    rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
+    return Fit(
+        theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
+        _before(p, prior, rows), tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """Weights that agree with the parameters they give: variances, correlation, the description's scale; normal equations.
+
+    ``unlikely``: minus twice the log evidence, up to a constant of the data.
+    """
+
+    variance: Array
+    variance_still: Array
+    inflation: Array
+    scale: float
+    H: Array
+    b: Array
+    unlikely: float
+
+
+def _weighed(data: NormalEquations, p: _Problem, moving: Array, prior: Prior, scale: float) -> _Weighed:
+    """Rounds of fitting and weighing, beginning with a description that is off by ``scale`` times its tolerance."""
+    n, m = p.layout.n, len(prior.mean)
+    rows, rows_still = p.rows, p.rows_still
     variance = np.array([0.05**2 * p.moving[j][-1, -1] / max(rows[j], 1) for j in range(n)])
     variance_still = np.array([0.05**2 * p.still[j][-1, -1] / max(rows_still[j], 1) for j in range(n)])
-    inflation, scale = np.full(n, TOGETHER), 1.0
-    m = len(prior.mean)
+    inflation = np.full(n, TOGETHER)
     for _ in range(ROUNDS):
         w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)
         w, w_still = np.where(rows > 0, w, 0.0), np.where(rows_still > 0, w_still, 0.0)
@@ -171,15 +207,10 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
         told = float(m - np.trace(precision @ np.linalg.inv(H)[:m, :m]))
         off = theta[:m] - prior.mean
         scale = float(np.clip(np.sqrt(off @ prior.precision @ off / max(told, 1.0)), 1.0, WIDEST_PRIOR))
-    limits = ranges(layout) + passivity(layout, *_seen(data))
-    theta, notes = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
-    if scale > 1.5:
-        notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
-    rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
-    return Fit(
-        theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, scale, rms,
-        _before(p, prior, rows), tuple(notes),
-    )  # fmt: skip
+    counted = float(np.sum(rows / TOGETHER * np.log(np.maximum(variance, 1e-12))))
+    counted += float(np.sum(rows_still * np.log(np.maximum(variance_still, 1e-12))))
+    unlikely = counted + float(off @ precision @ off) + float(np.linalg.slogdet(H)[1]) + 2 * m * float(np.log(scale))
+    return _Weighed(variance, variance_still, inflation, scale, H, b, unlikely)
 
 
 def _seen(data: NormalEquations) -> tuple[Array, Array]:

@@ -1,8 +1,9 @@
 """Which laws of friction a joint has beside Coulomb and viscous, by the error on what was not fitted.
 
-Every law that the regression can hold is tried at every joint.  Laws are taken one after another, each where it lowers the
-held-out torque error of its joint by a stated share, and does so in most of what is held out.  Held out are whole motions where
-there are enough, else blocks of time with a guard interval.  One pass over the recordings is enough: everything is answered from
+Joints share masses, so laws cannot be judged joint by joint from nothing: first the laws that the arm as a whole asks for are found
+(every subset of them, at all joints), then each joint gives up those that it does not need: whose loss raises its held-out torque error
+by less than a stated share, or in less than most of what is held out.  Held out are whole motions where there are enough, else
+blocks of time with a guard interval.  One pass over the recordings is enough: everything is answered from
 the sums.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,9 @@ BASE = ("coulomb", "viscous")
 GAINS = 0.02  # share by which a law must lower its joint's held-out torque error
 MOSTLY = 2 / 3  # of what is held out in turn in which it must lower it
 NEVER = 1e12  # times a column's own weight: what is not part of a model stays zero
+
+
+Places = dict[tuple[int, str], NDArray[np.intp]]  # (joint, law) -> its columns among all parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +71,13 @@ def choose(
 
     first = solve_nominal(robot, accumulate(robot, pieces(), (*BASE, *asked)))
     data = accumulate(robot, pieces(), (*BASE, *asked, *laws), reference=first.pi)
-    ladder = _Ladder(robot, data, first)
-    out: list[Gain] = []
-    for j in range(robot.n):
-        places = {x: ladder.places(j, x) for x in laws if f"{x}:{robot.joints[j]}" not in barred}
-        out += ladder.climb(j, places)
-    return tuple(out)
+    # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack
+    ladder = _Ladder(robot, data, solve_nominal(robot, data))
+    allowed = {
+        (j, x): p for j in range(robot.n) for x in laws
+        if f"{x}:{robot.joints[j]}" not in barred and len(p := ladder.places(j, x))
+    }  # fmt: skip
+    return tuple(ladder.kept(ladder.whole_arm(laws, allowed)))
 
 
 def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
@@ -83,9 +89,9 @@ def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
 class _Ladder:
     """Held-out errors of models with some of the columns of ``data``."""
 
-    def __init__(self, robot: Robot, data: NormalEquations, first: Nominal) -> None:
-        self._robot, self._data, self._first = robot, data, first
-        lags = [lag_weights(float(d)) for d in first.delay_applied]
+    def __init__(self, robot: Robot, data: NormalEquations, richest: Nominal) -> None:
+        self._robot, self._data, self._richest = robot, data, richest
+        lags = [lag_weights(float(d)) for d in richest.delay_applied]
         moving = np.stack([joint_reduced(data.moving[:, j], w) for j, w in enumerate(lags)], axis=1)
         still = np.array([joint_reduced(data.still[j], w) for j, w in enumerate(lags)])
         groups = [g for g in range(GROUPS) if data.rows_moving[g].sum() > 0]
@@ -94,10 +100,12 @@ class _Ladder:
         for g in sorted(groups, key=lambda g: -data.rows_moving[g].sum()):
             min(folds, key=lambda f: sum(data.rows_moving[k].sum() for k in f)).append(g)
         self._folds = [f for f in folds if f]
-        self._total, self._still = moving.sum(axis=0), still
-        self._held = [moving[f].sum(axis=0) for f in self._folds]
+        self._still, total = still, moving.sum(axis=0)
         self._rows = data.rows_moving.sum(axis=0)
-        self._rows_held = [data.rows_moving[f].sum(axis=0) for f in self._folds]
+        held = [(moving[f].sum(axis=0), data.rows_moving[f].sum(axis=0)) for f in self._folds]
+        self._systems = [self._system(total - G, self._rows - rows) for G, rows in held]
+        self._parts = [problem_of(data.layout, G, still, rows, data.rows_still).moving for G, rows in held]
+        self._solutions: dict[bytes, list[Array]] = {}
         self._all = np.concatenate([self.places(j, x) for j in range(robot.n) for x in LAWS]).astype(np.intp)
 
     def places(self, joint: int, effect: str) -> NDArray[np.intp]:
@@ -106,55 +114,74 @@ class _Ladder:
         columns = self._data.layout.columns[joint]
         return np.array([p for p, c in zip(own, columns, strict=True) if c.effect.name == effect], np.intp)
 
-    def climb(self, joint: int, places: dict[str, NDArray[np.intp]]) -> list[Gain]:
-        """Laws taken one after another at a joint, while one helps."""
-        left = {x: p for x, p in places.items() if len(p)}
-        if len(self._folds) < 2 or not self._rows[joint]:
-            return []
-        taken: list[NDArray[np.intp]] = []
-        error = self._errors(joint, taken)
-        out: list[Gain] = []
-        while left:
-            tried = {x: self._errors(joint, [*taken, p]) for x, p in left.items()}
-            best = min(tried, key=lambda x: float(tried[x].sum()))
-            before, after = (float(np.sqrt(e.sum() / self._rows[joint])) for e in (error, tried[best]))
-            better = float(np.mean(tried[best] < error))
-            if after > (1 - GAINS) * before or better < MOSTLY or not self._possible(joint, [*taken, left[best]]):
-                break
-            out.append(Gain(best, self._robot.joints[joint], before, after))
-            taken.append(left.pop(best))
-            error = tried[best]
-        return out
+    def whole_arm(self, laws: Sequence[str], allowed: Places) -> Places:
+        """The subset of ``laws``, at every joint that allows them, of the least held-out error, joints counting alike."""
+        if len(self._folds) < 2:
+            return {}
+        moved = [j for j in range(self._robot.n) if self._rows[j]]
 
-    def _solved(self, joint: int, columns: list[NDArray[np.intp]], fold: int | None) -> Array:
-        """All parameters fitted without a ``fold``, of the laws those at ``columns`` only."""
-        total, rows = self._total, self._rows
-        if fold is not None:
-            total, rows = total - self._held[fold], rows - self._rows_held[fold]
-        p = problem_of(self._data.layout, total, self._still, rows, self._data.rows_still)
-        f, prior = self._first, self._first.prior
-        w = np.where(rows > 0, 1 / np.maximum(f.rms**2 * f.inflation, 1e-12), 0.0)
-        w = np.nan_to_num(w)
-        w_still = np.where(self._data.rows_still > 0, 1 / np.maximum(np.nan_to_num(f.rms) ** 2, 1e-12), 0.0)
-        H, b = assemble(p, w, w_still, prior.precision, prior.mean)
-        out = np.setdiff1d(self._all, np.concatenate([np.zeros(0, np.intp), *columns]))
-        H[out, out] += NEVER * np.maximum(H[out, out], 1.0)
-        return np.asarray(np.linalg.solve(H, b), np.float64)
+        def value(some: Sequence[str]) -> float:
+            columns = [p for (_, x), p in allowed.items() if x in some]
+            return float(np.mean([np.log(self._errors(j, columns).sum() / self._rows[j]) for j in moved]))
+
+        best = min((some for k in range(len(laws) + 1) for some in combinations(laws, k)), key=value)
+        return {key: p for key, p in allowed.items() if key[1] in best and key[0] in moved}
+
+    def kept(self, places: Places) -> list[Gain]:
+        """What is left of ``places`` when every joint has given up the laws that it does not need, with what each gains."""
+        left = dict(places)
+        for j in range(self._robot.n):
+            while mine := [key for key in left if key[0] == j]:
+                tested = {key: self._gain(key, left) for key in mine}
+                least = min(mine, key=lambda key: tested[key][0])
+                if tested[least][1] and self._possible(left[least]):
+                    break
+                del left[least]
+        return [self._told(key, left) for key in left]
+
+    def _gain(self, key: tuple[int, str], left: Places) -> tuple[float, bool]:
+        """By what share a law lowers its joint's held-out error, and whether that is enough, in most folds."""
+        without, with_it = (self._errors(key[0], [p for k, p in left.items() if k != key or here]) for here in (False, True))
+        share = 1.0 - float(np.sqrt(with_it.sum() / max(without.sum(), 1e-300)))
+        return share, share >= GAINS and float(np.mean(with_it < without)) >= MOSTLY
+
+    def _told(self, key: tuple[int, str], left: Places) -> Gain:
+        j, effect = key
+        columns = ([p for k, p in left.items() if k != key or here] for here in (False, True))
+        before, after = (float(np.sqrt(self._errors(j, c).sum() / self._rows[j])) for c in columns)
+        return Gain(effect, self._robot.joints[j], before, after)
+
+    def _system(self, total: Array, rows: Array) -> tuple[Array, Array]:
+        """Normal matrix and right-hand side of all parameters, every law included."""
+        f, still = self._richest, self._data.rows_still
+        rms = np.nan_to_num(f.rms)
+        w = np.where(rows > 0, 1 / np.maximum(rms**2 * f.inflation, 1e-12), 0.0)
+        w_still = np.where(still > 0, 1 / np.maximum(rms**2, 1e-12), 0.0)
+        return assemble(
+            problem_of(self._data.layout, total, self._still, rows, still), w, w_still, f.prior.precision, f.prior.mean
+        )
 
     def _errors(self, joint: int, columns: list[NDArray[np.intp]]) -> Array:
-        """(folds,) sum of squared residuals of a joint on each fold that was left out of the fit."""
+        """(folds,) sum of squared residuals of a joint on each fold that was left out of the fit; of the laws those at ``columns``."""
+        out = np.setdiff1d(self._all, np.concatenate([np.zeros(0, np.intp), *columns]))
+        key = out.tobytes()
+        if key not in self._solutions:
+            self._solutions[key] = [_without(H, b, out) for H, b in self._systems]
         at = self._data.layout.index(joint)
-        out = []
-        for k in range(len(self._folds)):
-            p = problem_of(self._data.layout, self._held[k], self._still, self._rows_held[k], self._data.rows_still)
-            out.append(residual(p.moving[joint], self._solved(joint, columns, k)[at]))
-        return np.array(out)
+        parts = zip(self._parts, self._solutions[key], strict=True)
+        return np.array([residual(part[joint], theta[at]) for part, theta in parts])
 
-    def _possible(self, joint: int, columns: list[NDArray[np.intp]]) -> bool:
-        """Whether each law has some number within its range: friction that pushes is none."""
-        theta = self._solved(joint, columns, None)
-        own = dict(
-            zip(self._data.layout.index(joint)[10 * self._robot.n + 1 :].tolist(), self._data.layout.columns[joint], strict=True)
-        )
-        ranges = {p: next(t for t in own[p].effect.terms if t.symbol == own[p].symbol) for c in columns for p in c.tolist()}
-        return all(any(ranges[p].lo < theta[p] < ranges[p].hi for p in c.tolist()) for c in columns)
+    def _possible(self, places: NDArray[np.intp]) -> bool:
+        """Whether some number of a law is within its range: friction that pushes is none."""
+        theta = self._richest.theta
+        terms = {t.symbol: t for e in self._data.layout.columns for c in e for t in c.effect.terms}
+        names = self._data.layout.names()
+        ranges = [terms[names[p].rpartition(".")[2]] for p in places.tolist()]
+        return any(t.lo < theta[p] < t.hi for t, p in zip(ranges, places.tolist(), strict=True))
+
+
+def _without(H: Array, b: Array, out: NDArray[np.intp]) -> Array:
+    """The solution with the parameters ``out`` held at zero."""
+    A = H.copy()
+    A[out, out] += NEVER * np.maximum(A[out, out], 1.0)
+    return np.asarray(np.linalg.solve(A, b), np.float64)

@@ -14,6 +14,7 @@ from stopset.effects.base import Effect, Fitted
 from stopset.errors import EffectError
 from stopset.offline.campaign.survey import Source, Survey, on_grid
 from stopset.offline.conform.linear_sets import Pairs
+from stopset.offline.conform.noise import TELLING
 from stopset.offline.effect_names import matches, parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
@@ -140,7 +141,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
     inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
     damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
-    still = found.readings.least.hi[robot.n :]
+    still = TELLING * found.readings.least.hi[robot.n :]
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )

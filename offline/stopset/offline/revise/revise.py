@@ -17,6 +17,7 @@ import numpy as np
 
 from stopset.artifact import Model, Revision
 from stopset.errors import EffectError, ModelFileError, NotCovered
+from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
@@ -56,7 +57,7 @@ class Revised:
 
 def add(
     model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
-    tell: Tell = lambda _: None, keep: Keep = None,
+    tell: Tell = lambda _: None, keep: Keep = None, conditions: Sequence[str] = (),
 ) -> Revised:  # fmt: skip
     """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
 
@@ -66,7 +67,9 @@ def add(
     """
     robot, settings = description(model), settings_of(model)
     names = _names(effect, joint, robot, settings)
-    campaign = campaign_of(robot, paths)
+    campaign = tagged(campaign_of(robot, paths), conditions, paths)
+    if not settings.mixed:
+        one_condition(r.condition for r in campaign.trials())
     surveyed = survey(campaign.trials)
     judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, tell)
     first = _judged_before(model, paths)
@@ -75,7 +78,7 @@ def add(
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     tell("identifying the new revision")
-    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep)
+    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep, conditions=conditions)
     fresh = identified.model
     tell("bounding stops before and after")
     before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)

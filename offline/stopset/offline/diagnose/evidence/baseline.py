@@ -10,6 +10,7 @@ from stopset.artifact import Model
 from stopset.effects import Fitted
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -48,8 +49,8 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
             if f.effect == effect and f.joint in model.joints:
                 friction[model.joints.index(f.joint), column] = f.values[symbol]
     robot = replace(model.robot, drives=drives)
-    gain, notes = drive_gain(described, robot, model.domain.q)
-    return Baseline(robot, Known(friction, *gain), "identified model", notes)
+    gain, std, notes = drive_gain(described, robot, model.domain.q)
+    return Baseline(robot, Known(friction, gain, std), "identified model", notes)
 
 
 def settled(model: Model) -> tuple[Fitted, ...]:
@@ -58,9 +59,8 @@ def settled(model: Model) -> tuple[Fitted, ...]:
     return tuple(f for f in model.effects if f.label not in chosen)
 
 
-def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """Recorded over true torque and its standard deviation, from identified over described gravity torques at angles in ``reach``;
-    and notes.
+def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, float, tuple[str, ...]]:
+    """Recorded over true torque, its standard deviation and notes, from gravity torques, identified and described, over ``reach``.
 
     A torque constant that is off scales every identified mass, and every new load with them; but so does a description whose
     masses are off, and recordings of one arm cannot tell the two apart.  How far the ratio differs from joint to joint says how
@@ -70,17 +70,18 @@ def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[tuple[f
     ours, theirs = (gravity_torques(r.chain, r.pi, q) for r in (identified, described))
     weight, product = (theirs**2).sum(axis=0), (ours * theirs).sum(axis=0)
     total = float(weight.sum())
-    loaded = weight > LOADED * weight.max()
-    if total <= 0.0:
-        return (1.0, limit.DRIVES), ()  # no gravity loads a joint: nothing tells, and no mass is weighed
+    if total == 0.0:
+        return 1.0, DRIVES, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
     ratio, (least, most) = float(product.sum()) / total, limit.GAIN
     if not least < ratio < most:
-        return (1.0, limit.DRIVES), (
+        note = (
             f"the identified gravity torque is {ratio:.2g} times what the robot description says; expected {least:g} to {most:g}, which a "
-            "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded torque "
-            "as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)",
+            "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded "
+            "torque as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)"
         )
+        return 1.0, DRIVES, (note,)
+    loaded = weight > LOADED * weight.max()
     spread = float(weight[loaded] @ (product[loaded] / weight[loaded] - ratio) ** 2) / total
     masses = Tolerance().mass ** 2 + spread * float(weight @ weight) / total**2
-    share = limit.DRIVES**2 / (limit.DRIVES**2 + masses)
-    return (1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses))), ()
+    share = DRIVES**2 / (DRIVES**2 + masses)
+    return 1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses)), ()

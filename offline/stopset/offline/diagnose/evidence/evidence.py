@@ -19,6 +19,7 @@ from scipy.linalg import solve_triangular
 
 from stopset.offline.diagnose.rows.prepare import Array, Index
 
+RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)  # relative, the first that makes a matrix of repeated columns regular
 SIGMAS = np.array([0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2])  # [1] friction scales to choose from
 
 
@@ -131,6 +132,16 @@ class Projection:
     logdet: float
 
 
+def _factor(A: Array) -> Array:
+    """Cholesky factor of a scaled matrix; columns that repeat each other (a joint that never turns) leave it singular to rounding."""
+    for ridge in RIDGES[:-1]:
+        try:
+            return np.asarray(np.linalg.cholesky(A + ridge * np.eye(len(A))))
+        except np.linalg.LinAlgError:
+            continue
+    return np.asarray(np.linalg.cholesky(A + RIDGES[-1] * np.eye(len(A))))
+
+
 def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, mean: Array) -> Projection:
     """Take the ``nuisance`` (with prior ``mean`` and ``precision``) out of the columns ``rest`` and of ``y``."""
     at = np.flatnonzero(mean)
@@ -139,8 +150,7 @@ def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, me
     square = float(G[y, y] - 2 * m @ G[known, y] + m @ G[np.ix_(known, known)] @ m)
     A = G[np.ix_(nuisance, nuisance)] + np.diag(precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
-    # 1e-10: columns that repeat each other (a joint that never turns) leave the matrix singular
-    L = np.linalg.cholesky(A * np.outer(scale, scale) + 1e-10 * np.eye(len(A)))
+    L = _factor(A * np.outer(scale, scale))
     B = np.column_stack([G[np.ix_(nuisance, rest)], y_nuisance]) * scale[:, None]
     W = solve_triangular(L, B, lower=True, check_finite=False)
     S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]

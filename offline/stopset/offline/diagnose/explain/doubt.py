@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from stopset.effects import Effect
 
 SURE = 2.0  # standard deviations: some number of an effect must be larger, or the recordings give it no size
+WHOLE = 0.25  # a gear's swing has the size that its stiffness gives it: 1.00 and 1.05 on the labelled sets
 EDGE = 1e-3  # relative: a shape this near to the end of its range was stopped there, not found
 
 
@@ -20,6 +21,9 @@ def doubt(effect: Effect, values: Mapping[str, float], std: Mapping[str, float |
         v, s = sizes[t.symbol]
         if v < t.lo - SURE * s or v > t.hi + SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
+    if effect.name == "elasticity" and abs(values["share"] - 1.0) > WHOLE + SURE * (sizes["share"][1]):
+        v, s = sizes["share"]
+        return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {WHOLE:.0%} of it"
     for p in effect.shapes:
         v = values[p.symbol]
         if v <= p.lo * (1 + EDGE) or v >= p.hi * (1 - EDGE):

@@ -20,6 +20,7 @@ from stopset.offline.diagnose.rows.prepare import Array, Index
 
 FEW_TRIALS = 20  # below which parts of trials are taken as independent
 PART = 10.0  # [s] length of such a part: some motions
+TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 STEP = 0.01  # relative step of a shape's numerical derivative
 
 

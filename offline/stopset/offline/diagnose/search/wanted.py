@@ -13,6 +13,8 @@ from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 
 LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
 
+NEIGHBOURS = "coupled_wrist"  # a shaft through a joint drives the next one
+
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 
@@ -32,6 +34,8 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             places = [()]
         elif effect.scope == "pair":
             places = [(a[0], b[0]) for a, b in itertools.combinations(places, 2)]
+            if effect.name == NEIGHBOURS:
+                places = [(a, b) for a, b in places if b == a + 1]
         grids = [s.grid for s in effect.shapes]
         for place in places:
             if effect.enters == "input_delay":

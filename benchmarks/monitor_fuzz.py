@@ -1,0 +1,231 @@
+"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seed S] [--json FILE]``.
+
+Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
+take it or refuse it with an error of stopset's own; anything else is printed with the input that did it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import logging
+import math
+import random
+import sqlite3
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import can
+
+from monitor_arm import known_model, motion
+from stopset.artifact import load_model, save_model
+from stopset.errors import StopsetError
+from stopset.monitor.authentication import load_keys
+from stopset.monitor.bags import trials_of_bag
+from stopset.monitor.config import load_config
+from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
+from stopset.monitor.layout import pack, unpack
+from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.monitor.logs import trials_of_log
+from stopset.monitor.orders import parse_reset
+from stopset.monitor.profile import load_profile
+from stopset.monitor.replay import signal_rows
+from stopset.monitor.viewer import View
+
+PROFILE = load_profile("lwa4p/monitor")
+SPICE = [
+    b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"[" * 2000, b"{" * 2000, b'"', b"null", b"inf",
+    b"\n", b"=", b"0x", b"\xc3", b"{}", b"[]", b"true", b"-0", b"\x80" * 8, b"1_000", b"'''", b"\\u0000",
+]  # fmt: skip
+
+
+def spoilt(rng: random.Random, seeds: list[bytes]) -> bytes:
+    """A seed with a few changes."""
+    data = bytearray(rng.choice(seeds))
+    for _ in range(rng.choice([1, 1, 2, 4, 16])):
+        at = rng.randrange(len(data) + 1)
+        kind = rng.randrange(6)
+        if kind == 0 and data:
+            data[at % len(data)] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            data[at:at] = rng.choice(SPICE)
+        elif kind == 2:
+            del data[at : at + rng.choice([1, 4, 64])]
+        elif kind == 3:
+            other = rng.choice(seeds)
+            cut = rng.randrange(len(other) + 1)
+            data[at:] = other[cut : cut + 4096]
+        elif kind == 4:
+            data[at : at + 4] = rng.choice([2**31, 2**32 - 1, 0, 2**16, 17]).to_bytes(4, rng.choice(["little", "big"]))  # type: ignore[arg-type]
+        else:
+            data[at:at] = data[at : at + 16]
+    return bytes(data)
+
+
+def through_file(suffix: str, read: Callable[[Path], object], folder: Path) -> Callable[[bytes], object]:
+    path = folder / f"fuzz{suffix}"
+
+    def parse(data: bytes) -> object:
+        path.write_bytes(data)
+        path.chmod(0o600)
+        return read(path)
+
+    return parse
+
+
+def frames(data: bytes) -> None:
+    """CAN frames of any identifier, length and stamp."""
+    d = Decoder(PROFILE)
+    for at in range(0, len(data) - 3, 13):
+        length = min(data[at + 2] % 9, 8)
+        t = math.nan if data[at + 3] == 255 else at * 1e-4
+        d.frame(int.from_bytes(data[at : at + 2], "little") & 0x7FF, data[at + 4 : at + 4 + length], t)
+        d.nodes.bad(t)
+
+
+def viewer(data: bytes) -> None:
+    view = View()
+    for take in (view.take_json, view.take_event, view.take_health, view.take_state):
+        take("", data)
+    view.snapshot()
+
+
+def good_inputs(folder: Path) -> dict[str, list[bytes]]:
+    """What each parser is made for."""
+    names = known_model().joints
+    row = tuple(0.1 * i for i in range(6))
+    states = [JointState(10**18 + k, names, row, row, row) for k in range(3)]
+    config = (
+        b'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n[publish]\nvalid_for_ms = 30\n[stops]\ncategories = ["0", "1"]\n'
+    )
+    rows = signal_rows(motion(0, 40))
+    encoder = Encoder(PROFILE)
+    stream = [(k * 0.004 + i * 1e-5, c, d) for k, r in enumerate(rows) for i, (c, d) in enumerate(encoder.frames(r))]
+    files: dict[str, list[bytes]] = {}
+    for suffix in (".log", ".asc", ".blf", ".trc"):
+        path = folder / f"seed{suffix}"
+        with can.Logger(str(path)) as log:
+            for t, c, d in stream:
+                log.on_message_received(
+                    can.Message(arbitration_id=c, data=d, timestamp=1.7e9 + t, is_extended_id=False, channel="can0")
+                )
+        files[suffix] = [path.read_bytes()]
+    db = folder / "seed.db3"
+    with contextlib.closing(sqlite3.connect(db)) as x:
+        x.execute("create table topics (id integer, name text, type text)")
+        x.execute("create table messages (id integer primary key, topic_id integer, timestamp integer, data blob)")
+        x.execute("insert into topics values (1, '/joint_states', 'sensor_msgs/msg/JointState')")
+        x.executemany(
+            "insert into messages (topic_id, timestamp, data) values (1, ?, ?)", [(k, to_cdr(states[k % 3])) for k in range(20)]
+        )
+        x.commit()
+    from mcap.writer import Writer
+
+    out = io.BytesIO()
+    w = Writer(out)
+    w.start()
+    channel = w.register_channel("/joint_states", "cdr", w.register_schema("sensor_msgs/msg/JointState", "ros2msg", b""))
+    for k in range(20):
+        stamp = 10**18 + 4_000_000 * k
+        w.add_message(channel, stamp, to_cdr(JointState(stamp, names, row, row, row)), stamp)
+    w.finish()
+    save_model(known_model(), folder / "m.json")
+    stop = {"time_s": 0.1, "tcp_m": None, "why": "", "joints": {}}
+    twin = {
+        "state": "OK", "why": "x", "data_id": 1, "joints": list(names), "violations": [{"joint": names[0], "samples": 1}],
+        "gaps": 0, "room": None, "verdicts": {"CONFORMANT": 1}, "oldest_prediction_s": 0.1, "notice": "n", "stops": {"0": stop},
+    }  # fmt: skip
+    return {
+        "joint_states JSON": [to_json(s) for s in states], "joint_states CDR": [to_cdr(s) for s in states],
+        "reset": [b'{"name": "A. Person", "reason": "seen to"}'], "state message": [pack({"data_id": 7, "state": 0x2B})],
+        "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:60])],
+        "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
+        "configuration": [config], "profile": [PROFILE.dcf.with_name("monitor.toml").read_bytes()], "keys": [f"1 {'11' * 32}\n".encode()],
+        "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "MCAP": [out.getvalue()], "db3": [db.read_bytes()],
+        "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
+    }  # fmt: skip
+
+
+def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
+    """By the names of `good_inputs`."""
+    profile_text = PROFILE.dcf.with_name("monitor.toml").read_text()
+    beside = folder / "eds"
+    beside.mkdir()
+    (folder / "monitor.dcf").write_bytes(PROFILE.dcf.read_bytes())
+    (beside / "p.toml").write_text(profile_text.replace("monitor.dcf", "fuzz.dcf"))
+    (beside / "fuzz.dcf").write_text("")
+
+    def bag(path: Path) -> object:
+        return list(trials_of_bag(path, "/joint_states", None, None, 0))
+
+    def log(path: Path) -> object:
+        return list(trials_of_log(path, PROFILE, PROFILE.cycle_s))
+
+    def profile(path: Path) -> object:
+        return Decoder(load_profile(path))
+
+    files: dict[str, tuple[str, Callable[[Path], object], Path]] = {
+        "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
+        "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda _: profile(beside / "p.toml"), beside),
+        "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder), "db3": (".db3", bag, folder),
+        "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
+    }  # fmt: skip
+    memory: dict[str, Callable[[bytes], object]] = {
+        "joint_states JSON": decode, "joint_states CDR": decode, "reset": parse_reset, "state message": unpack,
+        "CAN frames": frames, "viewer": viewer,
+    }  # fmt: skip
+    return memory | {name: through_file(*how) for name, how in files.items()}
+
+
+def fuzz(name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int) -> Counter[str]:
+    """Outcomes by kind; foreign ones by the exception's name."""
+    rng, out = random.Random(f"{name} {seed}"), Counter[str]()
+    for _ in range(inputs):
+        data = spoilt(rng, seeds)
+        try:
+            parse(data)
+            out["taken"] += 1
+        except StopsetError:
+            out["refused"] += 1
+        except Exception as e:  # noqa: BLE001 - what is looked for
+            if out[f"FOREIGN {type(e).__name__}"] == 0:
+                print(f"{name}: {type(e).__name__}: {str(e)[:120]}  by  {data[:120]!r}", flush=True)
+            out[f"FOREIGN {type(e).__name__}"] += 1
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--inputs", type=int, default=1_000_000, help="per parser (files: a hundredth)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    logging.disable()  # the libraries' own words on every damaged line
+    found: dict[str, dict[str, int]] = {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        seeds = good_inputs(folder)
+        for name, parse in parsers(folder).items():
+            if args.only and args.only not in name:
+                continue
+            begin = time.process_time()
+            in_memory = name in ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer")
+            n = args.inputs if in_memory else max(1, args.inputs // 100)
+            found[name] = dict(fuzz(name, parse, seeds[name], n, args.seed))
+            print(f"{name:<18} {n:8} inputs in {time.process_time() - begin:6.1f} s CPU: {found[name]}", flush=True)
+    if args.json:
+        args.json.write_text(json.dumps(found))
+    return int(any("FOREIGN" in kind for counts in found.values() for kind in counts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,194 @@
+"""Real robots as found: what inspect, identify, compare and diagnose make of recordings that nobody prepared.
+
+    python benchmarks/real_robots.py FOLDER [--json FILE] [--markdown FILE]
+
+FOLDER holds one folder per robot with a ``robot.urdf`` (and ``robot.json``, if there is one) and recordings ``*.parquet``; a file
+``only.txt`` may hold options for ``stopset identify`` (``--tip LINK``, ``--lock J,K``).  Nothing is fetched.
+
+A robot with one recording is identified from the first 60 % of its time and judged on the rest; one with several from all but every
+third recording.  The held-out error is that of the filtered torque over all samples at which the arm moves, summed over the joints:
+of stopset at its first try, and of least squares on the same rows with base parameters, rotor inertia, Coulomb and viscous friction
+and an offset per joint, without and with load-dependent and cubic friction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stopset.artifact import Model, load_model
+from stopset.offline.compare.known import left_over
+from stopset.offline.nominal import Preprocessing
+from stopset.offline.nominal.preprocess import motions
+from stopset.offline.nominal.unidentifiable import base_directions, parameter_scale
+from stopset.recording import Recording, Recordings, read_recordings, write_recordings
+from stopset.robot import Robot
+from stopset.robot.rigid import gravity_torques, regressors
+
+FITTED = 0.6  # of the time of a single recording
+MOVING = 0.02  # [rad/s] the arm moves when some joint is faster
+LOAD_AND_CUBIC = 2  # columns per joint beyond the plain law
+
+
+def divided(recordings: Recordings) -> tuple[list[Recording], list[Recording]]:
+    """What is fitted and what judges."""
+    trials = [r for r in recordings if r.phase != "static" and np.ptp(r.q, axis=0).max() > MOVING]
+    if len(trials) == 1:
+        cut = round(FITTED * len(trials[0].t))
+        return [trials[0].cut(0, cut)], [trials[0].cut(cut, len(trials[0].t))]
+    return [r for k, r in enumerate(trials) if k % 3 != 2], [r for k, r in enumerate(trials) if k % 3 == 2]
+
+
+def rows(trials: Sequence[Recording]) -> list[tuple[np.ndarray, ...]]:
+    """Filtered ``q, dq, ddq, tau, t`` of each piece where the arm moves."""
+    out = []
+    for r in trials:
+        for m in motions(r, Preprocessing()):
+            k = m.kept[np.abs(m.dq[m.kept]).max(axis=1) > MOVING]
+            out.append((*(np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau)), m.t[k]))
+    return out
+
+
+def least_squares(robot: Robot, fit: Sequence[Recording], test: Sequence[Recording], more: bool) -> np.ndarray:
+    """(n,) held-out error [N m] of weighted least squares with base parameters and friction per joint."""
+    V = base_directions(robot) * parameter_scale(robot)[:, None]
+
+    def columns(q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
+        n, load = robot.n, np.abs(gravity_torques(robot.chain, robot.pi, q))
+        laws = [ddq, np.sign(dq), dq, np.ones_like(dq), *([np.sign(dq) * load, dq**3] if more else [])]
+        X = np.zeros((len(q), n, V.shape[1] + len(laws) * n))
+        X[:, :, : V.shape[1]] = regressors(robot.chain, q, dq, ddq) @ V
+        for c, x in enumerate(laws):
+            for j in range(n):
+                X[:, j, V.shape[1] + c * n + j] = x[:, j]
+        return X
+
+    parts = rows(fit)
+    X, y = np.concatenate([columns(*p[:3]) for p in parts]), np.concatenate([p[3] for p in parts])
+    w = np.ones(robot.n)
+    for _ in range(4):
+        A, b = (X * w[:, None]).reshape(-1, X.shape[2]), (y * w).ravel()
+        d = 1 / np.maximum(np.linalg.norm(A, axis=0), 1e-9)
+        theta = d * np.linalg.lstsq(A * d, b, rcond=1e-9)[0]
+        w = 1 / np.maximum(np.sqrt(np.mean((y - X @ theta) ** 2, axis=0)), 1e-9)
+    left = np.concatenate([p[3] - columns(*p[:3]) @ theta for p in rows(test)])
+    return np.sqrt(np.mean(left**2, axis=0))
+
+
+def ours(model: Model, test: Sequence[Recording]) -> np.ndarray:
+    """(n,) held-out error [N m] of a model's rigid body, friction and effects in full; friction passes the torque's filter."""
+    out = []
+    for r in test:
+        for m in motions(r, Preprocessing()):
+            q, dq, ddq = (np.ascontiguousarray(x) for x in (m.q, m.dq, m.ddq))
+            whole = Recording("closed_loop", 0, 0, 0, m.t, q, dq, m.raw_tau)
+            u = model.input(q, dq, m.raw_tau, m.temp, 0.0, m.t)
+            left = m.smooth(left_over(model, whole, u, float("nan"), ddq, window=1))
+            out.append(left[m.kept[np.abs(dq[m.kept]).max(axis=1) > MOVING]])
+    return np.sqrt(np.mean(np.concatenate(out) ** 2, axis=0))
+
+
+def stopset(*words: str) -> tuple[int, str, float]:
+    """Exit code, all that was said, and seconds of a command."""
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "stopset.cli.main", *words], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr, time.perf_counter() - start
+
+
+def judge(folder: Path, work: Path) -> dict[str, Any]:
+    """One robot through all commands."""
+    from stopset.robot import load_robot
+
+    options = (folder / "only.txt").read_text().split() if (folder / "only.txt").exists() else []
+    given = dict(zip(options[::2], options[1::2], strict=True))
+    lock = tuple(given["--lock"].split(",")) if "--lock" in given else ()
+    robot = load_robot(folder / "robot.urdf", tip=given.get("--tip"), lock=lock)
+    files = sorted(folder.glob("*.parquet"))
+    recordings = read_recordings(files, robot)
+    fit, test = divided(recordings)
+    out: dict[str, Any] = {"robot": folder.name, "seconds recorded": round(sum(float(r.t[-1] - r.t[0]) for r in recordings))}
+    paths = {name: work / f"{folder.name}.{name}.parquet" for name in ("fit", "test")}
+    for name, part in (("fit", fit), ("test", test)):
+        own = [replace(r, suite=k, trial=0, phase="closed_loop") for k, r in enumerate(part)]
+        write_recordings(paths[name], replace(recordings.meta, joints=robot.joints), own)
+    urdf = str(folder / "robot.urdf")
+    said: dict[str, Any] = {}
+    code, _, _ = stopset("inspect", *map(str, files), "--robot", urdf, *options, "--json", str(work / "inspect.json"))
+    if (work / "inspect.json").exists():
+        said = json.loads((work / "inspect.json").read_text())
+    worst = [f["kind"] for file in said.get("files", []) for f in file["findings"] if f["severity"] != "note"]
+    out["inspect"] = f"exit {code}: {', '.join(dict.fromkeys(worst)) or 'nothing'}"
+    model = work / f"{folder.name}.model.json"
+    code, text, seconds = stopset("identify", "--robot", urdf, *options, "--data", str(paths["fit"]), "--out", str(model))
+    out["identify"], out["identify seconds"] = f"exit {code}" if code < 2 else text.strip().splitlines()[-1], round(seconds)
+    out["least squares"] = least_squares(robot, fit, test, more=False).round(3).tolist()
+    out["least squares, load and cubic"] = least_squares(robot, fit, test, more=True).round(3).tolist()
+    if not model.exists():
+        return out
+    out["stopset"] = ours(load_model(model), test).round(3).tolist()
+    answer = work / "compare.json"
+    code, _, _ = stopset("compare", str(model), "--data", str(paths["test"]), "--json", str(answer))
+    compared = json.loads(answer.read_text()) if answer.exists() else {}
+    out["held-out inside"] = code == 0
+    out["tightness"] = compared.get("tightness")
+    answer = work / "diagnose.json"
+    code, text, seconds = stopset("diagnose", str(model), "--data", str(paths["fit"]), "--json", str(answer))
+    found = json.loads(answer.read_text()) if code == 0 else {"verdict": text.strip().splitlines()[-1], "ranked_effects": []}
+    out["diagnosis"], out["diagnose seconds"] = found["verdict"], round(seconds)
+    out["effects"] = [f"{e['effect']}:{e['joint']}" for e in found["ranked_effects"]]
+    return out
+
+
+def table(results: Sequence[dict[str, Any]]) -> str:
+    """As Markdown; errors in N m, summed over the joints."""
+    head = (
+        "robot",
+        "inspect",
+        "identify",
+        "held-out error: least squares / with load, cubic / stopset",
+        "inside",
+        "diagnosis",
+        "s",
+    )
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for r in results:
+        errors = [sum(r[k]) if k in r else float("nan") for k in ("least squares", "least squares, load and cubic", "stopset")]
+        cells = (
+            r["robot"], r["inspect"], r["identify"], " / ".join(f"{e:.2f}" for e in errors), "yes" if r.get("held-out inside") else "no",
+            f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}", f"{r['identify seconds']} + {r.get('diagnose seconds', 0)}",
+        )  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    args = parser.parse_args()
+    results = []
+    with tempfile.TemporaryDirectory() as work:
+        for folder in sorted(p.parent for p in args.folder.glob("*/robot.urdf")):
+            results.append(judge(folder, Path(work)))
+            print(json.dumps(results[-1]), flush=True)
+    text = table(results)
+    print(text)
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1))
+    if args.markdown:
+        args.markdown.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

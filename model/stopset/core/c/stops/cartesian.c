@@ -1,0 +1,193 @@
+/* From joint tubes to space: how far a point of the arm can get, how fast, and what a link can sweep.
+ *
+ * For a point p of link l, d2 p/dq_i dq_k = z_a x (z_b x (p - o_b)) with b = max(i, k): its length is at most R_b, the largest
+ * distance of p from axis b. So around the middle c of a box of joint displacements
+ *     p(q0 + d) - p(q0)  in  p(q + c) - p(q) + J(q + c) [-r, r] + ball(curved part),
+ * and the largest length over the box of the linear part sits at a corner.
+ */
+#include <math.h>
+#include <string.h>
+
+#include "../vectors.h"
+#include "stops.h"
+
+typedef struct {
+    double p[3], J[3 * SN], distance[SN]; /* of a point, its Jacobian, its distance from each axis; zero for joints beyond */
+} Point;
+
+static void locate(const StopsetArm *arm, const double *q, int link, const double *point, Point *out) {
+    const int n = arm->n;
+    stopset_point(arm, q, link, point, out->p, out->J);
+    for (int i = 0; i < n; i++) {
+        const double column[3] = {out->J[i], out->J[n + i], out->J[2 * n + i]};
+        out->distance[i] = sqrt(dot(column, column));
+    }
+}
+
+/* Largest distance from each axis while the angles stay within `radius`: tip to base, it moves by the joints beyond. */
+static void reach_of(int n, const double *distance, const double *radius, int link, double *out) {
+    double beyond = 0.0;
+    memset(out, 0, (size_t)n * sizeof *out);
+    for (int i = link; i >= 0; i--) {
+        out[i] = distance[i] + beyond;
+        beyond += out[i] * radius[i];
+    }
+}
+
+static double curved(const double *reach, const double *r, const double *s, int link) {
+    double total = 0.0;
+    for (int i = 0; i <= link; i++)
+        for (int k = 0; k <= link; k++) total += reach[i > k ? i : k] * r[i] * s[k];
+    return total;
+}
+
+/* Largest length of start + G [-1, 1], columns of G (3, stride) times radius: at a corner, since a length is convex. */
+static double longest(const double *start, const double *G, int stride, const double *radius, int link) {
+    double p[3] = {start[0], start[1], start[2]}, sign[SN], best;
+    for (int i = 0; i <= link; i++) {
+        sign[i] = 1.0;
+        for (int r = 0; r < 3; r++) p[r] += G[r * stride + i] * radius[i];
+    }
+    best = dot(p, p);
+    for (int64_t corner = 1; corner < (int64_t)1 << (link + 1); corner++) { /* Gray code */
+        int i = 0;
+        while (!((corner >> i) & 1)) i++;
+        sign[i] = -sign[i];
+        for (int r = 0; r < 3; r++) p[r] += 2.0 * sign[i] * radius[i] * G[r * stride + i];
+        best = most(best, dot(p, p));
+    }
+    return sqrt(best);
+}
+
+int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
+                       const double *v_lo, const double *v_hi, int link, const double *point, double *way, double *way_ball, double *pace,
+                       double *pace_ball) {
+    const int n = arm->n, m = n + 1;
+    Point start, here;
+    double wide[SN], c[SN], r[SN], vc[SN], vr[SN], far[SN], fast[SN], at[SN], reach[SN];
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    locate(arm, q, link, point, &start);
+    memset(way, 0, (size_t)(S * 3 * m) * sizeof *way);
+    memset(pace, 0, (size_t)(S * 3 * m) * sizeof *pace);
+    for (int64_t s = 0; s < S; s++, way += 3 * m, pace += 3 * m) {
+        for (int i = 0; i < n; i++) {
+            const int64_t k = s * n + i;
+            c[i] = 0.5 * (d_lo[k] + d_hi[k]);
+            r[i] = 0.5 * (d_hi[k] - d_lo[k]);
+            vc[i] = 0.5 * (v_lo[k] + v_hi[k]);
+            vr[i] = 0.5 * (v_hi[k] - v_lo[k]);
+            wide[i] = r[i] + q_radius[i];
+            far[i] = wide[i] + size_of(c[i]); /* also on the way from q to q + c */
+            fast[i] = size_of(vc[i]) + vr[i];
+            at[i] = q[i] + c[i];
+        }
+        locate(arm, at, link, point, &here);
+        reach_of(n, here.distance, far, link, reach);
+        way_ball[s] = 0.5 * curved(reach, wide, wide, link) + 0.5 * curved(reach, q_radius, q_radius, link);
+        pace_ball[s] = curved(reach, wide, fast, link);
+        for (int x = 0; x < 3; x++) way[x * m] = here.p[x] - start.p[x];
+        for (int i = 0; i <= link; i++) {
+            const double change[3] = {here.J[i] - start.J[i], here.J[n + i] - start.J[n + i], here.J[2 * n + i] - start.J[2 * n + i]};
+            way_ball[s] += q_radius[i] * sqrt(dot(change, change));
+            for (int x = 0; x < 3; x++) {
+                way[x * m + i + 1] = here.J[x * n + i] * r[i];
+                pace[x * m + i + 1] = here.J[x * n + i] * vr[i];
+                pace[x * m] += here.J[x * n + i] * vc[i];
+            }
+        }
+    }
+    return STOPSET_OK;
+}
+
+void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way, const double *way_ball,
+                          const double *pace, const double *pace_ball, double *far, double *fast, double *box) {
+    const int m = arm->n + 1;
+    double reach = sqrt(dot(point, point)), one[SN];
+    *far = *fast = 0.0;
+    memset(box, 0, 6 * sizeof *box);
+    for (int i = 1; i <= link; i++) reach += sqrt(dot(arm->p + 3 * i, arm->p + 3 * i));
+    for (int i = 0; i <= link; i++) one[i] = 1.0;
+    for (int64_t s = 0; s < S; s++, way += 3 * m, pace += 3 * m) {
+        const double from[3] = {way[0], way[m], way[2 * m]}, going[3] = {pace[0], pace[m], pace[2 * m]};
+        *far = most(*far, longest(from, way + 1, m, one, link) + way_ball[s]);
+        *fast = most(*fast, longest(going, pace + 1, m, one, link) + pace_ball[s]);
+        for (int x = 0; x < 3; x++) {
+            double half = way_ball[s];
+            for (int i = 0; i <= link; i++) half += size_of(way[x * m + i + 1]);
+            box[2 * x] = least(box[2 * x], way[x * m] - half);
+            box[2 * x + 1] = most(box[2 * x + 1], way[x * m] + half);
+        }
+    }
+    /* however far joints turn, no point leaves the ball about the first one that the arm reaches */
+    *far = least(*far, 2.0 * reach);
+    for (int x = 0; x < 6; x++) box[x] = least(most(box[x], -2.0 * reach), 2.0 * reach);
+}
+
+int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
+                           const double *tip, double *out) {
+    const int n = arm->n;
+    const double zero[3] = {0, 0, 0};
+    double at[SN], r[SN], reach[SN];
+    Point here;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    for (int64_t s = 0; s < S; s++) {
+        for (int i = 0; i < n; i++) {
+            at[i] = q[i] + 0.5 * (d_lo[s * n + i] + d_hi[s * n + i]);
+            r[i] = 0.5 * (d_hi[s * n + i] - d_lo[s * n + i]) + q_radius[i];
+        }
+        for (int link = 0; link < n; link++, out += 7) {
+            double radius = 0.0;
+            for (int e = 0; e < 2; e++) {
+                locate(arm, at, link, !e ? zero : link + 1 < n ? arm->p + 3 * (link + 1) : tip, &here);
+                memcpy(out + 3 * e, here.p, sizeof here.p);
+                reach_of(n, here.distance, r, link, reach);
+                radius = most(radius, longest(zero, here.J, n, r, link) + 0.5 * curved(reach, r, r, link));
+            }
+            out[6] = radius;
+        }
+    }
+    return STOPSET_OK;
+}
+
+int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi, const double *e_lo,
+                       const double *e_hi, const double *t, int64_t count, double *border, double *work, double *out_dl, double *out_dh,
+                       double *out_vl, double *out_vh) {
+    int64_t begin = 0, made = 0;
+    double *way = work;
+    way[0] = 0.0;
+    border[0] = 0.0;
+    for (int64_t k = 0; k < K; k++) {
+        double sum = 0.0;
+        for (int64_t i = k * n; i < (k + 1) * n; i++) sum += 0.5 * size_of(d_lo[i + n] + d_hi[i + n] - d_lo[i] - d_hi[i]);
+        way[k + 1] = way[k] + sum;
+    }
+    for (int64_t s = 0; s < count && begin < K; s++) {
+        int64_t end = begin + 1;
+        while (end < K && (s == count - 1 || way[end] < way[K] * (double)(s + 1) / (double)count)) end++;
+        for (int i = 0; i < n; i++) {
+            double dl = STOPS_INF, dh = -STOPS_INF, vl = STOPS_INF, vh = -STOPS_INF;
+            for (int64_t k = begin; k <= end; k++) {
+                const int64_t at = k * n + i;
+                dl = least(dl, d_lo[at]);
+                dh = most(dh, d_hi[at]);
+                vl = least(vl, v_lo[at]);
+                vh = most(vh, v_hi[at]);
+                if (k == end) continue;
+                vl = least(vl, e_lo[at]);
+                vh = most(vh, e_hi[at]);
+                /* a displacement bound that turns round within a step bulges out by less than half of it */
+                const double h = t[k + 1] - t[k];
+                if (v_hi[at] > 0.0 && e_hi[at] <= 0.0) dh = most(dh, d_hi[at] + 0.5 * h * v_hi[at]);
+                if (v_lo[at] < 0.0 && e_lo[at] >= 0.0) dl = least(dl, d_lo[at] + 0.5 * h * v_lo[at]);
+            }
+            out_dl[s * n + i] = dl;
+            out_dh[s * n + i] = dh;
+            out_vl[s * n + i] = vl;
+            out_vh[s * n + i] = vh;
+        }
+        made = s + 1;
+        border[made] = t[end];
+        begin = end;
+    }
+    return made;
+}

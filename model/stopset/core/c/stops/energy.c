@@ -1,0 +1,193 @@
+/* What the kinetic energy knows of the speeds: the layer that holds where coupling is too strong for joint-wise bands.
+ *
+ * With y = sqrt(v' M v), y dy/dt = v' (u - g - D v - f) <= sum_i w_i |v_i|, w_i = sup |u_i - g_i| - F_i - B_i(t): all w_i < 0 give
+ * dy/dt <= -min_i |w_i| / sqrt(M_ii), else dy/dt <= sqrt(w+' |W| w+) with W >= M^-1; |v_i| <= sqrt(W_ii) y caps every speed.
+ * W comes from M >= M_c - diag(r), r_i = M_ii sum_j d_ij / sqrt(M_ii M_jj) (weighted Gershgorin).
+ *
+ * Source: Spong et al. (2006), ch. 7, for the skew symmetry of M' - 2 C.
+ */
+#include <math.h>
+#include <string.h>
+
+#include "stops.h"
+
+enum { CLAIMS = STOPSET_ENERGY_CLAIMS };
+const double stopset_energy_rounding = 1.0 + 1e-9;
+
+/* Largest sqrt(v' M v) over a box of speeds: convex in v, so at a corner; inf for an unbounded box. */
+double stops_largest(const Local *at, const double *v_lo, const double *v_hi) {
+    const int n = at->n;
+    double spread = 0.0, v[SN], p[SN], value = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double a = most(size_of(v_lo[i]), size_of(v_hi[i]));
+        if (!(a < STOPS_INF)) return STOPS_INF;
+        for (int j = 0; j < n; j++) spread += at->dM[i * n + j] * a * most(size_of(v_lo[j]), size_of(v_hi[j]));
+    }
+    memcpy(v, v_lo, (size_t)n * sizeof *v);
+    for (int i = 0; i < n; i++) {
+        p[i] = 0.0;
+        for (int j = 0; j < n; j++) p[i] += at->M[i * n + j] * v[j];
+    }
+    for (int i = 0; i < n; i++) value += v[i] * p[i];
+    double best = value;
+    for (int64_t corner = 1; corner < (int64_t)1 << n; corner++) { /* Gray code: one speed changes at a time */
+        int i = 0;
+        while (!((corner >> i) & 1)) i++;
+        const double new = v[i] == v_lo[i] ? v_hi[i] : v_lo[i], step = new - v[i];
+        value += step * (2.0 * p[i] + at->M[i * n + i] * step);
+        for (int j = 0; j < n; j++) p[j] += at->M[j * n + i] * step;
+        v[i] = new;
+        best = most(best, value);
+    }
+    return sqrt(most(best + spread, 0.0)) * stopset_energy_rounding;
+}
+
+/* W >= M^-1; 0 if M is not surely positive definite. */
+static int inverse(const Local *at, Energy *out) {
+    const int n = at->n;
+    double A[SN * SN], L[SN * SN], x[SN];
+    memcpy(A, at->M, (size_t)(n * n) * sizeof *A);
+    for (int i = 0; i < n; i++) {
+        double relative = 0.0;
+        for (int j = 0; j < n; j++) relative += at->dM[i * n + j] / sqrt(at->M[i * n + i] * at->M[j * n + j]);
+        A[i * n + i] -= at->M[i * n + i] * relative;
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            double s = A[i * n + j];
+            for (int k = 0; k < j; k++) s -= L[i * n + k] * L[j * n + k];
+            if (i == j && !(s > 1e-6 * at->M[i * n + i])) return 0;
+            L[i * n + j] = i == j ? sqrt(s) : s / L[j * n + j];
+        }
+    for (int c = 0; c < n; c++) {
+        for (int i = 0; i < n; i++) {
+            double s = i == c ? 1.0 : 0.0;
+            for (int k = 0; k < i; k++) s -= L[i * n + k] * x[k];
+            x[i] = s / L[i * n + i];
+        }
+        for (int i = n - 1; i >= 0; i--) {
+            double s = x[i];
+            for (int k = i + 1; k < n; k++) s -= L[k * n + i] * x[k];
+            x[i] = s / L[i * n + i];
+        }
+        for (int i = 0; i < n; i++) out->W[i * n + c] = x[i];
+    }
+    return 1;
+}
+
+/* w_i [N m] of this file's head, for the directions in which speeds within [v_lo, v_hi] point. */
+void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, const double *v_lo,
+                        const double *v_hi, double *w) {
+    for (int i = 0; i < n; i++) {
+        double up = u_hi[i] - e->g_lo[i], down = e->g_hi[i] - u_lo[i];
+        if (v_lo[i] >= 0.0 && v_hi[i] > 0.0)
+            down = up;
+        else if (v_hi[i] <= 0.0 && v_lo[i] < 0.0)
+            up = down;
+        w[i] = most(up, down) - B_lo[i];
+    }
+}
+
+/* Caps on a step of h seconds from y, on whose box `at` holds and w bounds the power. Whatever the pose, M >= diag(rotor) and
+ * M_ii <= K.size_i + rotor_i. */
+static void caps(const StopsetPlant *p, Energy *e, double y, const Local *at, const double *w, double h) {
+    const int n = at->n, local = inverse(at, e);
+    double near = 0.0, far = 0.0, slowest = STOPS_INF;
+    for (int i = 0; i < n; i++) {
+        const double rotor_lo = p->rotor[i] - p->rotor_half[i], rotor_hi = p->rotor[i] + p->rotor_half[i], push = most(w[i], 0.0);
+        slowest = least(slowest, -w[i] / sqrt(least(at->M[i * n + i] + at->dM[i * n + i], p->curvature.size[i] + rotor_hi)));
+        far += push * push / rotor_lo;
+        for (int j = 0; j < n; j++) near += push * size_of(e->W[i * n + j]) * most(w[j], 0.0);
+    }
+    const double rate = slowest > 0.0 ? -slowest : sqrt(local ? least(near, far) : far), after = most(y + h * rate, 0.0) * stopset_energy_rounding;
+    for (int i = 0; i < n; i++) {
+        const double light = 1.0 / (p->rotor[i] - p->rotor_half[i]), size = sqrt(local ? least(most(e->W[i * n + i], 0.0), light) : light) * stopset_energy_rounding;
+        e->cap[i] = size * most(y, after);
+        e->end[i] = size * after;
+    }
+    e->y = after;
+}
+
+/* Caps of the next step, from angles in E->q + [q_lo, q_hi]; 0 if none can be verified. The caps decide where the arm can be,
+ * and that what M can be: they are claimed first, and claimed again while too small. */
+int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                      double h, const StopsetParts *parts, Local *at) {
+    const int n = E->n;
+    const double y = e->y;
+    double x_lo[SN] = {0}, x_hi[SN] = {0}, none[SN] = {0}, w[SN], claim[SN];
+    for (int i = 0; i < n; i++) claim[i] = 1.02 * least(e->cap[i], sqrt(1.0 / (p->rotor[i] - p->rotor_half[i])) * y) + 1e-6;
+    for (int attempt = 0; attempt < CLAIMS; attempt++) {
+        int enough = 1;
+        for (int i = 0; i < n; i++) {
+            x_lo[i] = q_lo[i] - h * claim[i];
+            x_hi[i] = q_hi[i] + h * claim[i];
+        }
+        stops_box_terms(E, &p->curvature, x_lo, x_hi, none, none, parts, at); /* at rest: h is gravity alone */
+        for (int i = 0; i < n; i++) {
+            e->g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
+            e->g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
+        }
+        stops_power_excess(n, e, p->u_lo, p->u_hi, B_lo, none, none, w);
+        caps(p, e, y, at, w, h);
+        for (int i = 0; i < n; i++)
+            if (e->cap[i] > claim[i]) {
+                enough = 0;
+                claim[i] = 1.05 * e->cap[i];
+            }
+        if (enough) return 1;
+    }
+    return 0;
+}
+
+/* y after a step from y on which the speeds lie in [x_lo, x_hi]: the energy balance itself. */
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h) {
+    double power = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double slow = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
+        power += w[i] * (w[i] > 0.0 ? most(size_of(x_lo[i]), size_of(x_hi[i])) : slow);
+    }
+    return sqrt(most(y * y + 2.0 * h * power, 0.0)) * stopset_energy_rounding;
+}
+
+/* Speed bands cut to +-cap. */
+void stops_cap_bands(int n, Bands *b, const double *cap) {
+    for (int i = 0; i < n; i++) {
+        b->first_lo[i] = most(b->first_lo[i], -cap[i]);
+        b->first_hi[i] = least(b->first_hi[i], cap[i]);
+        b->later_lo[i] = most(b->later_lo[i], -cap[i]);
+        b->later_hi[i] = least(b->later_hi[i], cap[i]);
+        /* the excursion cannot last; keep the end that is nearer to rest */
+        if (b->first_lo[i] > b->first_hi[i]) b->first_lo[i] = b->first_hi[i] = b->sign[i] > 0.0 ? b->first_hi[i] : b->first_lo[i];
+    }
+}
+
+/* The lines that bound the speeds on a step, lowered to the caps where these are lower, or `alone` the caps. */
+void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone) {
+    for (int i = 0; i < n; i++) {
+        const double c = cap[i];
+        if (alone || 0.5 * (most(v_hi[i], 0.0) + e_hi[i]) > c || (v_hi[i] < 0.0 && e_hi[i] > c)) v_hi[i] = e_hi[i] = c;
+        if (alone || 0.5 * (least(v_lo[i], 0.0) + e_lo[i]) < -c || (v_lo[i] > 0.0 && e_lo[i] < -c)) v_lo[i] = e_lo[i] = -c;
+    }
+}
+
+double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
+                              const double *v_hi) {
+    const StopsetParts all = {1.0, 1.0, 1.0, 1.0};
+    const double none[SN] = {0};
+    Expansion E;
+    Local at;
+    if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &all, &at);
+    return stops_largest(&at, v_lo, v_hi);
+}
+
+void stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,
+                          const double *v_lo, const double *v_hi, double *w) {
+    Energy e;
+    for (int i = 0; i < n && i < SN; i++) {
+        e.g_lo[i] = g_lo[i];
+        e.g_hi[i] = g_hi[i];
+    }
+    stops_power_excess(n < SN ? n : SN, &e, u_lo, u_hi, B_lo, v_lo, v_hi, w);
+}

@@ -1,0 +1,160 @@
+/* Inertia, gravity and Christoffel symbols near a pose: value and exact slope, by turning composite bodies about each axis.
+ *
+ * Source: Featherstone (2008), ch. 2; the bounds of what lies beyond are in stopset.reach.stops.expansion.
+ */
+#include <string.h>
+
+#include "../vectors.h"
+#include "stops.h"
+
+/* Angular momentum about the base origin, then linear momentum. */
+typedef struct {
+    double l[3], p[3];
+} Wrench;
+
+typedef struct {
+    int n;
+    double R[9 * SN], o[3 * SN], z[3 * SN], s[3 * SN]; /* link frames; twists of the joints */
+    double mass[SN], moment[3 * SN], inertia[9 * SN];  /* composite bodies from joint i on, about the base origin, in base axes */
+} Bodies;
+
+static void composites(const double *pi, Bodies *b) {
+    for (int i = b->n - 1; i >= 0; i--) {
+        const double *P = pi + 10 * i, *R = b->R + 9 * i, *p = b->o + 3 * i;
+        const double T[9] = {P[4], P[5], P[7], P[5], P[6], P[8], P[7], P[8], P[9]};
+        double h[3], A[9];
+        times(R, P + 1, h);
+        product(R, T, A);
+        const double hp = 2.0 * (h[0] * p[0] + h[1] * p[1] + h[2] * p[2]) + P[0] * (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+        for (int r = 0; r < 3; r++)
+            for (int c = 0; c < 3; c++) {
+                double x = dot(A + 3 * r, R + 3 * c) - (h[r] * p[c] + p[r] * h[c] + P[0] * p[r] * p[c]);
+                x += r == c ? hp : 0.0;
+                b->inertia[9 * i + 3 * r + c] = x + (i + 1 < b->n ? b->inertia[9 * i + 9 + 3 * r + c] : 0.0);
+            }
+        for (int r = 0; r < 3; r++) b->moment[3 * i + r] = h[r] + P[0] * p[r] + (i + 1 < b->n ? b->moment[3 * i + 3 + r] : 0.0);
+        b->mass[i] = P[0] + (i + 1 < b->n ? b->mass[i + 1] : 0.0);
+    }
+}
+
+/* Momentum of the body from joint k on that turns with w and moves with v at the base origin. */
+static Wrench momentum_of(const Bodies *b, int k, const double *w, const double *v) {
+    Wrench f;
+    double x[3];
+    times(b->inertia + 9 * k, w, f.l);
+    cross(b->moment + 3 * k, v, x);
+    for (int r = 0; r < 3; r++) f.l[r] += x[r];
+    cross(w, b->moment + 3 * k, x);
+    for (int r = 0; r < 3; r++) f.p[r] = b->mass[k] * v[r] + x[r];
+    return f;
+}
+
+/* How a wrench changes when all of it turns along with the twist of joint k. */
+static Wrench turned(const Bodies *b, int k, const Wrench *f) {
+    Wrench out;
+    double x[3];
+    cross(b->z + 3 * k, f->l, out.l);
+    cross(b->s + 3 * k, f->p, x);
+    for (int r = 0; r < 3; r++) out.l[r] += x[r];
+    cross(b->z + 3 * k, f->p, out.p);
+    return out;
+}
+
+/* Power along the twist of joint i. */
+static double along(const Bodies *b, int i, const Wrench *f) {
+    const double *z = b->z + 3 * i, *s = b->s + 3 * i;
+    return z[0] * f->l[0] + z[1] * f->l[1] + z[2] * f->l[2] + s[0] * f->p[0] + s[1] * f->p[1] + s[2] * f->p[2];
+}
+
+/* The bodies from k > j on turn under joint j's motion: its momentum less that of a motion that turns along. */
+static Wrench behind(const Bodies *b, int j, int k) {
+    const double *zj = b->z + 3 * j, *sj = b->s + 3 * j, *zk = b->z + 3 * k, *sk = b->s + 3 * k;
+    double tw[3], tv[3], x[3];
+    const Wrench f = momentum_of(b, k, zj, sj);
+    Wrench d = turned(b, k, &f);
+    cross(zk, zj, tw);
+    cross(zk, sj, tv);
+    cross(sk, zj, x);
+    for (int r = 0; r < 3; r++) tv[r] += x[r];
+    const Wrench g = momentum_of(b, k, tw, tv);
+    for (int r = 0; r < 3; r++) {
+        d.l[r] -= g.l[r];
+        d.p[r] -= g.p[r];
+    }
+    return d;
+}
+
+static void slopes(Bodies *b, const double *pi, const double *gravity, double *M, double *dM, double *g, double *dg, double *Gamma) {
+    const int n = b->n;
+    const double rest[3] = {0, 0, 0};
+    double x[3];
+    composites(pi, b);
+    memset(dM, 0, (size_t)(n * n * n) * sizeof *dM);
+    for (int j = 0; j < n; j++) {
+        const Wrench f = momentum_of(b, j, b->z + 3 * j, b->s + 3 * j), weight = momentum_of(b, j, rest, gravity);
+        for (int i = 0; i <= j; i++) M[i * n + j] = M[j * n + i] = along(b, i, &f);
+        g[j] = -along(b, j, &weight);
+        for (int k = 1; k <= j; k++) { /* the arm from k on turns, with joint j in it: its momentum turns along */
+            const Wrench t = turned(b, k, &f);
+            for (int i = 0; i < k; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &t);
+        }
+        for (int k = 0; k < n; k++) {
+            cross(b->z + 3 * k, gravity, x);
+            const Wrench w = momentum_of(b, j > k ? j : k, rest, x);
+            dg[j * n + k] = along(b, j, &w);
+            if (k <= j) continue;
+            const Wrench own = momentum_of(b, k, rest, gravity), t = turned(b, k, &own), d = behind(b, j, k);
+            dg[j * n + k] -= along(b, j, &t);
+            for (int i = 0; i <= j; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &d);
+        }
+    }
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < n; k++)
+            for (int j = 0; j < n; j++)
+                Gamma[(i * n + k) * n + j] = 0.5 * (dM[(i * n + k) * n + j] + dM[(i * n + j) * n + k] - dM[(k * n + j) * n + i]);
+}
+
+void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E) {
+    const int n = arm->n;
+    Bodies b;
+    int loaded = 0;
+    b.n = E->n = n;
+    stopset_link_frames(arm, 1, q, b.R, b.o);
+    memcpy(E->q, q, (size_t)n * sizeof *q);
+    for (int i = 0; i < n; i++) {
+        times(b.R + 9 * i, arm->axis + 3 * i, b.z + 3 * i);
+        cross(b.o + 3 * i, b.z + 3 * i, b.s + 3 * i);
+    }
+    slopes(&b, arm->pi, arm->gravity, E->M, E->dM, E->g, E->dg, E->Gamma);
+    for (int i = 0; i < n; i++) E->M[i * n + i] += rotor[i];
+    for (int r = 0; r < 10; r++) loaded |= pi_half[10 * (n - 1) + r] != 0.0;
+    if (loaded)
+        slopes(&b, pi_half, arm->gravity, E->Mp, E->dMp, E->gp, E->dgp, E->Gammap);
+    else {
+        memset(E->Mp, 0, sizeof E->Mp);
+        memset(E->dMp, 0, sizeof E->dMp);
+        memset(E->gp, 0, sizeof E->gp);
+        memset(E->dgp, 0, sizeof E->dgp);
+        memset(E->Gammap, 0, sizeof E->Gammap);
+    }
+}
+
+int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM, double *Mp,
+                   double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap) {
+    const int n = arm->n;
+    Expansion E;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    const size_t one = (size_t)n * sizeof(double), two = one * (size_t)n, three = two * (size_t)n;
+    stops_expand(arm, pi_half, rotor, q, &E);
+    memcpy(M, E.M, two);
+    memcpy(dM, E.dM, three);
+    memcpy(Mp, E.Mp, two);
+    memcpy(dMp, E.dMp, three);
+    memcpy(g, E.g, one);
+    memcpy(dg, E.dg, two);
+    memcpy(gp, E.gp, one);
+    memcpy(dgp, E.dgp, two);
+    memcpy(Gamma, E.Gamma, three);
+    memcpy(Gammap, E.Gammap, three);
+    return STOPSET_OK;
+}

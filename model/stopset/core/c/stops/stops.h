@@ -1,0 +1,79 @@
+/* Inside the stop proofs: what one file gives the next. Matrices are dense, with the arm's n as their stride. */
+#ifndef STOPSET_STOPS_H
+#define STOPSET_STOPS_H
+#include "../stopset.h"
+
+enum { SN = STOPSET_STOP_JOINTS };
+
+/* As Python's: the second wins only where it is really smaller (larger). */
+static inline double least(double a, double b) { return b < a ? b : a; }
+static inline double most(double a, double b) { return b > a ? b : a; }
+static inline double size_of(double x) { return x < 0.0 ? -x : x; }
+#define STOPS_INF (1.0 / 0.0)
+
+/* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p). */
+typedef struct {
+    int n;
+    double q[SN], M[SN * SN], dM[SN * SN * SN], Mp[SN * SN], dMp[SN * SN * SN], g[SN], dg[SN * SN], gp[SN], dgp[SN * SN],
+        Gamma[SN * SN * SN], Gammap[SN * SN * SN];
+} Expansion;
+
+/* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
+ * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; turn: how far dM_ij/dq_k can be from the pose's. */
+typedef struct {
+    int n;
+    double M[SN * SN], M_rad[SN * SN], Mp[SN * SN], Mp_rad[SN * SN], dM[SN * SN], h_lo[SN], h_hi[SN], e_lo[SN], e_hi[SN],
+        turn[SN * SN * SN];
+} Local;
+
+/* Speed bounds of every joint, apart for its first excursion and for later. */
+typedef struct {
+    double sign[SN];          /* of the first, 0 if it had none */
+    int alive[SN], rested[SN]; /* the first may still last; it may be over */
+    double first_lo[SN], first_hi[SN], later_lo[SN], later_hi[SN];
+} Bands;
+
+/* Integrals since the cut, see momentum.c. */
+typedef struct {
+    double P_lo[SN], P_hi[SN], up[SN], down[SN], needed[SN], drive[SN], restart_up[SN], restart_down[SN];
+} Momentum;
+
+/* Bound of sqrt(v' M v), speed caps on a step and at its end, bound of the inverse inertia, gravity on the step. */
+typedef struct {
+    double y, cap[SN], end[SN], W[SN * SN], g_lo[SN], g_hi[SN];
+} Energy;
+
+/* Torques without dry friction, dry friction, and which signs are possible on a step. */
+typedef struct {
+    double s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], way[SN], a_far[SN];
+    int plus[SN], minus[SN], zero[SN];
+} Step;
+
+/* Rows of accelerations: 0-3 forward lo, hi, backward lo, hi; 4 forward hi at the upper speed bound, 5 forward lo at the
+ * lower; 6, 7 the same backward; 8, 9 forward hi and backward lo of a joint that has rested before. */
+enum { RATES = 10 };
+static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 || row == 7 || row == 9; }
+
+void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E);
+void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
+                     const double *w_hi, const StopsetParts *parts, Local *out);
+void stops_pivot(int n, double *A, int k, int into);
+void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
+void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);
+void stops_total(int n, const Bands *b, double *lo, double *hi);
+void stops_start_momentum(const Local *at, const double *v_lo, const double *v_hi, const Bands *b, Momentum *m);
+void stops_kept_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
+                        const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *kept);
+void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const Step *s, const Bands *before, const Bands *after,
+                    const double *kept, const double *x_lo, const double *x_hi, double h);
+void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, double *lo,
+                   double *hi);
+double stops_largest(const Local *at, const double *v_lo, const double *v_hi);
+void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, const double *v_lo,
+                        const double *v_hi, double *w);
+int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                      double h, const StopsetParts *parts, Local *at);
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
+void stops_cap_bands(int n, Bands *b, const double *cap);
+void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
+#endif

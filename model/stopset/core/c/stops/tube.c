@@ -1,0 +1,460 @@
+/* The certified tube of a power-off stop: all positions and speeds the arm can have at any time after the cut.
+ *
+ *     M(q) dv/dt + c(q, v) + g(q) + D v + f = u(t),   f_i in (F_i + B_i(t)) Sgn(v_i),   u in U (any function of time)
+ *
+ * The march through time, its claims and their verification are told in stopset.reach.stops.tube.
+ *
+ * Source: Moreau (1988) for the inclusion; Goodnight (1979) for the sweep operator.
+ */
+#include <string.h>
+
+#include "stops.h"
+
+enum { OK, ENDLESS, UNBOUNDED };
+enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
+const double stopset_tube_recentre = 0.01;
+
+typedef struct {
+    const StopsetPlant *p;
+    const StopsetParts *parts;
+    const StopsetTube *tube;
+    int n, energetic;
+    double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN];
+    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
+    Step s;
+    Expansion E;
+    Local at, start;
+    Bands b, end;
+    Momentum momentum;
+    Energy energy;
+} March;
+
+static double ramp(double t, double delay, double rise) {
+    if (t <= delay) return 0.0;
+    if (t >= delay + rise) return 1.0;
+    return (t - delay) / rise;
+}
+
+static int finite(double x) { return x - x == 0.0; }
+
+/* Claims for step k: the last step's rates, carried on as they changed, and a little more. */
+static void guess_claims(March *m, int64_t k) {
+    for (int i = 0; i < m->n; i++) {
+        for (int row = 0; row < 4; row++) {
+            const double guess = k > 0 && finite(m->out[row][i]) ? m->out[row][i] : 0.0, step = k > 1 ? guess - m->last[row][i] : 0.0;
+            const double grow = 0.02 * size_of(guess) + 1e-3 + size_of(step);
+            m->claim[row][i] = row == 0 || row == 2 ? guess + least(step, 0.0) - grow : guess + most(step, 0.0) + grow;
+            m->last[row][i] = guess;
+        }
+        /* a joint that could not start from rest is first taken not to start */
+        if (k > 0 && m->out[1][i] <= 0.0) m->claim[1][i] = least(m->claim[1][i], 0.0);
+        if (k > 0 && m->out[2][i] >= 0.0) m->claim[2][i] = most(m->claim[2][i], 0.0);
+    }
+}
+
+/* Speeds on a step under the claimed accelerations and the caps, and which signs are possible. */
+static void claimed_speeds(March *m, const double *lo, const double *hi) {
+    Step *s = &m->s;
+    for (int i = 0; i < m->n; i++) {
+        const double *cap = m->energy.cap;
+        double z = lo[i] + m->h * least(0.0, lo[i] > 0.0 ? m->claim[0][i] : m->claim[2][i]);
+        if (lo[i] > 0.0 && z <= 0.0) z = m->h * least(0.0, m->claim[2][i]);
+        m->w_lo[i] = most(z, -cap[i]);
+        z = hi[i] + m->h * most(0.0, hi[i] < 0.0 ? m->claim[3][i] : m->claim[1][i]);
+        if (hi[i] < 0.0 && z >= 0.0) z = m->h * most(0.0, m->claim[1][i]);
+        m->w_hi[i] = least(z, cap[i]);
+        s->plus[i] = m->w_hi[i] > 0.0;
+        s->minus[i] = m->w_lo[i] < 0.0;
+        s->zero[i] = m->w_lo[i] <= 0.0 && m->w_hi[i] >= 0.0;
+        s->a_far[i] = 0.0;
+        if (s->plus[i]) s->a_far[i] = most(size_of(m->claim[0][i]), size_of(m->claim[1][i]));
+        if (s->minus[i]) s->a_far[i] = most(s->a_far[i], most(size_of(m->claim[2][i]), size_of(m->claim[3][i])));
+    }
+}
+
+/* Do the accelerations lie inside the claims? If not, the claims grow. A joint at rest on the whole step (neither sign
+ * possible) only has to be kept from starting. */
+static int claims_hold(March *m) {
+    const Step *s = &m->s;
+    int good = 1;
+    for (int i = 0; i < m->n; i++)
+        for (int row = 0; row < 4; row++) {
+            const int used = row < 2 ? s->plus[i] || (row == 1 && s->zero[i]) : s->minus[i] || (row == 2 && s->zero[i]);
+            const double value = m->out[row][i];
+            double *claim = &m->claim[row][i];
+            if (!used) continue;
+            if (row == 0 || row == 2) {
+                if (value < *claim && !(row == 2 && !s->minus[i] && value >= 0.0)) {
+                    good = 0;
+                    *claim = value - 0.05 * size_of(value) - 1e-3;
+                }
+            } else if (value > *claim && !(row == 1 && !s->plus[i] && value <= 0.0)) {
+                good = 0;
+                *claim = value + 0.05 * size_of(value) + 1e-3;
+            }
+        }
+    return good;
+}
+
+/* Bands at the end of a step, from the verified accelerations. */
+static void advance(March *m) {
+    const Bands *b = &m->b;
+    Bands *end = &m->end;
+    double(*out)[SN] = m->out;
+    const double h = m->h;
+    for (int i = 0; i < m->n; i++) {
+        const double start_up = h * most(0.0, out[8][i]), start_down = h * least(0.0, out[9][i]);
+        int ends;
+        end->alive[i] = b->alive[i];
+        end->rested[i] = b->rested[i];
+        end->later_lo[i] = end->later_hi[i] = 0.0;
+        if (b->rested[i]) {
+            /* the rate refined at the bound's own speed belongs to the first excursion while that may last */
+            const double up = b->alive[i] ? out[8][i] : out[4][i], down = b->alive[i] ? out[9][i] : out[7][i];
+            end->later_hi[i] = b->later_hi[i] > 0.0 ? most(b->later_hi[i] + h * up, 0.0) : start_up;
+            end->later_lo[i] = b->later_lo[i] < 0.0 ? least(b->later_lo[i] + h * down, 0.0) : start_down;
+        }
+        if (!b->alive[i]) continue;
+        if (b->sign[i] > 0.0) {
+            end->first_hi[i] = most(b->first_hi[i] + h * out[4][i], 0.0);
+            end->first_lo[i] = most(b->first_lo[i] + h * (b->rested[i] ? out[0][i] : out[5][i]), 0.0);
+            ends = end->first_lo[i] <= 0.0;
+        } else {
+            end->first_lo[i] = least(b->first_lo[i] + h * out[7][i], 0.0);
+            end->first_hi[i] = least(b->first_hi[i] + h * (b->rested[i] ? out[3][i] : out[6][i]), 0.0);
+            ends = end->first_hi[i] >= 0.0;
+        }
+        if (ends && !b->rested[i]) {
+            end->rested[i] = 1;
+            end->later_hi[i] = start_up;
+            end->later_lo[i] = start_down;
+        }
+        if (end->first_lo[i] == 0.0 && end->first_hi[i] == 0.0) end->alive[i] = 0;
+    }
+}
+
+/* The expansion at q, the rotors' half intervals beside the payload's: both are constant during a stop. */
+static void expand(March *m, const double *q) {
+    stops_expand(&m->p->arm, m->p->pi_half, m->p->rotor, q, &m->E);
+    for (int i = 0; i < m->n; i++) {
+        double *own = &m->E.Mp[i * m->n + i];
+        *own = size_of(*own) + m->p->rotor_half[i];
+    }
+}
+
+/* Least dry friction of a joint that has come to rest by `now`, the end of the step, and the direction it can move in with
+ * less. Its brake has given at least the impulse that ended the first excursion, and its torque only grows. */
+static void later_friction(March *m, double now) {
+    const StopsetPlant *p = m->p;
+    Step *s = &m->s;
+    for (int i = 0; i < m->n; i++) {
+        s->B_later[i] = s->B_lo[i];
+        s->way[i] = 0.0;
+        if (m->b.sign[i] == 0.0) continue;
+        if (m->b.alive[i]) s->way[i] = m->b.sign[i];
+        const double since = now - p->delay_lo[i];
+        if (m->b.rested[i] && m->need[i] > 0.0 && m->need[i] < STOPS_INF && since > 0.0) {
+            const double worked = most(0.5 * since, since - 0.5 * p->rise_lo[i]); /* a ramp has given half of its torque times the time */
+            s->B_later[i] = least(most(s->B_lo[i], p->coulomb_lo[i] + m->need[i] / worked), s->B_hi[i]);
+        }
+        if (!m->b.alive[i]) s->B_lo[i] = s->B_later[i];
+    }
+}
+
+/* Torques without dry friction on a step; and what viscous friction surely takes at a joint's own speed bound. */
+static void torques(March *m, const double *lo, const double *hi) {
+    const StopsetPlant *p = m->p;
+    const Bands *b = &m->b;
+    Step *s = &m->s;
+    for (int i = 0; i < m->n; i++) {
+        const double D_lo = p->viscous_lo[i], D_hi = p->viscous_hi[i], h = m->h;
+        const double few = least(D_lo * m->w_lo[i], D_hi * m->w_lo[i]), many = most(D_lo * m->w_hi[i], D_hi * m->w_hi[i]);
+        s->s_lo[i] = -m->at.h_hi[i] - many + p->u_lo[i];
+        s->s_hi[i] = -m->at.h_lo[i] - few + p->u_hi[i];
+        double fast = m->w_lo[i], slow = m->w_hi[i];
+        const double upper = b->alive[i] && b->sign[i] > 0.0 ? b->first_hi[i] : hi[i];
+        const double lower = b->alive[i] && b->sign[i] < 0.0 ? b->first_lo[i] : lo[i];
+        if (upper > 0.0)
+            fast = most(upper + h * least(0.0, m->claim[0][i]), 0.0);
+        else if (upper < 0.0)
+            fast = upper + h * least(0.0, m->claim[2][i]);
+        if (lower < 0.0)
+            slow = least(lower + h * most(0.0, m->claim[3][i]), 0.0);
+        else if (lower > 0.0)
+            slow = lower + h * most(0.0, m->claim[1][i]);
+        s->own_up[i] = most(0.0, least(D_lo * fast, D_hi * fast) - few);
+        s->own_down[i] = most(0.0, many - most(D_lo * slow, D_hi * slow));
+    }
+}
+
+/* Claims until they hold; whether they did. */
+static int verify(March *m, int64_t k) {
+    const int n = m->n;
+    const double *v_lo = m->tube->v_lo + k * n, *v_hi = m->tube->v_hi + k * n, *d_lo = m->tube->d_lo + k * n, *d_hi = m->tube->d_hi + k * n;
+    for (int attempt = 0; attempt < PASSES; attempt++) {
+        claimed_speeds(m, v_lo, v_hi);
+        for (int i = 0; i < n; i++) {
+            m->x_lo[i] = m->q_lo[i] + d_lo[i] + m->h * least(0.0, m->w_lo[i]) - m->E.q[i];
+            m->x_hi[i] = m->q_hi[i] + d_hi[i] + m->h * most(0.0, m->w_hi[i]) - m->E.q[i];
+        }
+        stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->w_lo, m->w_hi, m->parts, &m->at);
+        torques(m, v_lo, v_hi);
+        stops_accelerations(&m->at, &m->s, m->out);
+        if (claims_hold(m)) return 1;
+    }
+    return 0;
+}
+
+/* Where claims cannot be verified the caps alone bound the step: accelerations of which nothing is known. */
+static void caps_alone(March *m, int64_t k) {
+    const int n = m->n;
+    double below[SN];
+    for (int i = 0; i < n; i++) {
+        const double cap = m->energy.cap[i];
+        below[i] = -cap;
+        m->x_lo[i] = m->q_lo[i] + m->tube->d_lo[k * n + i] - m->E.q[i] - m->h * cap;
+        m->x_hi[i] = m->q_hi[i] + m->tube->d_hi[k * n + i] - m->E.q[i] + m->h * cap;
+    }
+    stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, below, m->energy.cap, m->parts, &m->at);
+    for (int row = 0; row < RATES; row++)
+        for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
+}
+
+/* Bands, lines and kept impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
+ * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
+static int take_step(March *m, int64_t k) {
+    const int n = m->n;
+    const StopsetTube *t = m->tube;
+    double *v_lo = t->v_lo + k * n, *v_hi = t->v_hi + k * n, *e_lo = t->e_lo + k * n, *e_hi = t->e_hi + k * n;
+    int verified = 0;
+    for (int i = 0; i < n; i++) m->need[i] = m->b.alive[i] ? m->momentum.needed[i] - 2.0 * m->drop[i] : m->momentum.needed[i];
+    for (int redo = 0; redo <= REDOS; redo++) {
+        int enough = 1;
+        later_friction(m, (double)k * m->h + m->h);
+        verified = verify(m, k);
+        if (!verified && !m->energetic) return 0;
+        if (!verified) caps_alone(m, k);
+        advance(m);
+        if (!verified) stops_cap_bands(n, &m->end, m->energy.cap);
+        stops_total(n, &m->end, e_lo, e_hi);
+        if (m->energetic) stops_cap_lines(n, m->energy.cap, v_lo, v_hi, e_lo, e_hi, !verified);
+        for (int i = 0; i < n; i++) {
+            m->x_lo[i] = least(v_lo[i], e_lo[i]);
+            m->x_hi[i] = most(v_hi[i], e_hi[i]);
+        }
+        stops_kept_impulse(m->p, &m->momentum, &m->at, &m->start, &m->b, &m->end, m->v0_lo, m->v0_hi, m->x_lo, m->x_hi, m->h, m->kept);
+        for (int i = 0; i < n; i++)
+            if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->need[i] < STOPS_INF && m->kept[i] < m->need[i]) {
+                enough = 0;
+                m->need[i] = redo < REDOS - 1 ? m->kept[i] - 0.01 * size_of(m->kept[i]) : 0.0;
+            }
+        if (enough) break;
+    }
+    return verified;
+}
+
+/* Displacements by trapezoids: chords lie outside a bound that is convex; where it crosses zero, its larger end does. */
+static void displace(const March *m, int64_t k) {
+    const int n = m->n;
+    const StopsetTube *t = m->tube;
+    for (int i = 0; i < n; i++) {
+        const int64_t at = k * n + i;
+        const double hi = t->v_hi[at], lo = t->v_lo[at], new_hi = t->e_hi[at], new_lo = t->e_lo[at], h = m->h;
+        t->d_hi[at + n] = t->d_hi[at] + h * (hi < 0.0 && new_hi >= 0.0 ? most(new_hi, 0.0) : 0.5 * (hi + new_hi));
+        t->d_lo[at + n] = t->d_lo[at] + h * (lo > 0.0 && new_lo <= 0.0 ? least(new_lo, 0.0) : 0.5 * (lo + new_lo));
+        if (m->parts->whole_step == 0.0) {
+            t->d_hi[at + n] = t->d_hi[at] + h * new_hi;
+            t->d_lo[at + n] = t->d_lo[at] + h * new_lo;
+        }
+        for (int row = 0; row < 4; row++) t->rates[row][at] = m->out[row][i];
+    }
+}
+
+/* Friction of the step, the expansion where it has moved too far, and the energy's caps; 0 if these cannot be verified. */
+static int prepare(March *m, int64_t k, double now, const double *middle, const double *gravity) {
+    const StopsetPlant *p = m->p;
+    const StopsetTube *t = m->tube;
+    const int n = m->n;
+    double here[SN], far = 0.0;
+    for (int i = 0; i < n; i++) {
+        here[i] = middle[i] + 0.5 * (t->d_lo[k * n + i] + t->d_hi[k * n + i]);
+        far += size_of(here[i] - m->E.q[i]);
+    }
+    if (far > stopset_tube_recentre) {
+        for (int i = 0; i < n; i++) here[i] = here[i] + 0.5 * (here[i] - m->E.q[i]);
+        expand(m, here);
+        if (m->parts->gravity_slope == 0.0) memcpy(m->E.g, gravity, (size_t)n * sizeof *gravity);
+    }
+    const double early = m->parts->whole_step > 0.0 ? now : now + m->h, late = m->parts->whole_step > 0.0 ? now + m->h : now;
+    for (int i = 0; i < n; i++) {
+        m->s.B_lo[i] = p->coulomb_lo[i] + p->brake_lo[i] * ramp(early, p->delay_hi[i], p->rise_hi[i]);
+        m->s.B_hi[i] = p->coulomb_hi[i] + p->brake_hi[i] * ramp(late, p->delay_lo[i], p->rise_lo[i]);
+    }
+    if (!m->energetic) return 1;
+    for (int i = 0; i < n; i++) {
+        m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
+        m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
+    }
+    if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
+    for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
+        t->v_lo[k * n + i] = most(t->v_lo[k * n + i], -m->energy.cap[i]);
+        t->v_hi[k * n + i] = least(t->v_hi[k * n + i], m->energy.cap[i]);
+    }
+    return 1;
+}
+
+/* Momenta, energy and bands at the knot after step k. */
+static void settle(March *m, int64_t k, double y, int verified) {
+    const StopsetPlant *p = m->p;
+    const int n = m->n;
+    double before[SN], excess[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
+    memcpy(before, m->momentum.needed, sizeof before);
+    stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->kept, m->x_lo, m->x_hi, m->h);
+    for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
+    memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
+    memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
+    if (m->energetic) {
+        if (verified) {
+            stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
+            m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, m->h));
+        }
+        stops_cap_bands(n, &m->end, m->energy.end);
+        stops_total(n, &m->end, v_lo, v_hi);
+    }
+    stops_tighten(&m->end, &m->momentum, &m->at, &m->start, m->v0_lo, m->v0_hi, v_lo, v_hi);
+    stops_total(n, &m->end, v_lo, v_hi);
+    if (m->energetic) m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
+    const Bands swap = m->b;
+    m->b = m->end;
+    m->end = swap;
+}
+
+/* Whether all speeds are zero at the knot after step k and gravity and disturbance are surely held: so it stays. */
+static int held(const March *m, int64_t k) {
+    const int n = m->n;
+    double smallest = STOPS_INF;
+    for (int i = 0; i < n; i++)
+        if (m->tube->v_lo[(k + 1) * n + i] != 0.0 || m->tube->v_hi[(k + 1) * n + i] != 0.0) return 0;
+    for (int i = 0; i < n; i++) {
+        const double load = m->p->curvature.load[i];
+        const double up = least(-m->at.h_lo[i], load) + m->p->u_hi[i], down = least(m->at.h_hi[i], load) - m->p->u_lo[i];
+        m->tube->margin[i] = m->s.B_lo[i] - most(up, down);
+        smallest = least(smallest, m->tube->margin[i]);
+    }
+    return smallest >= 0.0;
+}
+
+static void begin(March *m, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, const double *middle) {
+    const int n = m->n;
+    const size_t row = (size_t)n * sizeof(double);
+    double x_lo[SN], x_hi[SN];
+    memcpy(m->q_lo, q_lo, row);
+    memcpy(m->q_hi, q_hi, row);
+    memcpy(m->v0_lo, v0_lo, row);
+    memcpy(m->v0_hi, v0_hi, row);
+    memcpy(m->tube->v_lo, v0_lo, row);
+    memcpy(m->tube->v_hi, v0_hi, row);
+    memset(m->tube->d_lo, 0, row);
+    memset(m->tube->d_hi, 0, row);
+    expand(m, middle);
+    for (int i = 0; i < n; i++) {
+        x_lo[i] = q_lo[i] - m->E.q[i];
+        x_hi[i] = q_hi[i] - m->E.q[i];
+        m->tube->margin[i] = -STOPS_INF;
+        m->energy.cap[i] = m->energy.end[i] = STOPS_INF;
+    }
+    stops_box_terms(&m->E, &m->p->curvature, x_lo, x_hi, v0_lo, v0_hi, m->parts, &m->start);
+    m->at.n = n;
+    stops_start_bands(n, v0_lo, v0_hi, &m->b);
+    m->end = m->b;
+    stops_start_momentum(&m->start, v0_lo, v0_hi, &m->b, &m->momentum);
+    m->energy.y = stops_largest(&m->start, v0_lo, v0_hi);
+}
+
+int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
+                      int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
+    const int n = plant->arm.n;
+    double middle[SN], gravity[SN], engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
+    March m;
+    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    memset(&m, 0, sizeof m);
+    m.p = plant;
+    m.parts = parts;
+    m.tube = tube;
+    m.n = n;
+    m.energetic = energetic;
+    m.h = h;
+    tube->t[0] = 0.0;
+    for (int i = 0; i < n; i++) {
+        middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
+        engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
+        quick = most(quick, most(size_of(v0_lo[i]), size_of(v0_hi[i])));
+    }
+    begin(&m, q_lo, q_hi, v0_lo, v0_hi, middle);
+    memcpy(gravity, m.E.g, sizeof gravity);
+    /* bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall */
+    if (!energetic) fastest = 20.0 * quick + 20.0;
+    for (int64_t k = 0; k < steps; k++) {
+        const double now = (double)k * h, y = m.energy.y;
+        double widest = -STOPS_INF;
+        *made = k;
+        if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
+        guess_claims(&m, k);
+        const int verified = take_step(&m, k);
+        if (!verified && !energetic) return UNBOUNDED;
+        displace(&m, k);
+        settle(&m, k, y, verified);
+        tube->t[k + 1] = now + h;
+        *made = k + 1;
+        for (int i = 0; i < n; i++) {
+            const double wide = tube->v_hi[(k + 1) * n + i] - tube->v_lo[(k + 1) * n + i];
+            if (wide != wide) return UNBOUNDED;
+            widest = most(widest, wide);
+        }
+        if (!(widest < fastest)) return UNBOUNDED;
+        if (now >= engaged && held(&m, k)) return OK; /* from now on nothing changes any more */
+    }
+    *made = steps;
+    return ENDLESS;
+}
+
+void stopset_follow(const StopsetTube *tube, int n, int64_t K, const double *low, const double *high, double *out) {
+    const double h = tube->t[1] - tube->t[0];
+    for (int i = 0; i < n; i++) {
+        double U = high[i], L = low[i], ahead = 0.0, behind = 0.0, far = 0.0, back = 0.0, fast = most(size_of(U), size_of(L));
+        int64_t last = 0;
+        for (int64_t k = 0; k < K; k++) {
+            const int64_t at = k * n + i;
+            const double *v_lo = tube->v_lo + at, *v_hi = tube->v_hi + at, forward_lo = tube->rates[0][at], forward_hi = tube->rates[1][at],
+                         backward_lo = tube->rates[2][at], backward_hi = tube->rates[3][at];
+            double up, down;
+            if (U > 0.0) {
+                up = U + h * forward_hi;
+                up = v_lo[0] <= 0.0 || up > 0.0 ? most(up, 0.0) : v_hi[n];
+            } else {
+                up = U == 0.0 ? 0.0 : U + h * backward_hi;
+                if (up >= 0.0) up = h * most(0.0, forward_hi);
+            }
+            if (L < 0.0) {
+                down = L + h * backward_lo;
+                down = v_hi[0] >= 0.0 || down < 0.0 ? least(down, 0.0) : v_lo[n];
+            } else {
+                down = L == 0.0 ? 0.0 : L + h * forward_lo;
+                if (down <= 0.0) down = h * least(0.0, backward_lo);
+            }
+            /* rates of a direction the whole box cannot take are infinite; the tube itself bounds those steps */
+            if (!(up < STOPS_INF)) up = most(v_hi[0], v_hi[n]);
+            if (!(down > -STOPS_INF)) down = least(v_lo[0], v_lo[n]);
+            ahead += h * (U < 0.0 && up >= 0.0 ? most(up, 0.0) : 0.5 * (U + up));
+            behind += h * (L > 0.0 && down <= 0.0 ? least(down, 0.0) : 0.5 * (L + down));
+            far = most(far, ahead);
+            back = most(back, -behind);
+            U = least(up, v_hi[n]);
+            L = most(down, v_lo[n]);
+            fast = most(fast, most(size_of(up), size_of(down)));
+            if (U != 0.0 || L != 0.0) last = k + 2;
+        }
+        const double found[4] = {tube->t[last < K ? last : K], far, back, fast};
+        for (int row = 0; row < 4; row++) out[row * n + i] = found[row];
+    }
+}

@@ -1,0 +1,17 @@
+"""Parts of the stop proofs that the tests leave out, to show that each is needed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Parts(NamedTuple):
+    """How much of each part of the bound is taken: all of it. The tests take less, to show that each part is needed."""
+
+    coupling: float = 1.0  # off-diagonal inertia
+    christoffel: float = 1.0
+    gravity_slope: float = 1.0
+    whole_step: float = 1.0  # 0: brakes and speeds taken at the end of each step only
+
+
+ALL_PARTS = Parts()

@@ -1,0 +1,173 @@
+"""What changed since a model was identified: friction, offset, torque scale of a joint, or a load, against the model as it is.
+
+The model's own torque, effects and all, is taken off the recordings; nothing is fitted again.  What is left is asked for a change
+of level: of Coulomb and viscous friction, of an offset, of the torque's scale, of the last link's mass and its moments.  A change
+counts where it lowers the error on blocks of time that it was not fitted to, is several standard errors large, and is more than an
+arm's friction differs from day to day anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.offline.campaign.hold_out import blocks
+from stopset.offline.compare.known import left_over
+from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.recording import Recording
+from stopset.recording.types import Array
+from stopset.robot.rigid import regressors, torques
+
+LOWERED = 0.05  # share by which a change must lower the held-out error of one of its joints
+SURE = 4.0  # standard errors
+DAILY = 0.10  # of its level: friction differs by some percent from day to day, with temperature and rest
+LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
+LEAST_MASS = 0.05  # [kg]
+FEWEST = 6  # blocks of time, below which their scatter tells nothing
+MOST = 8  # changes told
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One level ``before`` (the model's) and ``after`` in ``unit``, with the error ``std`` of the difference.
+
+    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None).
+    """
+
+    effect: str
+    joint: str | None
+    symbol: str
+    unit: str
+    before: float
+    after: float
+    std: float
+    error_before: float
+    error_after: float
+
+    @property
+    def says(self) -> str:
+        where = f" of {self.joint}" if self.joint else ""
+        what = {
+            "coulomb": "Coulomb friction", "viscous": "viscous friction", "asymmetric_coulomb": "constant torque",
+            "torque_gain": "torque scale", "payload": "load at the flange",
+        }[self.effect]  # fmt: skip
+        return f"The {what}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """Columns (rows, n, k) of a change, and what each says: ``effect, joint, symbol, unit, before``."""
+
+    effect: str
+    joint: int | None
+    columns: Array
+    terms: tuple[tuple[str, str, str, float], ...]  # (effect, symbol, unit, before) of the columns that are told
+    least: tuple[float, ...]
+
+
+def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
+    """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
+    left, block, found = _rows(model, recordings)
+    count = int(block.max()) + 1 if len(block) else 0
+    if count < FEWEST:
+        return ()
+    out: list[Change] = []
+    scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
+    for _ in range(MOST):
+        tried = [(c, *_judged(left, block, count, scale, c)) for c in found]
+        best = max(tried, key=lambda t: t[1], default=None)
+        if best is None or best[1] <= 0:
+            break
+        candidate, _, theta, std, before, after = best
+        where = range(model.n) if candidate.joint is None else [candidate.joint]
+        worst = max(where, key=lambda j: before[j] - after[j])
+        told = [
+            Change(
+                effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
+                level + float(theta[k]), float(std[k]), float(before[worst]), float(after[worst]),
+            )
+            for k, (effect, symbol, unit, level) in enumerate(candidate.terms)
+            if abs(theta[k]) > max(SURE * std[k], candidate.least[k])
+        ]  # fmt: skip
+        found.remove(candidate)
+        if not told:
+            continue
+        out += told
+        left = left - np.einsum("rjk,k->rj", candidate.columns, theta)
+    return tuple(out[:MOST])
+
+
+def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate]]:
+    """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
+    parts: list[tuple[Array, ...]] = []
+    block: list[int] = []
+    number = 0
+    for r in recordings:
+        if r.phase == "static":
+            continue
+        for piece in blocks(r):
+            for m in motions(piece, Preprocessing()):
+                k = m.kept
+                q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
+                temp = None if m.temp is None else m.temp[k]
+                u = model.input(q, dq, tau, temp, 0.0, m.t[k])
+                part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
+                e = left_over(model, part, u, float("nan"), ddq, window=1)
+                parts.append((q, dq, ddq, np.where(m.moving[k], e, np.nan)))
+                block += [number] * len(k)
+            number += 1
+    if not parts:
+        return np.zeros((0, model.n)), np.zeros(0, np.intp), []
+    q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return left, np.array(block), _candidates(model, q, dq, ddq)
+
+
+def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
+    n, out = model.n, []
+    levels = {(f.effect, f.joint): f.values for f in model.effects}
+    rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
+    for j, joint in enumerate(model.joints):
+        dry = levels.get(("coulomb", joint), {}).get("F_c", 0.0)
+        wet = levels.get(("viscous", joint), {}).get("F_v", 0.0)
+
+        def at(*columns: Array, j: int = j) -> Array:
+            block = np.zeros((len(q), n, len(columns)))
+            block[:, j] = np.column_stack(columns)
+            return block
+
+        friction = at(np.sign(dq[:, j]), dq[:, j])
+        terms = (("coulomb", "F_c", "N m", dry), ("viscous", "F_v", "N m s/rad", wet))
+        out.append(_Candidate("coulomb", j, friction, terms, (DAILY * dry, DAILY * wet)))
+        constant = (("asymmetric_coulomb", "c", "N m", 0.0),)
+        out.append(_Candidate("asymmetric_coulomb", j, at(np.ones(len(q))), constant, (DAILY * dry,)))
+        out.append(_Candidate("torque_gain", j, at(rigid[:, j]), (("torque_gain", "e", "1", 0.0),), (LEAST_GAIN,)))
+    tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
+    load = (("payload", "m", "kg", 0.0), *((("payload", s, "kg m", 0.0)) for s in ("mx", "my", "mz")))
+    out.append(_Candidate("payload", None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
+    return out
+
+
+def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:
+    """Gain of a change (none: not positive), its numbers and their errors, held-out error (n,) before and after."""
+    use = np.isfinite(left)
+    y = np.where(use, left, 0.0) / scale
+    X = np.where(use[:, :, None], c.columns, 0.0) / scale[:, None]
+    k = X.shape[2]
+    A = np.zeros((count, k, k))
+    b = np.zeros((count, k))
+    np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
+    np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
+    ridge = 1e-9 * np.eye(k) * np.trace(A.sum(axis=0))
+    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0))
+    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) for g in range(count)])
+    std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
+    after = y - np.einsum("rjk,rk->rj", X, rest[block])
+    n = np.maximum(use.sum(axis=0), 1)
+    e0, e1 = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (y, after))
+    where = list(range(len(scale))) if c.joint is None else [c.joint]
+    lowered = float(np.max(1.0 - e1[where] / np.maximum(e0[where], 1e-12)))
+    gain = float(np.sum(y**2) - np.sum(after**2)) if lowered > LOWERED else 0.0
+    return gain, theta, std, e0, e1

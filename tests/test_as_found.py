@@ -1,0 +1,235 @@
+"""Recordings as found: one motion, cut anyhow, without phase or suite, printed stamps, branching URDFs, mixed conditions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from nominal_cases import F_C, F_V, JOINTS, Truth, arm, moving
+from stopset.cli.main import main
+from stopset.effects import get
+from stopset.errors import RecordingError, RobotError
+from stopset.offline.campaign.conditions import one_condition
+from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
+from stopset.offline.campaign.survey import survey
+from stopset.offline.diagnose.explain.doubt import doubt
+from stopset.offline.inspect import inspect_recordings
+from stopset.offline.nominal import identify_nominal
+from stopset.offline.nominal.friction_choice import choose
+from stopset.offline.nominal.pair_choice import coupled
+from stopset.offline.revise.revise import WIDER, widened
+from stopset.recording import Meta, Recording, read_recordings, write_recordings
+from stopset.robot.arm import robot_from_text
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+META = Meta(joints=JOINTS, robot="three", rate_hz=250.0)
+LOADED = 0.25  # N m of friction per N m of load, at one joint
+
+
+def loaded(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Plain friction, and on the second joint friction that grows with the load."""
+    more = np.zeros_like(dq)
+    more[:, 1] = LOADED * np.abs(load[:, 1]) * np.sign(dq[:, 1])
+    return F_C * np.sign(dq) + F_V * dq + more
+
+
+@pytest.fixture(scope="module")
+def motion() -> Recording:
+    """One motion of half a minute."""
+    return moving(Truth(arm(), loaded), 0, 32.0, 1.2, seed=4, rate=125.0)
+
+
+def pieces(r: Recording, count: int) -> list[Recording]:
+    edges = np.linspace(0, len(r.t), count + 1).astype(int)
+    return [replace(r.cut(a, b), suite=k, place=k, t=r.t[a:b] - r.t[a]) for k, (a, b) in enumerate(pairwise(edges))]
+
+
+def plain(path: Path, r: Recording, drop: tuple[str, ...] = ()) -> Path:
+    """A file of nothing but stamps and signals."""
+    table = {"t": r.t}
+    for k, j in enumerate(JOINTS):
+        table |= {f"q_{j}": r.q[:, k], f"dq_{j}": r.dq[:, k], f"tau_{j}": r.tau[:, k]}
+    pq.write_table(pa.table({k: v for k, v in table.items() if k not in drop}), path)
+    return path
+
+
+def test_eight_cuts_of_a_motion_are_one_motion_and_eight_motions_are_eight(motion: Recording) -> None:
+    cut = survey(lambda: pieces(motion, 8))
+    assert len(set(cut.motion.values())) == 1
+    others = [moving(Truth(arm()), k, 4.0, 1.0, seed=7) for k in range(8)]
+    assert len(set(survey(lambda: others).motion.values())) == 8
+
+
+def test_one_motion_is_held_out_in_time_with_a_guard(motion: Recording) -> None:
+    for trials in ([motion], pieces(motion, 8)):
+        division = hold_out(survey(lambda trials=trials: trials))
+        assert "same motion" in division.words
+    fitted = [(x.t[0], x.t[-1]) for x in in_time().fitted(motion)]
+    judged = [(x.t[0], x.t[-1]) for x in in_time().judged(motion)]
+    assert len(fitted) >= 3 and len(judged) >= 3
+    apart = [max(a[0] - b[1], b[0] - a[1]) for a in fitted for b in judged]
+    assert min(apart) >= GUARD - 0.02
+
+
+def test_the_loop_closes_on_one_file_without_phase_or_suite(tmp_path: Path, motion: Recording) -> None:
+    data = plain(tmp_path / "rec.parquet", motion)
+    (tmp_path / "robot.urdf").write_text(arm().urdf)
+    (tmp_path / "robot.json").write_text(json.dumps(dict(arm().datasheet)))
+    model, better = tmp_path / "0.model.json", tmp_path / "1.model.json"
+    assert (
+        main(
+            ["identify", "--robot", str(tmp_path / "robot.urdf"), "--data", str(data), "--out", str(model), "--friction", "plain"]
+        )
+        == 0
+    )
+    assert main(["compare", str(model), "--data", str(data)]) == 0
+    found, tried = tmp_path / "found.json", tmp_path / "tried.json"
+    assert main(["diagnose", str(model), "--data", str(data), "--json", str(found)]) == 0
+    first = json.loads(found.read_text())["ranked_effects"][0]
+    assert (first["effect"], first["joint"]) == ("load_coulomb", "shoulder")
+    words = [f"{first['effect']}:{first['joint']}", "--data", str(data), "--out", str(better), "--json", str(tried)]
+    assert main(["add", str(model), *words]) == 0
+    answer = json.loads(tried.read_text())
+    # what is named is taken, and the numbers are the same ones
+    key = f"held_out_torque_rmse:{first['joint']}"
+    assert answer["before"][key] == pytest.approx(first["error_before"], rel=1e-9)
+    assert answer["after"][key] == pytest.approx(first["error_after"], rel=1e-9)
+    assert "same motion" in answer["judged_on"]
+
+
+def test_friction_laws_are_chosen_where_they_are_and_nowhere_else(motion: Recording) -> None:
+    gains = choose(arm(), lambda: [motion], 1)
+    assert [g.name for g in gains] == ["load_coulomb:shoulder"]
+    assert gains[0].after < 0.8 * gains[0].before
+    healthy = moving(Truth(arm()), 0, 32.0, 1.2, seed=4, rate=125.0)
+    assert choose(arm(), lambda: [healthy], 1) == ()
+
+
+def test_a_description_far_off_is_doubted(motion: Recording) -> None:
+    """A believed description leaves its own error as noise: with a richer friction the fit must not get worse."""
+    wrong = arm(mass=1.6, shift=0.03)
+    one, more = (identify_nominal(wrong, [motion], ("coulomb", "viscous", *e)) for e in ((), ("load_coulomb", "cubic_viscous")))
+    assert np.all(more.rms <= 1.02 * one.rms)
+    assert more.rms[1] < 0.5
+
+
+def test_a_rotor_that_nothing_tells_stands_at_a_physical_floor() -> None:
+    """Too slow to show its inertia: zero would follow its torque within microseconds."""
+    slow = moving(Truth(arm()), 0, 20.0, 0.1, seed=5)
+    bare = identify_nominal(arm(sheet=False), [slow])
+    assert np.all(bare.rotor > 0)
+    for j, joint in enumerate(JOINTS):
+        if bare.rotor[j] < 0.5:
+            assert any(f"held at a physical floor: the rotor inertia of {joint}" in note for note in bare.notes)
+            assert bare.value("viscous", joint)["F_v"] / (bare.rotor[j] + 0.3) < 1e3
+
+
+def test_two_joints_that_share_a_motor_are_found() -> None:
+    r = moving(Truth(arm()), 0, 20.0, 1.2, seed=6)
+    assert coupled(arm(), lambda: [r], [r]) == ()
+    values, tau = {"J": 0.2, "c": 2.0, "F": 6.0}, r.tau.copy()  # the law written out
+    ddq = np.gradient(r.dq, r.t, axis=0)
+    for a, b in ((1, 2), (2, 1)):
+        tau[:, a] += values["J"] * ddq[:, b] + values["c"] * r.dq[:, b] + values["F"] * np.sign(r.dq[:, a] + r.dq[:, b])
+    (found,) = coupled(arm(), lambda: [replace(r, tau=tau)], [replace(r, tau=tau)])
+    assert found.name == "coupled_wrist:shoulder+elbow"
+
+
+def test_printed_stamps_are_no_lost_samples(tmp_path: Path, motion: Recording) -> None:
+    t = np.round(np.arange(len(motion.t)) * 0.0113, 2)  # a period of 11.3 ms printed to 10 ms
+    path = tmp_path / "rec.parquet"
+    write_recordings(path, replace(META, rate_hz=88.5), [replace(motion, t=t, dq=motion.dq * 8 / 11.3)])
+    i = inspect_recordings([path])[0]
+    kinds = {f.kind for f in i.findings}
+    assert "stamp_digits" in kinds and "dropped_samples" not in kinds, [f.says for f in i.findings]
+    assert np.ptp(np.diff(read_recordings(path).trials[0].t)) < 1e-9
+
+
+def test_a_filter_that_settles_is_no_lost_sample(tmp_path: Path, motion: Recording) -> None:
+    settling = motion.dq * (1 - np.exp(-motion.t / 0.05))[:, None]
+    begun = replace(motion, dq=settling).cut(5, len(motion.t))
+    path = tmp_path / "rec.parquet"
+    write_recordings(path, replace(META, rate_hz=125.0), [replace(begun, t=begun.t - begun.t[0])])
+    i = inspect_recordings([path])[0]
+    assert {f.kind for f in i.findings if f.severity == "error"} == set(), [f.says for f in i.findings]
+    assert "start_transient" in {f.kind for f in i.findings}
+
+
+def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None:
+    still = replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), dq=0 * motion.dq)
+    with pytest.raises(RecordingError, match="no joint moves"):
+        identify_nominal(arm(), [still])
+
+
+GRIPPER = (
+    '<link name="finger_a"/><link name="finger_b"/>'
+    '<joint name="grip" type="{kind}"><parent link="l3"/><child link="finger_a"/><axis xyz="0 1 0"/></joint>'
+    '<joint name="grip_b" type="{kind}"><parent link="l3"/><child link="finger_b"/><axis xyz="0 1 0"/>{mimic}</joint></robot>'
+)
+
+
+def test_urdfs_with_branches_name_the_chain() -> None:
+    text = arm().urdf
+    slides = robot_from_text(text.replace("</robot>", GRIPPER.format(kind="prismatic", mimic="")))
+    assert slides.joints == JOINTS and "grip" in " ".join(slides.notes)
+    turns = text.replace("</robot>", GRIPPER.format(kind="revolute", mimic=""))
+    with pytest.raises(RobotError, match=r"--tip.*finger_a"):
+        robot_from_text(turns)
+    assert robot_from_text(turns, {"locked": ["grip", "grip_b"]}).joints == JOINTS
+    with pytest.raises(RobotError, match="has no link"):
+        robot_from_text(turns, {"tip": "nowhere"})
+
+
+def test_conditions_are_not_mixed_without_being_told(tmp_path: Path, motion: Recording) -> None:
+    one_condition(["payload=2", "payload=2"])
+    with pytest.raises(RecordingError, match="2 conditions"):
+        one_condition(["", "payload=2"])
+    a, b = (plain(tmp_path / f"{x}.parquet", motion.cut(0, 400)) for x in "ab")
+    (tmp_path / "robot.urdf").write_text(arm().urdf)
+    words = [
+        "identify",
+        "--robot",
+        str(tmp_path / "robot.urdf"),
+        "--data",
+        str(a),
+        str(b),
+        "--out",
+        str(tmp_path / "m.model.json"),
+    ]
+    assert main([*words, "--condition", "payload=2@b.parquet"]) == 2
+    assert main([*words, "--condition", "payload@b.parquet"]) == 2
+    assert main([*words, "--condition", "payload=2@c.parquet"]) == 2
+    assert not (tmp_path / "m.model.json").exists()
+
+
+def test_a_revision_that_widens_the_torque_sets_is_refused() -> None:
+    key = "sum_U_width_without_margin"
+    assert widened({key: 63.0}, {key: 934.0}).startswith("the widths of U would grow from 63 to 934")
+    assert widened({key: 63.0}, {key: 63.0 * (1 + 0.9 * WIDER)}) == "" and widened({}, {key: 1.0}) == ""
+
+
+def test_what_is_no_claim() -> None:
+    delay, heating, load, gear = map(get, ("delay", "self_heating", "load_coulomb", "elasticity"))
+    assert "twice its error" in doubt(delay, {"d": 0.051}, {"d": 0.082}, 60.0)
+    assert "at the end" in doubt(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 0.5}, {"k_v": 1.7, "k_c": 0.1}, 60.0)
+    assert "longer than" in doubt(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 300.0}, {"k_v": 1.7, "k_c": 0.1}, 9.0)
+    assert "beyond what it can be" in doubt(load, {"k_lift": 0.2, "k_lower": -0.2}, {"k_lift": 0.02, "k_lower": 0.02}, 60.0)
+    shape = {"K": 6588.0, "D": 199.0}
+    assert "times what such a gear makes" in doubt(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
+    assert doubt(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not (DATA / "ur10").exists(), reason="../shared/data is not here")
+def test_a_real_ur10_without_a_data_sheet_is_identified(tmp_path: Path) -> None:
+    folder, model = DATA / "ur10", tmp_path / "m.model.json"
+    assert not inspect_recordings([folder / "exciting.parquet"])[0].wrong
+    words = ["--robot", str(folder / "robot.urdf"), "--data", str(folder / "exciting.parquet"), "--out", str(model)]
+    assert main(["identify", *words]) == 0
