@@ -29,7 +29,7 @@ from stopset.offline.brakes.stops import rest_noise
 from stopset.offline.identify.pipeline import identify
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.plant import setting_of
-from stopset.reach.stops.ramp import ramp_of
+from stopset.reach.stops.ramp import Ramp, ramp_of, ramp_time
 from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.recording import Recording, read_recordings
@@ -55,8 +55,8 @@ class Row:
     outside: tuple[tuple[str, int, float], ...]
 
 
-def exceeds(tubes: Sequence[Tube], r: Recording) -> tuple[float, float]:
-    """Bound over measured: angle of the joint that went farthest, time until the last joint stopped."""
+def exceeds(tubes: Sequence[Tube], r: Recording, rests: float | None = None) -> tuple[float, float]:
+    """Bound over measured: angle of the joint that went farthest, time until the last joint stopped (``rests`` [s], default the tubes')."""
     k = trigger_of(r)
     assert k is not None
     travel = np.abs(r.q[k:] - r.q[k]).max(axis=0)
@@ -64,7 +64,15 @@ def exceeds(tubes: Sequence[Tube], r: Recording) -> tuple[float, float]:
     far = max(max(float(t.d_hi[:, i].max()), -float(t.d_lo[:, i].min())) for t in tubes)
     moving = np.flatnonzero((np.abs(r.dq[k:]) > STILL).any(axis=1))
     lasted = float(r.t[k + min(int(moving[-1]) + 1, len(r.t) - 1 - k)] - r.t[k]) if len(moving) else np.nan
-    return far / float(travel[i]), max(float(stopped_after(t).max()) for t in tubes) / lasted
+    return far / float(travel[i]), (max(float(stopped_after(t).max()) for t in tubes) if rests is None else rests) / lasted
+
+
+def rest_of(ramp: Ramp, noise: Box, r: Recording) -> float:
+    """[s] time to rest of a controlled stop from the state measured at its request; nan where the ramp does not tell."""
+    k, n = trigger_of(r), r.dq.shape[1]
+    assert k is not None
+    told = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
+    return np.nan if told is None else float(told.max())
 
 
 def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Row]:
@@ -78,7 +86,7 @@ def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Ro
         out.append(_row(name, "STOP 0", Verdict(len(held), len(known), tuple(left)), [exceeds(t, r) for r, t in known]))
     held = divide([r for r in recordings if r.phase == "stop1"])[1]
     if setting is not None and ramp is not None and held:
-        ratios = [exceeds([stop1_tube(ramp, setting.noise, r)], r) for r in held]
+        ratios = [exceeds([stop1_tube(ramp, setting.noise, r)], r, rest_of(ramp, setting.noise, r)) for r in held]
         out.append(_row(name, "STOP 1", judge_stop1(ramp, setting.noise, held), ratios))
     return out
 
@@ -122,7 +130,7 @@ def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box) -> Row:
         others = {kind: [*f[:k], *f[k + 1 :]] for kind, f in fits.items()}
         ramp = ramp_from(others, [*mine[:k], *mine[k + 1 :]], [x for x in stops if x is not r], noise, [])
         verdicts.append(judge_stop1(ramp, noise, [r]))
-        ratios.append(exceeds([stop1_tube(ramp, noise, r)], r))
+        ratios.append(exceeds([stop1_tube(ramp, noise, r)], r, rest_of(ramp, noise, r)))
     certified, uncovered = sum(v.certified for v in verdicts), tuple(x for v in verdicts for x in v.uncovered)
     return _row(name, "STOP 1", Verdict(len(mine), certified, tuple(x for v in verdicts for x in v.outside), uncovered), ratios)
 

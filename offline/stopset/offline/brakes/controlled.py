@@ -45,18 +45,12 @@ def ramp_from(
     pace = farther(len(paces)) * max(paces) if paces else 0.0
     errors = np.array([_tracking(kind, r, f) for r, f in zip(train, fits[kind], strict=True)])  # (stops, 2, n)
     q_error, dq_error = farther(len(train)) * errors.max(axis=0)
-    band = np.maximum(STILL, noise.radius[n:])
-    settles = [_settling(kind, r, f, band) for r, f in zip(train, fits[kind], strict=True)]
-    known = [s for s in settles if s is not None]
-    if len(known) < len(settles):
-        notes.append(
-            f"{len(settles) - len(known)} of {len(settles)} controlled stops were still moving when their recording ended"
-        )
+    still = np.maximum(STILL, noise.radius[n:])
     ramp = Ramp(
         "time" if kind == "time" else "deceleration",
         Box.of(np.full(n, max(value[0], 1e-3)), np.full(n, value[1])), Box.of(np.full(n, max(control[0], 0.0)), np.full(n, control[1])),
         q_error, dq_error, source="identified from stop1 recordings", pace=(-pace, pace),
-        settle=farther(len(known)) * max(known) if len(known) == len(settles) else None, standstill=band,
+        settle=_settling(kind, train, fits[kind], still, notes), standstill=still,
     )  # fmt: skip
     for round_ in range(WIDENINGS + 1):
         outside = judge_stop1(ramp, noise, train).outside
@@ -129,16 +123,22 @@ def _motion(r: Recording) -> tuple[Array, Array, Array]:
     return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
 
 
-def _settling(kind: str, r: Recording, fit: Fit, band: Array) -> float | None:
-    """[s] from the end of the stop's own ramp until every joint stays slower than ``band`` (n,) [rad/s]; None if one never does."""
-    t, v, v0 = _motion(r)
-    moving = np.abs(v) > band
-    if moving[-1].any():
+def _settling(kind: str, train: Sequence[Recording], fits: Sequence[Fit], band: Array, notes: list[str]) -> float | None:
+    """[s] from the end of the next stop's own ramp until every joint stays slower than ``band`` (n,); None if a stop never rests."""
+    late = []
+    for r, fit in zip(train, fits, strict=True):
+        t, v, v0 = _motion(r)
+        moving = np.abs(v) > band
+        if moving[-1].any():
+            continue
+        lasts = np.full(v0.shape, fit.value) if kind == "time" else np.abs(v0) / fit.value
+        last = len(t) - 1 - np.argmax(moving[::-1], axis=0)
+        rests = np.where(moving.any(axis=0), t[np.minimum(last + 1, len(t) - 1)], 0.0)
+        late.append(max(float(np.max(rests - fit.control - lasts)), 0.0))
+    if len(late) < len(train):
+        notes.append(f"{len(train) - len(late)} of {len(train)} controlled stops were still moving when their recording ended")
         return None
-    lasts = np.full(v0.shape, fit.value) if kind == "time" else np.abs(v0) / fit.value
-    last = len(t) - 1 - np.argmax(moving[::-1], axis=0)
-    rests = np.where(moving.any(axis=0), t[np.minimum(last + 1, len(t) - 1)], 0.0)
-    return max(float(np.max(rests - fit.control - lasts)), 0.0)
+    return farther(len(late)) * max(late)
 
 
 def _tracking(kind: str, r: Recording, fit: Fit) -> Array:
