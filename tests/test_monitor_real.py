@@ -62,14 +62,13 @@ def test_the_real_recording_conforms_over_can(model_path: Path) -> None:
     assert max(v.oldest for v in out) == pytest.approx(model.powered.horizon - model.powered.dt, abs=1.1 * model.powered.dt)
 
 
-# joint 2's interval U is nearly as wide as half its torque in these motions: only the first trials of the second motion,
-# where its friction is highest, show the error
-@pytest.mark.parametrize("joint", range(6))
-def test_one_and_a_half_times_the_torque_names_the_joint(model_path: Path, joint: int) -> None:
+# joint 2 brakes harder than its friction at the end of some trials, which its interval U holds: wider than half its torque there, so that
+# only more than twice the torque is refuted (1.8 times it is not)
+@pytest.mark.parametrize(("joint", "factor"), [(0, 1.5), (1, 2.2), (2, 1.5), (3, 1.5), (4, 1.5), (5, 1.5)])
+def test_a_wrong_torque_names_the_joint(model_path: Path, joint: int, factor: float) -> None:
     model = load_model(model_path)
     trials = list(read_recordings(REAL, model.robot))
-    trials = trials[79:100:14] if joint == 1 else trials[::10]
-    scaled = [replace(r, tau=r.tau * np.where(np.arange(6) == joint, 1.5, 1.0)) for r in trials]
+    scaled = [replace(r, tau=r.tau * np.where(np.arange(6) == joint, factor, 1.0)) for r in trials[::10]]
     _, latch = through_the_bus(model, scaled)
     assert latch.joints == (model.joints[joint],)
 
