@@ -109,7 +109,7 @@ def test_what_each_part_tells(plan: Plan) -> None:
     assert told["static"]["base_parameters_halved"] <= told["excitation"]["base_parameters"]
     assert told["static"]["F_c_std_Nm"] is None  # nothing moves
     by = {r["parameter"]: r for r in plan.outlook}
-    assert by["shoulder.rotor"]["after"] < 0.6 * by["shoulder.rotor"]["before"]
+    assert by["shoulder.rotor"]["after"] < 0.8 * by["shoulder.rotor"]["before"]  # a data sheet is believed to 6 % before
     assert by["elbow.mz"]["after"] < by["elbow.mz"]["before"]
     assert by["base.m"]["after"] == pytest.approx(by["base.m"]["before"], rel=1e-3)  # no torque ever tells it
 
@@ -180,7 +180,9 @@ def test_what_the_plan_says_it_will_identify_is_identified() -> None:
         if after < 0.5 * before if before is not None else after < 0.25 * abs(truth[name]):
             named.append(name)
             assert abs(found[name] - truth[name]) < 4 * after, name
-            assert stated[name] < 3 * after, name  # and identification agrees on how sure that is
+            # identification is not much surer than that, and doubts more: its errors are those of trials left out in turn,
+            # and friction is taken to scatter by 2 % from day to day
+            assert stated[name] < 10 * after + 0.03 * abs(truth[name]), name
     friction_terms = {
         f"{e}:{j}.{s}" for e, s in (("coulomb", "F_c"), ("viscous", "F_v"), ("cubic_viscous", "v_3")) for j in JOINTS
     }
