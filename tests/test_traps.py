@@ -555,8 +555,11 @@ def test_p24_an_unstated_effort_is_refused(tmp_path) -> None:
     with pytest.raises(RecordingError, match="effort is 'percent'"):
         read_meta(save(tmp_path / "b.parquet", table, meta(joints, "percent")))
     del table["phase"]
+    # columns of torque are in N m by the format's own word; that they are the motors' is assumed, and said
+    assert any("taken as motor torque" in w for w in read_meta(save(tmp_path / "c.parquet", table, None)).warnings)
+    bare = {k: v for k, v in table.items() if not k.startswith("tau_")}
     with pytest.raises(RecordingError, match="effort kind"):
-        read_meta(save(tmp_path / "c.parquet", table, None))
+        read_meta(save(tmp_path / "d.parquet", bare, None))
 
 
 def test_p24_compensated_and_motor_torque_are_not_mixed(planar, tmp_path) -> None:
