@@ -24,8 +24,8 @@ HELP = "the whole story on a simulated arm: no file, no hardware, no network; a 
 
 HIDDEN = "spring:arm_4_joint"  # a dress pack that nobody told the model about
 ARM = "demo/cell/arm"
-SPEED = 4.0  # of the replay, times real time
-TRIALS = 12  # replayed
+SPEED = 1.0  # of the replay, times real time: bounds are computed as fast as on a real cell, not faster
+TRIALS = 4  # replayed
 DATA_ID = 4711  # of the simulated arm's messages: a consumer knows its source by it
 # the controller of the simulated cell ramps down in 0.35 s; its safety relay takes the power after 0.5 s whatever happens (SS1-t)
 RAMP_S, OFF_AFTER_S = 0.35, 0.5
