@@ -363,7 +363,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step;
+    double coupling, christoffel, gravity_slope, whole_step, bend;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
