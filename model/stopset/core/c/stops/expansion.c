@@ -143,8 +143,8 @@ static int is_body(const double *P) {
     return 1;
 }
 
-/* Squares of the levers, and which bodies are solid, go on with the links' parameters `pi`. The widening is eight times `thin` and
- * more: room for bodies that are thin, and for rounding. */
+/* Squares of the levers, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
+ * is a body, and what was put on it is one too: eight times `thin`; the rest is for rounding. */
 static void levers(const Bodies *b, const double *pi, Expansion *E) {
     const int n = b->n;
     double slack[SN] = {0};

@@ -1,4 +1,6 @@
 /* Inertia and torques while angles and speeds stay in a box, from the local expansion of a pose. */
+#include <string.h>
+
 #include "stops.h"
 
 /* The levers anywhere within `far` of the pose: lever (a, b) changes with q_c, c > a, by no more than lever (c, max(b, c)). */
@@ -15,7 +17,7 @@ static void far_levers(const Expansion *E, const double *far, double *lever) {
  * is m; pairs[c]: sum of far_o far_u over pairs of which c is the last. */
 static void third_slopes(const Expansion *E, int i, const double *far, const double *lever, double *of, double *pairs) {
     const int n = E->n;
-    double third[SN], before = 0.0, so_far = 0.0, behind = 0.0;
+    double third[SN], before = 0.0, behind = 0.0;
     for (int c = i + 1; c < n; c++) {
         double longest = 0.0;
         for (int a = i; a <= c; a++) longest = most(longest, lever[a * n + c]);
@@ -24,7 +26,7 @@ static void third_slopes(const Expansion *E, int i, const double *far, const dou
         before += far[c];
     }
     for (int m = n - 1; m > i; m--) {
-        so_far = 0.0;
+        double so_far = 0.0;
         for (int c = i + 1; c <= m; c++) so_far += pairs[c];
         of[m] = third[m] * so_far + behind;
         behind += third[m] * pairs[m];
@@ -129,4 +131,19 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         out->e_lo[i] = share * (v[2] - v[3]) - g - r;
         out->e_hi[i] = share * (v[2] + v[3]) - g + r;
     }
+}
+
+int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const StopsetParts *parts,
+                        double *M, double *dM, double *turn) {
+    const int n = plant->arm.n;
+    const double none[SN] = {0};
+    Expansion E;
+    Local at;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, parts, &at);
+    memcpy(M, at.M, (size_t)(n * n) * sizeof *M);
+    memcpy(dM, at.dM, (size_t)(n * n) * sizeof *dM);
+    memcpy(turn, at.turn, (size_t)(n * n * n) * sizeof *turn);
+    return STOPSET_OK;
 }
