@@ -26,7 +26,7 @@ def catalogue() -> MappingProxyType[str, Effect]:
     """
     found: dict[str, Effect] = {}
     for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
-        if info.name not in ("base", "bound", "registry", "signals", "memory"):
+        if info.name not in ("base", "bound", "registry", "selection", "signals", "memory"):
             effect = importlib.import_module(f"stopset.effects.{info.name}").EFFECT
             found[effect.name] = effect
     for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):

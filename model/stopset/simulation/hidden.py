@@ -15,9 +15,9 @@ import numpy as np
 from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
-from stopset.robot.rigid import Array
 from stopset.simulation.motions import space_of
 from stopset.simulation.plant import Plant, largest_gravity
+from stopset.types import Array
 
 Parameters = dict[str, float | str]
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.recording import Recording
-from stopset.robot.rigid import Array, torques
+from stopset.robot.rigid import torques
 from stopset.simulation.campaign import Plan, closed_loop_jobs
 from stopset.simulation.cell import Cell, record, temperatures
 from stopset.simulation.hidden import KINDS, Hidden, Parameters, Truth
+from stopset.types import Array
 
 RATIOS = {"large": float(np.sqrt(50.0)), "easy": float(np.sqrt(10.0)), "hard": float(np.sqrt(2.0))}
 SLOW = 0.015  # [rad/s] where a joint gets slower within the filter's window, its friction may be on either side

@@ -23,11 +23,11 @@ from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Stops
 from stopset.monitor.watch import Quantum
+from stopset.types import Array
 
 if TYPE_CHECKING:  # its compiled code is for the other process
     from stopset.reach.stops import StopBounds
 
-Array = NDArray[np.float64]
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
 SPARE_SPEED = 0.04  # [rad/s] noise of a measured speed and of the acceleration made from it; too little costs answers, not truth

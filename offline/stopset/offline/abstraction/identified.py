@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
@@ -15,8 +14,8 @@ from stopset.offline.abstraction.choose import Candidate, best_first, prediction
 from stopset.offline.abstraction.models import build
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 HORIZON = 1.0  # [s] predictions are compared up to here
 ORDERS = {1: (1, 3), 2: (3, 5, 12), 3: (1, 3, 5)}  # tried where none is asked for; 12 is exact for six joints
 # power of dq and the effect's parameter; the other effects are taken off the input

@@ -18,8 +18,8 @@ from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
-from stopset.recording.types import Array
 from stopset.robot.rigid import regressors, torques
+from stopset.types import Array
 
 LOWERED = 0.05  # share by which a change must lower the held-out error of one of its joints
 SURE = 4.0  # standard errors

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import compensated
@@ -28,8 +27,7 @@ from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, U
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
 from stopset.recording import Recording, Recordings
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders

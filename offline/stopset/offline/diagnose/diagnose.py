@@ -22,12 +22,12 @@ from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 MOVE = "Move every joint through its range at several speeds."

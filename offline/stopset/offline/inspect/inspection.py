@@ -22,8 +22,9 @@ from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
-from stopset.recording.types import Array, Meta
+from stopset.recording.types import Meta
 from stopset.robot import Robot
+from stopset.types import Array
 
 # friction that is left out of the model looks like delay
 FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")

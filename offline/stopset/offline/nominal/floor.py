@@ -16,9 +16,9 @@ from stopset.offline.nominal.friction import Limits
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.preprocess import SLOWEST
 from stopset.offline.nominal.prior import Prior
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
 FASTEST = 1000.0  # [rad/s^2] at full torque; light geared arms reach some hundred
 WEAK = 4.0  # standard errors of the inertia within which the floor may lie above what was fitted

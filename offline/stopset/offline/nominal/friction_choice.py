@@ -21,8 +21,9 @@ from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import assemble, problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import GROUPS, NormalEquations, accumulate
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
 LAWS = ("load_coulomb", "cubic_viscous", "asymmetric_coulomb")  # tried beyond Coulomb and viscous friction
 BASE = ("coulomb", "viscous")

@@ -6,16 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Model
 from stopset.artifact.inputs import compensated, input_map
 from stopset.effects.base import Effect, Fitted
+from stopset.effects.selection import matches, parse_effect
 from stopset.errors import EffectError
 from stopset.offline.campaign.survey import Source, Survey, on_grid
 from stopset.offline.conform.linear_sets import Pairs
 from stopset.offline.conform.noise import TELLING
-from stopset.offline.effect_names import matches, parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
 from stopset.offline.nominal.friction_choice import BASE, Gain, choose
@@ -27,8 +26,7 @@ from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estimated; leave it out"
 

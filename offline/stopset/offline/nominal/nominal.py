@@ -19,8 +19,9 @@ from stopset.offline.nominal.normal_equations import Column, NormalEquations, ac
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
 from stopset.offline.nominal.unidentifiable import base_count, undetermined
-from stopset.recording.types import Array, Recording, Recordings
+from stopset.recording.types import Recording, Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
 LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with

@@ -24,9 +24,10 @@ from stopset.effects import Effect, get
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError, RecordingError
 from stopset.offline.nominal.preprocess import Motion, Pose, Preprocessing, motions, pose_of
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
+from stopset.types import Array
 
 GROUPS = 32
 TOGETHER = 10.0  # rows whose errors count as one where nothing tells it: half a second, at 20 rows per second

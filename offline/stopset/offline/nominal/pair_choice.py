@@ -16,8 +16,9 @@ from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.nominal.friction_choice import BASE, Gain
 from stopset.offline.nominal.nominal import identify_nominal
 from stopset.offline.nominal.residual import Residual, residuals
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
 EFFECT = "coupled_wrist"
 TELLS = 0.2  # share by which the law must lower the held-out torque error of one of the joints

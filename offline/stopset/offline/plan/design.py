@@ -22,8 +22,9 @@ from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
 FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")
 HALVED = 0.25  # of the variance: a parameter's error is at least halved

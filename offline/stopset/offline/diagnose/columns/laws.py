@@ -12,7 +12,7 @@ from stopset.offline.diagnose.columns.delay import lagged
 from stopset.offline.diagnose.columns.elasticity import swing
 from stopset.offline.diagnose.columns.memory import memory
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
 

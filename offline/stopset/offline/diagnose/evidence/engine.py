@@ -18,11 +18,12 @@ from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, Projection, project
 from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
-from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared, prepare
+from stopset.offline.diagnose.rows.prepare import Index, Mask, Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 __all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 

@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Index
+from stopset.types import Array
 
 FEW_TRIALS = 20  # below which parts of trials are taken as independent
 PART = 10.0  # [s] length of such a part: some motions

@@ -13,10 +13,10 @@ from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.scores import score_new, scores
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined, sharpened
 from stopset.offline.diagnose.search.wanted import exact, wanted
+from stopset.types import Array
 
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
 SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model

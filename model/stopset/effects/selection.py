@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stopset.effects import Effect, get
-from stopset.effects.base import Fitted
+from stopset.effects.base import Effect, Fitted
+from stopset.effects.registry import get
 from stopset.errors import EffectError
 from stopset.robot import Robot
 
