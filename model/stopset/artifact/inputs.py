@@ -25,7 +25,7 @@ from stopset.types import Array
 Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
 
 ENTRIES = {
-    "viscous": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
+    "damping": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
     "input_gain": "the scale of the measured torque",
 }  # fmt: skip
 

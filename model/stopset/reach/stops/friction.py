@@ -137,7 +137,7 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
     fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     base = np.zeros((5, n, 2))
-    damped = [i for g in groups if g.effect.enters == "viscous" for i in g.joints]
+    damped = [i for g in groups if g.effect.enters == "damping" for i in g.joints]
     unknown = np.setdiff1d(np.arange(n), damped)  # there the abstraction's linear friction, as nothing better is known
     base[RUBS_VISCOUS, unknown] = model.abstraction.viscous[unknown, :1]
     fixed, speed, roaming = base.copy(), np.full(n, np.inf), []

@@ -65,7 +65,7 @@ def floor_of(robot: Robot, data: NormalEquations, prior: Prior) -> Floor:
             why.append(f"its {limit:g} N m would accelerate it by more than {FASTEST:g} rad/s^2")
         row = rotor.copy()
         for place, column in zip(layout.index(j)[10 * n + 1 :], layout.columns[j], strict=True):
-            if column.effect.name == "viscous":
+            if column.effect.power == 1:
                 row[place] = -settles
         rows.append(row)
         lower.append(-links[j])

@@ -43,7 +43,7 @@ class Candidate:
         """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
         if self.given is not None:
             return (self.given / float(self.sd[0])) ** 2 + limit.LAG_PRICE
-        return limit.SWING_PRICE if self.effect.name == "elasticity" else 0.0
+        return limit.SWING_PRICE if self.effect.role == "swing" else 0.0
 
 
 @dataclass(frozen=True, slots=True)

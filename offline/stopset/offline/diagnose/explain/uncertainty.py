@@ -55,7 +55,7 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
     for c, told in zip(claims, out, strict=True):
-        if c.effect.name == "payload":  # a load is known no better than the torque it is weighed with
+        if c.effect.carried:  # a load is known no better than the torque it is weighed with
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 told[t.symbol] = float(np.hypot(told[t.symbol], engine.source.gain_std * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
