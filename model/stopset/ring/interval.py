@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stopset.types import Array
+
 _ULPS = 4  # numpy documents <= 4 ulp for exp, sin, cos, tanh in double precision
 _TWO_PI = 2 * np.pi
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import lib, view
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KEPT = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
 
 

@@ -18,8 +18,9 @@ import numpy as np
 
 from stopset.artifact import load_model
 from stopset.errors import StopsetError
-from stopset.monitor.certificates import Answer, Array, Numbers
+from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Stops
+from stopset.types import Array
 
 if TYPE_CHECKING:
     from stopset.reach.stops import StopBounds

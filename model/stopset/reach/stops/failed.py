@@ -21,12 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import halves
 from stopset.reach.stops.tube import OK, Plant, Tube
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, expected_stop, march_box
-from stopset.robot.rigid import Array
+from stopset.types import Array
 
 SLICES = 8  # of the monitored ramp, by when it is left
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead

@@ -22,8 +22,8 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.tube import Tube
 from stopset.robot.rigid import torques
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KEY = "stop1_ramp"  # in a model's provenance
 KNOTS = 60
 POINTS = 40  # of the torque check, from one joint's rest to the next's

@@ -8,12 +8,13 @@ import numpy as np
 
 from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.windows import windows
-from stopset.robot.rigid import Array, gravity_torque
+from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
+from stopset.types import Array
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
 FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time

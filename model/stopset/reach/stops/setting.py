@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.bound import SIGMAS
@@ -16,8 +15,8 @@ from stopset.reach.stops.payload import bodies, weighed
 from stopset.reach.stops.tube import Plant
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
 HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 
