@@ -328,6 +328,7 @@ class Daemon:
                 self.clock.sleep(PATIENCE)
             try:
                 self.source = reopen()
+                self.watch.restart()  # a new source counts its cycles anew
                 return
             except BusError as e:
                 words = str(e)
