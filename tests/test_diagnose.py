@@ -19,6 +19,7 @@ from stopset.offline.diagnose.evidence.scores import scores
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.offline.diagnose.rows.noise import autocovariance, coloured, predictor, whiten
 from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.search import Claim, _stands, foretells
 from stopset.offline.diagnose.search.wanted import LAGS
@@ -72,6 +73,17 @@ def test_whitening_makes_sensor_noise_independent_and_is_invertible() -> None:
     assert np.var(w) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(w)))
     assert all(abs(np.mean(w[k:] * w[:-k])) < error for k in range(1, 6))
     assert np.allclose(coloured(w, start, a, sd), rows[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.3, 1.0, 3.0])
+def test_noise_of_a_reading_in_steps_is_neither_half_nor_twice_what_it_is(steps: float) -> None:
+    """An encoder without noise of its own still rounds; so does one whose noise is of the order of its steps."""
+    rng, step = np.random.default_rng(4), 2.0**-14
+    t = np.arange(8000) * 0.004
+    true = np.sin(0.7 * t)[:, None] + rng.normal(0, max(steps, 1e-9) * step, (8000, 1))
+    wanted = np.hypot(steps, 1 / np.sqrt(12)) * step
+    assert white(np.round(true / step) * step)[0] == pytest.approx(wanted, rel=0.25)  # rounding is no normal noise
+    assert white(true + rng.normal(0, step, true.shape))[0] == pytest.approx(np.hypot(steps, 1.0) * step, rel=0.05)
 
 
 def test_random_friction_scales_equal_brute_force_likelihood() -> None:

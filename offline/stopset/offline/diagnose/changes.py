@@ -26,7 +26,7 @@ SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level: friction differs by some percent from day to day, with temperature and rest
 LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
 LEAST_MASS = 0.05  # [kg]
-FEWEST = 6  # blocks of time, below which their scatter tells nothing
+FEWEST = 6  # trials (of fewer ones: blocks of time), below which their scatter tells nothing
 MOST = 8  # changes told
 
 
@@ -59,12 +59,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Columns (rows, n, k) of a change, and what each says: ``effect, joint, symbol, unit, before``."""
+    """Columns (rows, n, k) of a change, and what each says."""
 
     effect: str
     joint: int | None
     columns: Array
-    terms: tuple[tuple[str, str, str, float], ...]  # (effect, symbol, unit, before) of the columns that are told
+    terms: tuple[
+        tuple[str, str, str, float, float], ...
+    ]  # (effect, symbol, unit, before, its error) of the columns that are told
     least: tuple[float, ...]
 
 
@@ -87,10 +89,10 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         told = [
             Change(
                 effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(std[k]), float(before[worst]), float(after[worst]),
+                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
             )
-            for k, (effect, symbol, unit, level) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(SURE * std[k], candidate.least[k])
+            for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
+            if abs(theta[k]) > max(SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
         found.remove(candidate)
         if not told:
@@ -104,11 +106,10 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
-    number = 0
-    for r in recordings:
-        if r.phase == "static":
-            continue
-        for piece in blocks(r):
+    number, moving = 0, [r for r in recordings if r.phase != "static"]
+    whole = len(moving) >= FEWEST  # friction scatters from trial to trial: pieces of one err alike
+    for r in moving:
+        for piece in (r,) if whole else blocks(r):
             for m in motions(piece, Preprocessing()):
                 k = m.kept
                 q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
@@ -127,11 +128,16 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
 
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
     n, out = model.n, []
-    levels = {(f.effect, f.joint): f.values for f in model.effects}
+    fitted = {(f.effect, f.joint): f for f in model.effects}
+
+    def level(effect: str, joint: str, symbol: str) -> tuple[float, float]:
+        """What the model says, and its error."""
+        f = fitted.get((effect, joint))
+        return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
+
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
     for j, joint in enumerate(model.joints):
-        dry = levels.get(("coulomb", joint), {}).get("F_c", 0.0)
-        wet = levels.get(("viscous", joint), {}).get("F_v", 0.0)
+        dry, wet = level("coulomb", joint, "F_c"), level("viscous", joint, "F_v")
 
         def at(*columns: Array, j: int = j) -> Array:
             block = np.zeros((len(q), n, len(columns)))
@@ -139,13 +145,13 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        terms = (("coulomb", "F_c", "N m", dry), ("viscous", "F_v", "N m s/rad", wet))
-        out.append(_Candidate("coulomb", j, friction, terms, (DAILY * dry, DAILY * wet)))
-        constant = (("asymmetric_coulomb", "c", "N m", 0.0),)
-        out.append(_Candidate("asymmetric_coulomb", j, at(np.ones(len(q))), constant, (DAILY * dry,)))
-        out.append(_Candidate("torque_gain", j, at(rigid[:, j]), (("torque_gain", "e", "1", 0.0),), (LEAST_GAIN,)))
+        terms = (("coulomb", "F_c", "N m", *dry), ("viscous", "F_v", "N m s/rad", *wet))
+        out.append(_Candidate("coulomb", j, friction, terms, (DAILY * dry[0], DAILY * wet[0])))
+        constant = (("asymmetric_coulomb", "c", "N m", 0.0, 0.0),)
+        out.append(_Candidate("asymmetric_coulomb", j, at(np.ones(len(q))), constant, (DAILY * dry[0],)))
+        out.append(_Candidate("torque_gain", j, at(rigid[:, j]), (("torque_gain", "e", "1", 0.0, 0.0),), (LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = (("payload", "m", "kg", 0.0), *((("payload", s, "kg m", 0.0)) for s in ("mx", "my", "mz")))
+    load = (("payload", "m", "kg", 0.0, 0.0), *((("payload", s, "kg m", 0.0, 0.0)) for s in ("mx", "my", "mz")))
     out.append(_Candidate("payload", None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
     return out
 

@@ -24,6 +24,7 @@ Index = NDArray[np.intp]
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
 CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
 
 
@@ -248,6 +249,18 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
 
 
 def _white(x: Array) -> Array:
-    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps."""
+    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps.
+
+    A reading comes in steps, and so does the median of its differences: a step too low or too high would make the noise half or
+    twice as large.  So every difference is spread evenly over the step it stands for, and the spread is taken off again.
+    """
+    step = np.array([_step(c) for c in x.T])
     d = np.diff(x, 4, axis=0)
-    return np.sqrt(np.median(d**2, axis=0) / 0.4549 / 70.0)  # 0.4549: median of chi2_1; 70: sum of squared binomials
+    even = np.mod(np.arange(len(d)) * GOLDEN, 1.0) - 0.5
+    square = np.median((d + np.outer(even, step)) ** 2, axis=0) / 0.4549  # the median of chi2_1
+    return np.sqrt(np.maximum((square - step**2 / 12) / 70.0, step**2 / 12))  # 70: sum of squared binomials
+
+
+def _step(x: Array) -> float:
+    """The step of a reading; next to nothing where it has none."""
+    return float(np.min(np.diff(np.unique(x)))) if np.ptp(x) > 0 else 0.0
