@@ -85,7 +85,8 @@ class Prepared:
     ``warm_fine, t_fine``.
     Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
     difference.
-    ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
+    ``torque_noise`` (P, n), ``position_noise`` (n,): white noise of a sample [N m, rad]; ``phase`` (N,): number of each row's phase, as
+    a controller's own jitter is in the torque of one phase and not in another's.
     """
 
     joints: tuple[str, ...]
@@ -115,6 +116,7 @@ class Prepared:
     tau_still: Array
     spread_still: Array
     torque_noise: Array
+    phase: Index
     position_noise: Array
 
     @property
@@ -194,16 +196,20 @@ def prepare(recordings: Recordings) -> Prepared:
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
-    noise = [(_white(g["tau"]), _white(g["q"])) for _, g in grids if len(g["t"]) > 20]
+    phases = list(dict.fromkeys(r.phase for r, _ in grids))
+    told = [(r.phase, _white(g["tau"]), _white(g["q"])) for r, g in grids if len(g["t"]) > 20]
+    noise = [[x for p, x, _ in told if p == phase] or [x for _, x, _ in told] for phase in phases]
+    which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
         tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
-        trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
+        trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
-        torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
+        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in told], axis=0),
+        phase=np.array([phases.index(r.phase) for r, _ in grids])[which],
     )  # fmt: skip
 
 
