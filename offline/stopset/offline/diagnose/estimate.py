@@ -18,8 +18,8 @@ from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
 from stopset.recording import Recordings
-from stopset.recording.types import Array
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

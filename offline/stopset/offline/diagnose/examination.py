@@ -14,12 +14,12 @@ from stopset.offline.diagnose.explain.doubt import doubt, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
         if effect.enters == "input_delay":
             lag = f.values.get(effect.terms[0].symbol, 0.0)
             shapes = {"d0": lag} if lag else {}
-        elif effect.name == "elasticity":
+        elif effect.role == "swing":
             shapes |= {"exact": 1.0, "begun": 1.0}
         candidate = engine.add(effect, place, shapes)
         if candidate is not None:
@@ -122,7 +122,7 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: Le
 
 def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
     """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
-    m = told["m"] if effect.name == "payload" else None
+    m = told["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std

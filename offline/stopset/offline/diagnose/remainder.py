@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.search import Claim, Found
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

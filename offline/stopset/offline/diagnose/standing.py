@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stopset.effects import Fitted
+from stopset.effects.selection import of_part
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis
 from stopset.offline.diagnose.explain.identifiable import Blind
@@ -23,11 +24,12 @@ def moves(r: Recording) -> bool:
 
 def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
     """Recordings in which no joint moves: torque that changes there by more than friction can hold comes from outside."""
-    coulomb = {f.joint: f.values.get("F_c", 0.0) for f in fitted if f.effect == "coulomb"}
+    dry = of_part("dry friction")
+    level = {f.joint: f.values.get(dry.terms[0].symbol, 0.0) for f in fitted if f.effect == dry.name}
     pushed = []
     for j, name in enumerate(robot.joints):
         limit = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else 100.0
-        friction = coulomb.get(name, 0.05 * limit)
+        friction = level.get(name, 0.05 * limit)
         swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
         if swing > 2 * friction + 0.02 * limit:
             pushed.append((swing / limit, name))
