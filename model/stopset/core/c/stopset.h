@@ -278,7 +278,8 @@ STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, in
 
 typedef struct {
     int64_t order;
-    const double *a, *sd; /* (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, and its deviation */
+    const double *a, *sd; /* of each kind of row (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, its deviation */
+    const int64_t *kind;  /* (N,) of each row; the rows of one run are of one kind */
 } StopsetPredictor;
 
 /* Rows (N, columns) less their prediction, over its deviation; back again; and the adjoint. */
