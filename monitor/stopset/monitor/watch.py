@@ -183,6 +183,11 @@ class Watch:
         """Oldest age that is checked [s]."""
         return float(self.ages[-1])
 
+    @property
+    def inputs(self) -> tuple[Array, Array] | None:
+        """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
+        return self._u
+
     def _forget(self) -> None:
         self._age[:] = -1
         self._widen = not self._inputs.plain
@@ -221,7 +226,8 @@ class Watch:
             verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         else:
             verdict = self._compare(x, before, outside)
-        self._launch(bool(outside))
+        if not verdict.deviations:  # what is refuted itself predicts nothing: one bad sample counts once
+            self._launch(bool(outside))
         self._u = (u, du)
         return verdict
 
