@@ -27,12 +27,13 @@ AT_ONCE = 8  # messages written before the loop may have the interpreter
 @dataclass(slots=True)
 class Incident:
     """A sample outside its prediction: ``row`` of the trace, the worst deviation, its stamp ``t`` [s], when it was ``noticed``
-    [s, monotonic], and the file it was written to already."""
+    [s, monotonic], whether it was ``tried`` to write it, and the file it was written to already."""
 
     row: int
     first: Deviation
     t: float
     noticed: float
+    tried: bool = False
     written: Path | None = None
 
 

@@ -130,7 +130,7 @@ class Recorder:
             incident = self._incidents[0]
             due = self.trace.head - incident.row > round(AFTER / self.cycle_s)
             due = due or last or self.clock.monotonic() - incident.noticed > AFTER + PATIENCE
-            if incident.written is None or due:
+            if due or not incident.tried:
                 self._write(incident, due)
             if not due:
                 break
@@ -143,6 +143,7 @@ class Recorder:
         w = self.trace.window(incident.row - round(back / self.cycle_s), incident.row + 1 + round(AFTER / self.cycle_s))
         at = len(w) - 1 - max(0, min(self.trace.head, incident.row + 1 + round(AFTER / self.cycle_s)) - 1 - incident.row)
         cause = self._cause(w, at, incident.first, model) if whole else UNCLASSED
+        incident.tried, digest = True, ""
         try:
             if self.settings.violations:
                 incident.written, digest = write_bundle(
@@ -150,12 +151,11 @@ class Recorder:
                     self.heard(), self.pause,
                 )  # fmt: skip
                 self.files += whole
-            answer = Answer(cause, str(incident.written or ""), digest if self.settings.violations else "")
+            answer = Answer(cause, str(incident.written or ""), digest)
             self.trouble = ""
         except (OSError, StopsetError) as e:
             self.trouble = f"the violation could not be written to {self.folder} ({e}); what was published of it is all there is"
             answer = Answer(cause, trouble=self.trouble)
-            incident.written = incident.written or Path()
         if whole:
             self.answers.append(answer)
 
