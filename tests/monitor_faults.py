@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor_arm import DT, VISCOUS, U
 from stopset.monitor.evidence.cause import Kind
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KINDS = (
     Kind.SPIKE, Kind.FROZEN, Kind.STALE, Kind.LATE_TORQUE, Kind.CONTACT, Kind.DRIFT, Kind.MISSING_EFFECT, Kind.ENCODER_JUMP,
 )  # fmt: skip

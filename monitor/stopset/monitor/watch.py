@@ -21,8 +21,8 @@ from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 MAX_PREDICTIONS = 1500  # rows of the comparison; longer horizons start fewer predictions
 BRIDGE = 5  # cycles from one sample to the next that predictions are led across; after more they start anew
 LARGEST = 1e6  # of any reading [SI]; beyond it arithmetic would end in what is not a number

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from stopset.monitor.evidence.cause import UNCLASSED, Cause, Kind
 from stopset.monitor.evidence.dynamics import Dynamics, Readings
 from stopset.monitor.evidence.trace import Window
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 FEWEST, BEFORE = 8, 2  # rows after and before the first contradiction; with fewer nothing is told
 REPEATS = 5  # identical readings in a row that are no coincidence where the arm moves
 FEW = 3.0  # smallest steps of a position that a speed must have made for it to be called frozen

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from stopset.errors import NotCovered
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.types import Array
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.monitor.evidence.trace import Window
     from stopset.monitor.watch import Quantum
 
-Array = NDArray[np.float64]
 STARTS = 150  # predictions that one look begins at most
 LONGEST = 25  # steps over which a torque is averaged at most
 

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.monitor.evidence.dynamics import Dynamics, Readings
 from stopset.monitor.evidence.mcap_file import stamp
 from stopset.monitor.evidence.trace import Window
 from stopset.monitor.layout import State
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 VERDICTS = ("UNKNOWN", "CONFORMANT", "VIOLATION", "FAULT")  # by code, as in the state message
 
 

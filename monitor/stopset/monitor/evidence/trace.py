@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.monitor.watch import Sample, Verdict
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 ROOM = 4096  # cycles kept at most, which is 16 s at 250 Hz
 
 
