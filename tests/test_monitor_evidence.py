@@ -31,6 +31,7 @@ from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
 from stopset.monitor.watch import Conformance, Quantum, Sample, Watch
 from stopset.recording import read_recordings, write_recordings
+from stopset.sets import Box
 
 SECONDS = 1.35  # of a life with a fault
 
@@ -85,6 +86,39 @@ def test_a_good_arm_gets_no_class(arm: tuple[Path, Model]) -> None:
 def test_codes_of_the_classes_only_grow() -> None:
     words = "none unclassed spike frozen stale late_torque contact drift missing_effect encoder_jump"
     assert [k.value for k in Kind][: len(words.split())] == words.split()
+
+
+# ---- what no tube sees
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_torque_that_is_late_within_a_wide_torque_set_is_said(late: int, tmp_path: Path) -> None:
+    """At 20 ms of delay the wide model is not refuted; what explains the motion best shows it all the same."""
+    model = known_model()
+    wide = replace(model.powered, U=Box.symmetric([4, 9, 4, 4, 2, 2]))
+    model = replace(model, sets={"powered": wide})
+    r = motion(5, 700)
+    tau = np.vstack([np.repeat(r.tau[:1], late, axis=0), r.tau[: len(r.tau) - late]]) if late else r.tau
+    recorder = record(tmp_path, model, Records(), replace(r, tau=tau))
+    assert not recorder.answers, "the tube does not notice"
+    assert [any(f"acted {ms} ms" in w for ms in (16, 20, 24)) for w in recorder.notes] == ([True] if late else []), recorder.notes
+
+
+def test_an_arm_that_is_not_where_it_was_left_is_said(tmp_path: Path) -> None:
+    """An encoder homed wrongly by 0.05 rad shows to nobody else."""
+    r = motion(1, 120)
+    back = replace(r, q=r.q[::-1].copy(), dq=-r.dq[::-1], tau=-r.tau[::-1])
+    assert not record(tmp_path, known_model(), Records(violations=False), r).notes
+    assert not [n for n in record(tmp_path, known_model(), Records(violations=False), back).notes if "home" in n]
+    off = replace(r, q=r.q + np.array([0.0, 0.05, 0, 0, 0, 0]))
+    (words,) = [n for n in record(tmp_path, known_model(), Records(violations=False), off).notes if "home" in n]
+    assert "arm_2_joint by +0.05" in words and "arm_3" not in words
+
+
+def test_readings_that_are_all_zero_are_no_readings() -> None:
+    watch, none = Watch(known_model()), np.zeros(6)
+    said = [watch.step(Sample(k, 0.0, none, none, none)) for k in range(100)]
+    assert {v.conformance for v in said} == {Conformance.UNKNOWN} and "exactly zero" in said[-1].why
 
 
 # ---- the file

@@ -269,6 +269,8 @@ class Daemon:
         self._take_reloaded()
         while self.recorder is not None and self.recorder.answers:
             self._classed(self.recorder.answers.popleft(), now)
+        while self.recorder is not None and self.recorder.notes:
+            self.publisher.event("plausibility", why=self.recorder.notes.popleft())
 
     def _classed(self, answer: Answer, now: float) -> None:
         """The recorder has looked at a violation: it is on the disk, and told."""

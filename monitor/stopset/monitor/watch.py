@@ -267,6 +267,10 @@ class Watch:
         readings = (x, s.tau) if s.temp is None else (x, s.tau, s.temp)
         if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
             return "a reading is not a number"
+        if x[0] == 0.0 and not x.any() and not s.tau.any():
+            return (
+                "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
+            )
         lo, hi = self.model.domain.payload
         if not lo <= self.payload <= hi:
             return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"

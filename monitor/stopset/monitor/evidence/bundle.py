@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stopset.errors import OutputError
+from stopset.files import replacing
 from stopset.monitor.evidence.cause import Cause
 from stopset.monitor.evidence.dynamics import Dynamics
-from stopset.monitor.evidence.mcap_file import McapFile, replaced, stamp
+from stopset.monitor.evidence.mcap_file import McapFile, stamp
 from stopset.monitor.evidence.rows import messages, nanoseconds
 from stopset.monitor.evidence.trace import Window
 
@@ -56,37 +57,42 @@ def write_bundle(
     used = sum(p.stat().st_size for p in folder.glob("violation-*.mcap") if p != path) / 1e6
     if used > keep_mb:
         raise OutputError(f"{folder} holds {used:.0f} MB of violations; at most {keep_mb:g} MB are kept: take them away")
-    part = replaced(path)
-    try:
-        with part.open("wb") as f:
-            file = McapFile(f, "stopset", {**about, "kind": "violation", "t": repr(incident.t)})
-            age = 1 if model is None else max(1, round(incident.first.age / model.dt))
-            rows = messages(w, 0, model, joints, age)
-            for k, (topic, t, message) in enumerate(rows):
-                file.add(topic, t, message)
-                if k % AT_ONCE == 0:
-                    pause()
-            first, last = (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
-            for k, (t_frame, identifier, data) in enumerate(frames):
-                if first <= t_frame <= last:
-                    t = nanoseconds(t_frame)
-                    file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})
-                if k % (4 * AT_ONCE) == 0:
-                    pause()
-            t = nanoseconds(incident.t)
-            file.add("cause", t, cause.plain())
-            file.add(
-                "log", t, {"timestamp": stamp(t), "level": 4, "name": "stopset", "message": f"{cause.kind.value}: {cause.says}"}
-            )
-            file.finish()
-            f.flush()
-            os.fsync(f.fileno())
-        part.rename(path)
-        _sync(folder)
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as part, part.open("wb") as f:
+        _write(
+            McapFile(f, "stopset", {**about, "kind": "violation", "t": repr(incident.t)}),
+            incident,
+            cause,
+            w,
+            model,
+            joints,
+            frames,
+            pause,
+        )
+    _sync(folder)
     with path.open("rb") as f:
         return path, hashlib.file_digest(f, "sha256").hexdigest()
+
+
+def _write(
+    file: McapFile, incident: Incident, cause: Cause, w: Window, model: Dynamics | None, joints: tuple[str, ...],
+    frames: list[tuple[float, int, bytes]], pause: Callable[[], None],
+) -> None:  # fmt: skip
+    age = 1 if model is None else max(1, round(incident.first.age / model.dt))
+    for k, (topic, t, message) in enumerate(messages(w, 0, model, joints, age)):
+        file.add(topic, t, message)
+        if k % AT_ONCE == 0:
+            pause()
+    first, last = (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
+    for k, (t_frame, identifier, data) in enumerate(frames):
+        if first <= t_frame <= last:
+            t = nanoseconds(t_frame)
+            file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})
+        if k % (4 * AT_ONCE) == 0:
+            pause()
+    t = nanoseconds(incident.t)
+    file.add("cause", t, cause.plain())
+    file.add("log", t, {"timestamp": stamp(t), "level": 4, "name": "stopset", "message": f"{cause.kind.value}: {cause.says}"})
+    file.finish()
 
 
 def _sync(folder: Path) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
@@ -101,8 +100,3 @@ class McapFile:
 def stamp(t_ns: int) -> dict[str, int]:
     """As Foxglove reads times."""
     return {"sec": t_ns // 1_000_000_000, "nsec": t_ns % 1_000_000_000}
-
-
-def replaced(path: Path) -> Path:
-    """Where a file is written before it takes its name."""
-    return path.with_name(f".{path.name}.part")

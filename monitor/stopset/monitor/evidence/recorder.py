@@ -22,12 +22,14 @@ import numpy as np
 
 from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
+from stopset.monitor.evidence import plausible
 from stopset.monitor.evidence.bundle import Incident, write_bundle
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
 from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics
 from stopset.monitor.evidence.running import Running
 from stopset.monitor.evidence.trace import Trace, Window
+from stopset.types import Array
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -54,7 +56,8 @@ class Answer:
 @dataclass(slots=True)
 class Recorder:
     """``settings``: what is kept and where (``folder``); ``about``: identity of arm, model and configuration for the files;
-    ``heard``: gives the frames of the bus as (time, identifier, bytes). ``answers`` is for the loop to take."""
+    ``heard``: gives the frames of the bus as (time, identifier, bytes). ``answers``, and ``notes`` on what
+    looks strange, are for the loop to take."""
 
     trace: Trace
     settings: Records
@@ -65,6 +68,7 @@ class Recorder:
     clock: Clock = field(default_factory=SystemClock)
     pause: Callable[[], None] = lambda: time.sleep(2e-4)  # lets the loop have the interpreter
     answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=WAITING))
+    notes: deque[str] = field(default_factory=lambda: deque(maxlen=WAITING))
     trouble: str = ""
     dropped: int = 0
     files: int = 0
@@ -75,6 +79,9 @@ class Recorder:
     _running: Running | None = None
     _thread: threading.Thread | None = None
     _closing: bool = False
+    _next_look: float = float("-inf")
+    _position: Array | None = None  # as it is kept
+    _late_said: bool = False
 
     # ---- the loop's side: nothing here waits
 
@@ -126,6 +133,8 @@ class Recorder:
             if self._running is None:
                 self._running = Running(self.folder, self.settings, self.trace.n, self.about)
             self.trouble = self._running.turn(self.trace, words, self._looking_back(), self._model[0].joints, self.pause)
+        if self.trace.head and (last or self.clock.monotonic() >= self._next_look):
+            self._look()
         while self._incidents:
             incident = self._incidents[0]
             due = self.trace.head - incident.row > round(AFTER / self.cycle_s)
@@ -135,6 +144,27 @@ class Recorder:
             if not due:
                 break
             self._incidents.popleft()
+
+    def _look(self) -> None:
+        """Whether what was read of late is plausible, and where the arm is."""
+        begun, self._next_look = self._next_look > float("-inf"), self.clock.monotonic() + plausible.EVERY
+        w, model = (
+            self.trace.window(self.trace.head - round(plausible.EVERY / self.cycle_s), self.trace.head),
+            self._looking_back(),
+        )
+        if not len(w) or self._model is None:
+            return
+        q = w.q[-1]
+        if not begun and (before := plausible.kept_position(self.folder)) is not None:
+            self._position = before
+            if words := plausible.moved_words(before, q, self._model[0].joints):
+                self.notes.append(words)
+        if self._position is None or len(self._position) != len(q) or np.any(np.abs(q - self._position) > plausible.MOVED / 5):
+            plausible.keep_position(self.folder, q)
+            self._position = q
+        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
+            self._late_said = True
+            self.notes.append(plausible.late_words(late))
 
     def _write(self, incident: Incident, whole: bool) -> None:
         """The bundle: at once with what there is, and once more with what came after."""
