@@ -190,13 +190,17 @@ class Watch:
         self._since = self._next = 0
         self._inputs.forget()
 
+    def restart(self) -> None:
+        """The next sample belongs to no earlier one, whatever its number says: it is of another source."""
+        self._forget()
+        self._last = None
+
     def step(self, sample: Sample) -> Verdict:
         """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
         try:
             return self._step(sample)
         except Exception as e:  # noqa: BLE001 - whatever went wrong, the answer must say so and never read as conformant
-            self._forget()
-            self._last = None
+            self.restart()
             return Verdict(Conformance.FAULT, f"the check failed: {type(e).__name__}: {e}")
 
     def _step(self, s: Sample) -> Verdict:
