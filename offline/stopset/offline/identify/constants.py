@@ -142,7 +142,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
-    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP GOLDEN"),
     ("diagnosis poses", rows, "FEW_POSES"),
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
