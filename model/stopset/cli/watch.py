@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from stopset.monitor.consumer import Expected
     from stopset.monitor.viewer import View
 
+OPEN = "  (without a log-in or encryption, for everybody who reaches this address)"
 HELP = "live page and terminal view of a running monitor, from zenoh alone"
 
 
@@ -41,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.live import Live
 
     from stopset.cli.common import say
-    from stopset.errors import BusError
     from stopset.monitor.links.zenoh_link import ZenohLink
     from stopset.monitor.viewer import Page, View, terminal
+    from stopset.serving import loopback
 
     arm, connect, file, expected = f"{args.arm}/stopset", [args.connect], args.zenoh, None
     if args.config:
@@ -59,14 +60,9 @@ def run(args: argparse.Namespace) -> int:
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
-            try:
-                page = Page(view, args.host, args.port)
-            except (OSError, OverflowError) as e:
-                raise BusError(
-                    f"the page cannot be served on {args.host}:{args.port} ({e}); choose another --host or --port"
-                ) from e
+            page = Page(view, args.host, args.port)
             page.start()
-            say(f"page: http://{args.host}:{args.port}/")
+            say(f"page: {page.url}{'' if loopback(args.host) else OPEN}")
         end = time.monotonic() + (args.seconds or float("inf"))
         if sys.stdout.isatty():
             with Live(terminal(view), refresh_per_second=5) as live:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -19,9 +22,9 @@ WORDS = {
 }
 
 
-def page(model: Model, found: Diagnosis, against: str) -> Page:
+def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path] = ()) -> Page:
     """A self-contained page of one diagnosis."""
-    out = Page(f"Diagnosis of {model.robot.name}")
+    out = Page(f"Diagnosis of {model.robot.name}", model, data)
     out.verdict(f"{found.verdict}: {WORDS[found.verdict]}", "good" if found.verdict == "none" else "bad")
     out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
     for note in found.notes:

@@ -33,7 +33,7 @@ def build_page(
     separations: Sequence[Separation],
 ) -> Page:  # fmt: skip
     """The page: verdict, worst stops, separation, pictures, measured stops, assumptions, then every row and pose."""
-    page = Page(f"Stops of {model.robot.name}")
+    page = Page(f"Stops of {model.robot.name}", model)
     proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
     rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
     page.verdict(
