@@ -22,7 +22,7 @@ from stopset.offline.report.thin import spread
 from stopset.sets import Box
 
 Array = NDArray[np.float64]
-COLUMNS = 14  # of the heat-map
+COLUMNS = 10  # of the heat-map
 DOTS = 1000  # of a partial residual
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import html
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, Template
+from markupsafe import Markup
 
 from stopset.files import write_text
 
@@ -204,11 +204,14 @@ def _own(name: str) -> str:
     return (resources.files("stopset.offline.report") / name).read_text(encoding="utf-8")
 
 
+def said(text: str) -> Markup:
+    """Words for people, commands in backticks set as such."""
+    parts = str(text).split("`")
+    return Markup("").join(Markup("<code>{}</code>").format(p) if k % 2 else p for k, p in enumerate(parts))
+
+
 @cache
 def _template() -> Template:
-    return Environment(autoescape=True, trim_blocks=True).from_string(_own("page.html.j2"))
-
-
-def escaped(text: str) -> str:
-    """``text`` for a drawing's markup."""
-    return html.escape(text)
+    environment = Environment(autoescape=True, trim_blocks=True)
+    environment.filters["said"] = said
+    return environment.from_string(_own("page.html.j2"))
