@@ -42,19 +42,18 @@ def drawn(browser: Any, page: Path) -> str:
 
 
 def printed(browser: Any) -> None:
-    """On A4, upright or turned, nothing is wider than the sheet."""
-    upright, turned = 186 / 25.4 * 96, 273 / 25.4 * 96  # [px] less the margins
+    """On A4 nothing is wider than the sheet."""
+    width = int(186 / 25.4 * 96)  # [px] less the margins
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     try:
-        for wanted, width in (("", upright), (".turned", turned)):
-            size = {"width": int(width), "height": 900, "deviceScaleFactor": 1, "mobile": False}
-            browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-            browser.execute_script("dispatchEvent(new Event('beforeprint'))")
-            wide = browser.execute_script(
-                "return [...document.querySelectorAll('table, .main-svg, p, h1, h2, pre')].filter(e => !!e.closest('.turned') == !!arguments[0])"
-                ".map(e => [e.getBoundingClientRect().right, e.outerHTML.slice(0, 200)]).filter(x => x[0] > innerWidth + 1)", wanted,
-            )  # fmt: skip
-            assert wide == []
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.execute_script("dispatchEvent(new Event('beforeprint'))")
+        wide = browser.execute_script(
+            "return [...document.querySelectorAll('table, .main-svg, p, h1, h2, svg')]"
+            ".map(e => [e.getBoundingClientRect().right, e.outerHTML.slice(0, 200)]).filter(x => x[0] > innerWidth + 1)"
+        )
+        assert wide == []
     finally:
         browser.execute_script("dispatchEvent(new Event('afterprint'))")
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

@@ -85,15 +85,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _configured(path: Path) -> tuple[str, list[str], str | None, Expected]:
     """Prefix, endpoints, zenoh file and what to expect of the monitor of a configuration."""
-    from stopset.artifact import load_model
     from stopset.monitor.authentication import load_keys
     from stopset.monitor.config import load_config
     from stopset.monitor.consumer import Expected
+    from stopset.monitor.service import trusted
 
     c = load_config(path)
     keys = load_keys(c.keys) if c.keys else None
     endpoints = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
-    expected = Expected.of(c.data_id, load_model(c.model).sha256, c.sha256, keys)
+    expected = Expected.of(c.data_id, trusted(c)().sha256, c.sha256, keys)
     return c.prefix, endpoints, c.zenoh.file or None, expected
 
 

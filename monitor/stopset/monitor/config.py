@@ -93,6 +93,14 @@ class Fallback:
 
 
 @dataclass(frozen=True, slots=True)
+class Signed:
+    """Whose models are taken: files of public keys (none: unsigned ones too), and the least revision, so that none comes back."""
+
+    keys: tuple[str, ...] = ()
+    least_revision: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
@@ -116,6 +124,7 @@ class Config:
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
+    signed: Signed = field(default_factory=Signed)
     sha256: str = ""
 
     @property
@@ -183,6 +192,7 @@ def load_config(path: str | Path) -> Config:
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),
+        ("signed.least_revision", config.signed.least_revision, 0, 10**6),
         # a stop takes time and way: none at all is no worst case
         ("fallback.time_s", config.fallback.time_s, 1e-3, math.inf),
         ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
@@ -209,7 +219,8 @@ def load_config(path: str | Path) -> Config:
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
     return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)), sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
         journal=str(here / config.journal if config.journal else state / f"{p.stem}.latch"),
     )  # fmt: skip

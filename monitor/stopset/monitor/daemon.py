@@ -97,7 +97,8 @@ class Daemon:
         check_cycle(model, self.cycle_s)
         text = Path(c.model).read_bytes()
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
-        return Loaded(model, text, watch, desk or StopDesk(c.model, model.n, c.stops, c.payload_kg, quantum, clock=self.clock))
+        desk = desk or StopDesk(c.model, model.n, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
+        return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:
         self._loaded, self.model, self.watch, self.desk = loaded, loaded.model, loaded.watch, loaded.desk

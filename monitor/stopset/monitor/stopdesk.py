@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import load_model
-from stopset.errors import StopsetError
+from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Stops
 from stopset.monitor.watch import Quantum
@@ -83,8 +83,10 @@ def _numbers(bound: Any, n: int) -> Numbers:
     return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
 
 
-def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
-    """The other process: takes the newest state, answers for a box around it."""
+def _work(
+    model_path: str, sha256: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection
+) -> None:  # fmt: skip
+    """The other process: takes the newest state, answers for a box around it; of the very model (``sha256``) that is watched."""
     from stopset.reach.stops import StopBounds
     from stopset.reach.stops.ramp import Ramp
 
@@ -99,6 +101,11 @@ def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, 
         )  # fmt: skip
     prepared, refusal = None, ""
     try:
+        if sha256 and model.sha256 != sha256:
+            raise ModelFileError(
+                f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
+                "have the monitor read it anew (SIGHUP), or restore it"
+            )
         prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         refusal = str(e)
@@ -149,6 +156,7 @@ class StopDesk:
     why: str = "the first stop bound is being computed"
     restarts: int = 0
     clock: Clock = field(default_factory=SystemClock)
+    sha256: str = ""  # of the model that is watched; the file may be another one by now
     _pipe: Connection | None = None
     _process: Any = None
     _asked: float = float("-inf")
@@ -166,7 +174,7 @@ class StopDesk:
     def _start(self) -> None:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (self.model_path, self.payload, self.stops, self.categories, theirs)
+        args = (self.model_path, self.sha256, self.payload, self.stops, self.categories, theirs)
         self._process = context.Process(target=_work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()

@@ -109,7 +109,7 @@ def _left(figure: go.Figure, model: Model, seen: tuple[Violation, Recording, Arr
         lo, hi = path[: steps + 1] + tube.lo[: steps + 1], path[: steps + 1] + tube.hi[: steps + 1]
     else:
         lo, hi = predicted_tube(model.abstraction, sets, x[first], u[first : first + steps])
-    t = dt * np.arange(first, first + steps + 1)
+    t: Array = np.arange(first, first + steps + 1, dtype=np.float64) * dt
     if np.isfinite(hi[:, i]).all():
         _band(figure, t, lo[:, i], hi[:, i], *place, "rgba(150,150,150,0.45)", "predicted")
     around = slice(max(0, first - steps // 4), first + steps + 1)
@@ -148,7 +148,7 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     figure = make_subplots(rows=2, cols=n, shared_xaxes=True, subplot_titles=model.joints, vertical_spacing=0.06)
     for sets, colour in _cases(model):
         lo, hi = _around(model, sets, trials)
-        t = dt * np.arange(len(lo))
+        t: Array = np.arange(len(lo), dtype=np.float64) * dt
         for i in range(2 * n):
             if np.isfinite(hi[:, i]).all():
                 _band(figure, t, lo[:, i], hi[:, i], 1 + i // n, 1 + i % n, colour, sets.conform)

@@ -1,6 +1,5 @@
 'use strict';
-// A4 less its margins, upright and turned [px at 96 per inch]
-const UPRIGHT = 700, TURNED = 1020;
+const SHEET = 700;  // [px at 96 per inch] A4 less its margins
 const plots = [...document.querySelectorAll('script.figure')].map(s => {
   const d = document.getElementById(s.dataset.for), f = JSON.parse(s.textContent);
   d.style.minWidth = d.dataset.least + 'px';
@@ -11,10 +10,11 @@ const plots = [...document.querySelectorAll('script.figure')].map(s => {
 document.querySelectorAll('details').forEach(x => x.addEventListener('toggle', () => x.open && x.querySelectorAll('.plot').forEach(d => Plotly.Plots.resize(d))));
 addEventListener('beforeprint', () => {
   document.querySelectorAll('details').forEach(d => { if (!d.open) { d.open = true; d.dataset.folded = '1'; } });
-  plots.forEach(d => Plotly.relayout(d, {autosize: false, width: d.parentNode.classList.contains('turned') ? TURNED : UPRIGHT}));
+  // what needs more width than the sheet has is drawn at its own and made smaller
+  plots.forEach(d => { const w = Math.max(SHEET, Number(d.dataset.least)); Plotly.relayout(d, {autosize: false, width: w}); d.style.zoom = SHEET / w; });
 });
 addEventListener('afterprint', () => {
-  plots.forEach(d => Plotly.relayout(d, {autosize: true, width: null}));
+  plots.forEach(d => { d.style.zoom = ''; Plotly.relayout(d, {autosize: true, width: null}); });
   document.querySelectorAll('details[data-folded]').forEach(d => { d.open = false; delete d.dataset.folded; });
 });
 document.querySelectorAll('button.csv').forEach(b => { b.onclick = () => {

@@ -35,8 +35,6 @@ DISCLAIMER = (
 # one colour per joint, told apart in grey and by most colour-blind eyes too
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#4d4d4d")
 SIGNS = {"good": "✓", "bad": "✕", "": ""}
-UPRIGHT = 700  # [px] what fits on A4 upright; wider figures and tables are printed turned
-COLUMNS = 9  # that fit on it
 
 # a number, or several in a range, a share ("9 of 9"), a tolerance
 _PART = r"[\[\]±%,;\s\d.eE+\-−–]*"
@@ -120,7 +118,6 @@ class Page:
             rows=cells,
             caption=caption,
             shaded=False,
-            turned=len(head) > COLUMNS,
             label=caption or self._said,
         )
 
@@ -132,7 +129,7 @@ class Page:
             for name, line in zip(rows, percent, strict=True)
         ]
         heads = [_head(h, k == 0) for k, h in enumerate(("", *columns))]
-        self._put("table", head=heads, rows=cells, caption=caption, shaded=True, turned=len(heads) > COLUMNS, label=caption)
+        self._put("table", head=heads, rows=cells, caption=caption, shaded=True, label=caption)
 
     def picture(self, svg: str, caption: str = "") -> None:
         """A drawing of our own making, as SVG text."""
@@ -149,7 +146,7 @@ class Page:
                     trace[axis] = values
         text = figure.to_json().replace("<", "\\u003c")  # no text in a figure ends its script element
         self._put(
-            "figure", id=f"figure{self._figures}", json=text, caption=caption, least=least_width, turned=least_width > UPRIGHT,
+            "figure", id=f"figure{self._figures}", json=text, caption=caption, least=least_width,
             label=self._said,
         )  # fmt: skip
 
