@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from monitor_arm import known_model
@@ -108,7 +109,7 @@ def cut(cell: Path) -> None:
 SPOILS: dict[str, tuple[Callable[[Path], None], str]] = {
     "unsigned": (unsigned, "is not signed"), "foreign key": (foreign, "signed by the key"),
     "a changed byte": (one_byte, "not the file that was signed"),
-    "sets widened, hash made anew": (wider, "not the file that was signed"), 
+    "sets widened, hash made anew": (wider, "not the file that was signed"),
     "older revision": (older, "is revision 1; expected at least 2"),
     "the signature's words changed": (claimed, "does not hold what the key"), "under another's name": (renamed_key, "does not hold what the key"),
     "of another model": (of_another_model, "not the file that was signed"), "rubbish": (rubbish, "no signature"), "cut": (cut, "no signature"),
@@ -162,30 +163,23 @@ def test_without_keys_everything_is_as_before_but_for_the_revision(cell: Path) -
 
 def test_the_stop_bounds_are_of_the_model_that_is_watched(cell: Path) -> None:
     """The file may change between the daemon's look and its helper's, or before the helper is started again."""
-    import numpy as np
+    import threading
+    from multiprocessing import Pipe
 
     from stopset.monitor.config import Stops
-    from stopset.monitor.stopdesk import _work
-
-    class Pipe:
-        def __init__(self) -> None:
-            self.asked: list[Any] = [(np.zeros(6), np.zeros(6), np.full(6, 0.01), np.full(6, 0.01)), None]
-            self.said: list[Any] = []
-
-        def poll(self, seconds: float) -> bool:
-            return bool(seconds)
-
-        def recv(self) -> Any:
-            return self.asked.pop(0)
-
-        def send(self, answer: Any) -> None:
-            self.said.append(answer)
+    from stopset.monitor.stopworker import work
 
     watched = load_model(cell / "m.json").sha256
     wider(cell)
-    pipe = Pipe()
-    _work(str(cell / "m.json"), watched, 0.0, Stops(("0",)), ("0",), pipe)  # type: ignore[arg-type]
-    numbers = pipe.said[-1].numbers["0"]
+    mine, theirs = Pipe()
+    args = (str(cell / "m.json"), watched, 0.0, Stops(("0",)), ("0",), theirs)
+    worker = threading.Thread(target=work, args=args)
+    worker.start()
+    assert mine.recv() is None, "ready"
+    mine.send(("0", np.full(12, -0.01), np.full(12, 0.01)))
+    numbers = mine.recv().numbers
+    mine.send(None)
+    worker.join()
     assert not numbers.provable.any() and "another model now" in numbers.why
 
 

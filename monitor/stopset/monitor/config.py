@@ -220,7 +220,8 @@ def load_config(path: str | Path) -> Config:
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
     return dataclasses.replace(
         config, model=str(here / config.model), zenoh=zenoh,
-        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)), sha256=hashlib.sha256(text.encode()).hexdigest(),
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
         journal=str(here / config.journal if config.journal else state / f"{p.stem}.latch"),
     )  # fmt: skip

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from stopset.artifact import Model, UncertaintySets
@@ -20,8 +19,8 @@ from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.report.thin import spread
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 COLUMNS = 10  # of the heat-map
 DOTS = 1000  # of a partial residual
 

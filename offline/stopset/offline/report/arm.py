@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from markupsafe import escape
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.robot.rigid import link_frames
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SIZE = 300.0  # [px] of each view
 VIEWS = (("from the side", (0, 2)), ("from above", (0, 1)))
 

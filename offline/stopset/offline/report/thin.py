@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stopset.types import Array
+
 Index = NDArray[np.intp]
 
 
