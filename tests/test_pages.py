@@ -99,7 +99,7 @@ def test_a_violation_is_drawn_where_it_is_and_its_joint_named(browser, planar, t
     page, data = tmp_path / "compare.html", str(tmp_path / "wrong.parquet")
     assert main(["compare", str(folder / "m.model.json"), "--data", data, "--report", str(page)]) == 1
     text = drawn(browser, page)
-    assert "Not conformant" in text
+    assert "The model fails most at axis_2" in text and "Not conformant" in text
     assert crosses(browser) == min(len(wrong), 6) > 0
     assert outside(browser) == [True] * crosses(browser), "each cross lies outside the band it is drawn with"
     worst = [line.split()[3] for line in text.splitlines() if line.startswith("motion ")]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from stopset.monitor.consumer import Expected
+    from stopset.monitor.links.zenoh_link import ZenohLink
     from stopset.monitor.viewer import View
 
 OPEN = "  (without a log-in or encryption, for everybody who reaches this address)"
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     import sys
+    import threading
     import time
 
     from rich.console import Console
@@ -57,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
             ("state", view.take_state), ("state/json", view.take_json), ("health", view.take_health), ("event", view.take_event),
         ):  # fmt: skip
             link.subscribe(name, take)
+        threading.Thread(target=_hear_model, args=(link, view), daemon=True, name="model").start()
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
@@ -95,6 +98,20 @@ def _configured(path: Path) -> tuple[str, list[str], str | None, Expected]:
     endpoints = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
     expected = Expected.of(c.data_id, trusted(c)().sha256, c.sha256, keys)
     return c.prefix, endpoints, c.zenoh.file or None, expected
+
+
+def _hear_model(link: ZenohLink, view: View) -> None:
+    """Ask for the model that the monitor speaks of, whenever that is another one, until the session ends."""
+    import time
+
+    while True:
+        if view.wants_model:
+            try:
+                for _, data in link.get("model"):
+                    view.take_model(data)
+            except Exception:  # noqa: BLE001 - the session was closed, in zenoh's own words: there is nothing left to draw
+                return
+        time.sleep(0.5)
 
 
 def _check(view: View, seconds: float) -> int:

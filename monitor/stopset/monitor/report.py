@@ -55,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": bool(x.provable.all()), "why": x.why,
+            "certified": bool(x.provable.all()), "why": x.why, "capsules": _capsules(x),
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
@@ -63,6 +63,16 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
         }
         for c, x in numbers.items()
     }  # fmt: skip
+
+
+def _capsules(x: Numbers) -> list[list[float]] | None:
+    """What the links' axes sweep, for pictures: to a tenth of a millimetre, the radius taking up what rounding moves."""
+    if x.capsules is None:
+        return None
+    out = np.round(x.capsules, 4)
+    out[:, 6] = np.round(x.capsules[:, 6] + 2e-4, 4)
+    rows: list[list[float]] = out.tolist()
+    return rows
 
 
 def twin(d: Daemon, turn: Turn) -> dict[str, Any]:

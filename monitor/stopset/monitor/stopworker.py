@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stopset.reach.stops import StopBounds
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
+MOST_CAPSULES = 400  # of a bound that are kept for pictures; one in more pieces has none, rather than a part
 PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
@@ -118,4 +119,5 @@ def numbers_of(bound: Any, n: int) -> Numbers:
     if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
         return Numbers.none(n, bound.why, margin)
     tcp = np.inf if bound.tcp is None else float(bound.tcp)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+    swept = None if bound.capsules is None or bound.capsules.size > 7 * MOST_CAPSULES else bound.capsules.reshape(-1, 7)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept)

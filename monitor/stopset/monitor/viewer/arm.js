@@ -13,13 +13,13 @@ const Arm = (() => {
     g.clearRect(0, 0, w, h);
     if (!joints || joints.length < 2) return;
     const reach = Math.max(0.3, joints.slice(1).reduce((s, p, i) => s + Math.hypot(...p.map((v, k) => v - joints[i][k])), 0));
-    const scale = 0.42 * Math.min(w, h) / reach, base = joints[0];
-    const at = p => { const [a, b] = seen(p.map((v, k) => v - base[k])); return [w / 2 + scale * a, 0.62 * h - scale * b]; };
+    const scale = 0.68 * Math.min(w, h) / reach, base = joints[0];
+    const at = p => { const [a, b] = seen(p.map((v, k) => v - base[k])); return [w / 2 + scale * a, 0.72 * h - scale * b]; };
     const line = (from, to) => { g.beginPath(); g.moveTo(...at(from)); g.lineTo(...at(to)); g.stroke(); };
     g.lineCap = 'round';
     g.strokeStyle = '#d8d8d4'; g.lineWidth = 1;
     for (let k = -4; k <= 4; k++) {
-      const s = reach * k / 4, e = reach;
+      const e = 0.6 * reach, s = e * k / 4;
       line([base[0] + s, base[1] - e, base[2]], [base[0] + s, base[1] + e, base[2]]);
       line([base[0] - e, base[1] + s, base[2]], [base[0] + e, base[1] + s, base[2]]);
     }
@@ -36,7 +36,7 @@ const Arm = (() => {
       g.strokeStyle = '#fff'; g.lineWidth = 17; line(a, b);
       g.strokeStyle = '#26323d'; g.lineWidth = 12; line(a, b);
     });
-    joints.slice(0, -1).forEach((p, i) => {
+    joints.slice(1, -1).forEach((p, i) => {  // the first is the base, the last the flange
       const [x, y] = at(p), bad = marked.includes(i);
       g.beginPath(); g.arc(x, y, bad ? 17 : 9, 0, 2 * Math.PI);
       g.fillStyle = bad ? '#b00020' : '#fff'; g.fill(); g.lineWidth = 3; g.strokeStyle = bad ? '#fff' : '#26323d'; g.stroke();

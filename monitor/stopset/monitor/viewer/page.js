@@ -4,7 +4,7 @@ const $ = id => document.getElementById(id);
 const el = (tag, props, ...inside) => { const e = Object.assign(document.createElement(tag), props || {}); e.append(...inside.filter(x => x != null)); return e; };
 const fill = (id, ...inside) => $(id).replaceChildren(...inside);
 const figure = (...inside) => el('td', {className: 'n'}, ...inside);
-const heads = (...names) => el('tr', null, ...names.map((n, k) => el('th', {className: k ? 'n' : '', scope: 'col'}, n)));
+const heads = (...names) => el('tr', null, ...names.map((n, k) => el('th', {className: k && n !== 'what' ? 'n' : '', scope: 'col'}, n)));
 const number = x => typeof x === 'number' && isFinite(x);
 const num = (x, f, u, d) => number(x) ? (x * f).toFixed(d) + ' ' + u : 'not provable';
 const count = (n, what) => `${n} ${what}${n === 1 ? '' : 's'}`;
@@ -48,21 +48,20 @@ function stops(all, stale) {
 function joints(t, stale) {
   const s0 = stale ? {} : (t.stops['0'] || {}).joints || {}, bad = {};
   t.violations.forEach(v => { bad[v.joint] = (bad[v.joint] || 0) + v.samples; });
-  fill('joints', heads('joint', 'room', 'STOP 0 time', 'STOP 0 angle', ''), ...t.joints.map(j => {
+  fill('joints', heads('joint', 'room', 'STOP 0'), ...t.joints.map(j => {
     const r = stale || !t.room ? null : t.room[j], a = s0[j] || {};
     const travel = number(a.forward_rad) && number(a.back_rad) ? Math.max(a.forward_rad, a.back_rad) : null;
-    const bar = el('meter', {min: 0, max: 1, low: 0.2, high: 0.99, optimum: 1, value: number(r) ? Math.max(0, Math.min(1, r)) : 0});
+    const bar = el('meter', {min: 0, max: 1, low: 0.1, high: 0.3, optimum: 0.9, value: number(r) ? Math.max(0, Math.min(1, r)) : 0});
     bar.setAttribute('aria-label', `room of ${j}`);
-    return el('tr', null, el('td', null, j), figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
-      figure(stale ? '–' : number(a.time_s) ? num(a.time_s, 1e3, 'ms', 0) : 'no number'),
-      figure(stale ? '–' : travel == null ? 'no number' : num(travel, DEG, '°', 2)),
-      el('td', {className: bad[j] ? 'bad' : ''}, bad[j] ? '✕ ' + count(bad[j], 'violation') : ''));
+    return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
+      figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
+      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, DEG, '°', 2)}`));
   }));
 }
 function violations(t) {
   $('violated').hidden = !t.violations.length;
-  fill('violations', heads('joint', 'what', 'kind', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
-    figure(`${v.state === 'q' ? 'position' : 'speed'} ${v.side}`), figure(v.kind + (v.in_domain ? '' : ', outside the domain')),
+  fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
+    el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind}${v.in_domain ? '' : ', outside the domain'}`),
     figure(number(v.excess) ? `${(v.excess * DEG).toPrecision(3)} ${v.state === 'q' ? '°' : '°/s'}` : ''), figure(String(v.samples)))));
 }
 function drawArm(s, stale) {

@@ -11,13 +11,18 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
+import numpy as np
 
+from stopset.artifact import Model
+from stopset.artifact.store import model_of
+from stopset.errors import ModelFileError
 from stopset.monitor.consumer import MS, SAYS, Consumer, Doubt, Expected
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
+from stopset.robot.rigid import link_frames
 
 SLOW = 2.0  # [s] without ``state/json`` before its content is withdrawn
 LARGEST = 1 << 20  # bytes of any message in words
@@ -34,6 +39,7 @@ class _Stop(msgspec.Struct):
     tcp_m: float | None
     why: str
     joints: dict[str, _JointStop]
+    capsules: list[Annotated[list[float], msgspec.Meta(min_length=7, max_length=7)]] | None = None
 
 
 class _Violation(msgspec.Struct):
@@ -89,6 +95,7 @@ class View:
     health: dict[str, Any] = field(default_factory=dict)
     events: Grouped = field(default_factory=Grouped)
     consumer: Consumer | None = None
+    model: Model | None = None  # for the picture of the arm; whose numbers are believed is `expected`'s business
     garbled: int = 0  # messages in words that were none
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -135,6 +142,34 @@ class View:
             with self._lock:
                 self.events.take(event)
 
+    @property
+    def wants_model(self) -> bool:
+        """Whether the model that is spoken of is not the one that is drawn."""
+        with self._lock:
+            told = None if self.twin is None else self.twin["model_sha256"]
+            return bool(told) and (self.model is None or self.model.sha256 != told)
+
+    def take_model(self, data: bytes) -> None:
+        """``model``: the answer to a query."""
+        try:
+            model = model_of(data, "the model that was heard")
+        except ModelFileError:
+            self.garbled += 1
+            return
+        with self._lock:
+            if self.twin is not None and model.sha256 == self.twin["model_sha256"]:
+                self.model = model
+
+    def _arm(self) -> list[list[float]] | None:
+        """Base, joints and flange in space [m], as they are now; None where model or pose is not known."""
+        q = None if self.twin is None else self.twin["q"]
+        m = self.model
+        if m is None or q is None or len(q) != m.n or self.twin is None or m.sha256 != self.twin["model_sha256"]:
+            return None
+        R, o = link_frames(m.robot.chain, np.array(q))
+        points: list[list[float]] = np.vstack([np.zeros(3), o, o[-1] + R[-1] @ m.robot.tip]).round(4).tolist()
+        return points
+
     def challenge(self) -> None:
         """Ask for a sign of life when it is time."""
         with self._lock:
@@ -175,6 +210,7 @@ class View:
                 "fresh": fresh,
                 "health": self.health,
                 "events": self.events.last(12),
+                "arm": self._arm(),
                 "lost": lost,
                 "rejected": rejected,
             }

@@ -39,6 +39,7 @@ def verdict(found: Comparison) -> Verdict:
         )  # fmt: skip
     left = f" {beyond} of them leave the model's domain, where it promises nothing." if beyond else ""
     if out:
+        where = where or _left(found)
         text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
         return Verdict(text, "bad", f"do not rely on bounds of this model; {DIAGNOSE}.")
     text = f"{where}All {count} recordings stay inside the predicted sets.{left}"
@@ -49,6 +50,17 @@ def verdict(found: Comparison) -> Verdict:
     else:
         todo = "record the same torques twice or more: without repetitions nobody can tell the model's error from their scatter."
     return Verdict(text, "good" if healthy and not beyond else "", todo)
+
+
+def _left(found: Comparison) -> str:
+    """A sentence on the joint whose set is left worst, empty where it is left across several joints only."""
+    worst = max(found.violations, key=lambda v: v.relative)
+    joint = worst.state.partition("_")[2]
+    return (
+        f"The model fails most at {joint}, which leaves its set by {worst.excess:.3g} {worst.unit}. "
+        if joint in found.figures
+        else ""
+    )
 
 
 def above(row: Mapping[str, Any]) -> float | None:
