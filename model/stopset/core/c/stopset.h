@@ -163,6 +163,9 @@ STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
+/* Whether every one of x (N,) is a number of at most this size. */
+STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
+
 /* The row of least cost (count,) among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
 STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
                                      const double *x, const double *slack);
@@ -181,9 +184,9 @@ typedef struct {
 } StopsetPredictions;
 
 /* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
- * Returns the predictions alive; `oldest`: the greatest age. Not a number counts as outside. */
+ * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
-                                    const double *du, int outside, int widen, int64_t *oldest);
+                                    const double *du, int outside, int widen, int64_t seen[2]);
 
 /* ---- message.c: what a message needs */
 

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
-from stopset.offline.compare.dependence import Explained, explained, partial_residual, telling_first
+from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, telling_first
 from stopset.offline.compare.tubes import chosen, left, tubes
 from stopset.offline.compare.verdict import above, by_failure, verdict
 from stopset.offline.conform.bands import narrower
@@ -87,7 +87,10 @@ def _heat_map(out: Page, model: Model, shares: Explained) -> None:
         model.joints, names, shares.share[:, order],
         "Percent of each joint's squared torque error that each variable alone explains on stretches it was not fitted to",
     )  # fmt: skip
-    worst = np.argsort(-shares.share.max(axis=1))[:3]
+    worst = [j for j in np.argsort(-shares.share.max(axis=1))[:3] if shares.share[j].max() > SAME]
+    if not worst:
+        out.text("No variable explains anything of it, or these recordings are too short to tell.")
+        return
     panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
     for column, j in enumerate(worst, start=1):
         p = partial_residual(shares, int(j))

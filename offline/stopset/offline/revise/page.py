@@ -138,7 +138,8 @@ def _waterfalls(model: Model, shown: list[tuple[str, str, list[str], list[float]
             x=list(range(len(values))), y=values, text=[f"{v:.3g}" for v in values], hovertext=names, marker_color=colours, showlegend=False,
         )  # fmt: skip
         figure.add_trace(bars, row=1, col=k)
-        figure.update_xaxes(tickvals=list(range(len(values))), ticktext=[n.replace(":", "<br>") for n in names], row=1, col=k)
+        ticks = [n.replace(":", "<br>").replace("first identification", "first") for n in names]
+        figure.update_xaxes(tickvals=list(range(len(values))), ticktext=ticks, row=1, col=k)
         if key == "held_out_torque_rmse" and lowest is not None:
             figure.add_hline(y=lowest["arm"], line_dash="dot", row=1, col=k)
     figure.update_yaxes(rangemode="tozero")

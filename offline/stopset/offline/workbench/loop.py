@@ -79,7 +79,8 @@ class Loop:
         with self._lock:
             if self.busy:
                 return False
-            self._job = job = Job(" ".join((action, *(str(v) for v in options.values() if v))), time.monotonic())
+            said = " ".join(str(v) for v in options.values() if v and v is not True)
+            self._job = job = Job(f"{action} {said}".strip(), time.monotonic())
         threading.Thread(target=self._run, args=(job, ACTIONS[action], options), daemon=True, name=action).start()
         return True
 

@@ -46,7 +46,7 @@ function show(s) {
   }
   $('says').textContent = a.verdict ? a.verdict.text : 'not compared yet: Compare tells where the model fails';
   $('says').className = a.verdict ? a.verdict.kind : '';
-  fill('waterfall', ...s.figures.map(f => waterfall(f, m.revisions, f.key === 'held_out_torque_rmse' ? s.floor : null)));
+  fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, f.key === 'held_out_torque_rmse' ? s.floor : null)));
   compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); added(a.add, s.figures);
   fill('history', table('Revisions', ['revision', 'added', 'note'], m.revisions.map(r => [figure(String(r.number)), words(r.added || 'first identification'), words(r.note)])));
   fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: x.file.split('/').pop()}, x.file.split('/').pop()), ' '])),
@@ -75,6 +75,7 @@ function heat(d, joints) {
   })));
   return fill('heat', wide('Share of the torque error that each variable explains', el('table', {className: 'heat'},
     el('thead', null, el('tr', null, el('td'), ...order.map(k => el('th', {scope: 'col'}, d.variables[k])))), el('tbody', null, ...body))),
+    d.share.every(r => r.every(x => Math.round(100 * x) === 0)) ? small('No variable explains anything of it, or the recordings are too short to tell.') : null,
     small('Percent of the squared torque error that each variable alone explains on stretches it was not fitted to; one of them shows the dots.'));
 }
 async function partial(joint, variable) {
