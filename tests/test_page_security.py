@@ -32,17 +32,24 @@ def twin(text: str, samples: Any = 3) -> dict[str, Any]:
     }  # fmt: skip
 
 
+class Alive:
+    """A daemon that answers every challenge and says its ``state`` whenever it is asked to; ``view`` believes it."""
+
+    def __init__(self, state: State) -> None:
+        self.state, self._seq, self._nonce = state, itertools.count(1), 0
+        self.view = View(watchdog_s=60.0, ask=self.speak)
+
+    def speak(self, nonce: bytes = b"") -> None:
+        """The next state message, with the answer to the last challenge."""
+        self._nonce, now = int.from_bytes(nonce, "little") or self._nonce, time.time_ns()
+        self.view.take_state("", pack({
+            "data_id": 1, "boot_id": 3, "state": int(self.state), "valid_for_ms": 60_000, "seq": next(self._seq),
+            "nonces": (self._nonce,), "t_meas_ns": now, "t_pub_ns": now}))  # fmt: skip
+
+
 def heard(text: str) -> View:
     """A view that believes a living daemon, whose every word is ``text``."""
-    seq = itertools.count(1)
-
-    def alive(nonce: bytes) -> None:
-        now = time.time_ns()
-        view.take_state("", pack({
-            "data_id": 1, "boot_id": 3, "state": int(State.VIOLATION), "valid_for_ms": 60_000, "seq": next(seq),
-            "nonces": (int.from_bytes(nonce, "little"),), "t_meas_ns": now, "t_pub_ns": now}))  # fmt: skip
-
-    view = View(watchdog_s=60.0, ask=alive)
+    view = Alive(State.VIOLATION).view
     view.take_json("", json.dumps(twin(text)).encode())
     view.take_event(
         "", json.dumps({"kind": text, "why": text, "t_ns": 5, "signals": [text], "name": text, "reason": text}).encode()

@@ -8,7 +8,6 @@ const heads = (...names) => el('tr', null, ...names.map((n, k) => el('th', {clas
 const number = x => typeof x === 'number' && isFinite(x);
 const num = (x, f, u, d) => number(x) ? (x * f).toFixed(d) + ' ' + u : 'not provable';
 const count = (n, what) => `${n} ${what}${n === 1 ? '' : 's'}`;
-const DEG = 57.29577951308232;
 const SIGN = {OK: '✓', DEGRADED: '!', VIOLATION: '✕', UNKNOWN: '?', FAULT: '⚠', 'NO DATA': '–', INIT: '…', SHUTDOWN: '■'};
 const MEANS = {
   OK: 'the arm is inside every prediction', DEGRADED: 'bounds hold, but less is known than should be', VIOLATION: 'the ARM has left its model: do not rely on it',
@@ -55,14 +54,14 @@ function joints(t, stale) {
     bar.setAttribute('aria-label', `room of ${j}`);
     return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
       figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
-      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, DEG, '°', 2)}`));
+      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, 1, 'rad', 4)}`));
   }));
 }
 function violations(t) {
   $('violated').hidden = !t.violations.length;
   fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
     el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind}${v.in_domain ? '' : ', outside the domain'}`),
-    figure(number(v.excess) ? `${(v.excess * DEG).toPrecision(3)} ${v.state === 'q' ? '°' : '°/s'}` : ''), figure(String(v.samples)))));
+    figure(number(v.excess) ? `${v.excess.toPrecision(3)} ${v.unit}` : ''), figure(String(v.samples)))));
 }
 function drawArm(s, stale) {
   const all = shownTwin.stops, of = c => (stale || !all[c] || !all[c].capsules) ? [] : all[c].capsules;

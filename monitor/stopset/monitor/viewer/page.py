@@ -9,7 +9,7 @@ from importlib import resources
 from stopset.monitor.viewer.view import View
 from stopset.serving import Handler, PageServer
 
-PERIOD = 0.1  # [s] between two looks that are sent
+PERIOD = 0.05  # [s] between two looks that are sent
 FILES = {
     "/": ("page.html", "text/html; charset=utf-8"), "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"), "/arm.js": ("arm.js", "text/javascript; charset=utf-8"),

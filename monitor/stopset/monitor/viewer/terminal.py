@@ -52,7 +52,7 @@ def terminal(view: View) -> RenderableType:
             j,
             "" if room is None else f"{'█' * filled:<20} {room:5.2f}",
             _number(here.get("time_s"), "ms", 1e3),
-            _number(angle, "deg", 57.29577951308232, 2),
+            _number(angle, "rad", 1.0, 4),
             Text(str(bad[j]), style="bold red" if bad[j] else ""),
         )
     rows.append(table)

@@ -107,7 +107,8 @@ def _heat_map(out: Page, model: Model, shares: Explained) -> None:
     out.figure(
         panels,
         "Torque error over the variable that explains most of it, less what the next best variable explains; line: mean within "
-        "twelfths. For the three joints where one variable explains most.",
+        "twelfths. For the joints where one variable explains most.",
+        270 * len(worst),
     )
 
 

@@ -78,19 +78,19 @@ def left(out: Page, model: Model, drawn: Drawn) -> None:
         return
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    titles = [f"{v.state}, {v.recording}" for v, _, _ in panels]
+    titles = [f"{v.state}<br>{v.recording}" for v, _, _ in panels]
     figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, vertical_spacing=0.3 / rows)
     for k, (v, r, u) in enumerate(panels):
         _left(figure, model, (v, r, u), (k // columns + 1, k % columns + 1))
     figure.update_annotations(font_size=11)
-    figure.update_layout(height=90 + 240 * rows)
+    figure.update_layout(height=110 + 250 * rows, margin={"t": 60})
     worst = panels[0][0]
     more = f" The worst {len(panels)} of {len(drawn.violations)} drawn." if len(drawn.violations) > len(panels) else ""
     out.figure(
         figure,
         f"Where recordings leave the set that was predicted from the measurement at the band's beginning (cross; {worst.recording}: "
         f"{worst.state} by {worst.excess:.3g} {worst.unit}).{more}",
-        230 * columns,
+        260 * columns,
     )
 
 
