@@ -62,10 +62,29 @@ def test_the_box_ahead_holds_the_motion_it_was_made_for() -> None:
     assert np.all(narrow < wide)
 
 
+class Hand:
+    """A clock that is moved by hand, so that every state is looked at however fast this machine is."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        self.now += 0.02
+        return self.now
+
+    def time_ns(self) -> int:
+        return round(self.now * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        """Nobody sleeps."""
+
+
 @pytest.fixture
 def desk(tmp_path: Path) -> StopDesk:
     save_model(prbt_like(), tmp_path / "m.model.json")
-    return StopDesk(str(tmp_path / "m.model.json"), np.full(N, 2.0), Stops(("0",), rate_hz=1000.0), 0.0, Quantum.none(N))
+    return StopDesk(
+        str(tmp_path / "m.model.json"), np.full(N, 2.0), Stops(("0",), rate_hz=1000.0), 0.0, Quantum.none(N), clock=Hand()
+    )
 
 
 def passed(desk: StopDesk, period: float = 1.0) -> list[bool]:

@@ -161,7 +161,7 @@ BODIES: dict[str, tuple[bytes, bytes]] = {
 @pytest.mark.parametrize("what", BODIES)
 def test_bodies_that_are_none_get_a_sentence(workbench: Server, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     body, says = BODIES[what]
-    head = f"POST /do/add HTTP/1.1\r\nHost: {own(workbench)}\r\nX-Workbench: {workbench.token}\r\nContent-Length: {len(body)}\r\n\r\n"
+    head = f"POST /do/add HTTP/1.1\r\nHost: {own(workbench)}\r\nX-Stopset-Token: {workbench.token}\r\nContent-Length: {len(body)}\r\n\r\n"
     got = raw(workbench, head.encode() + body[:4096])
     status = got.splitlines()[0]
     assert (b" 400 " in status and says in got) if says else b" 200 " in status
@@ -169,12 +169,12 @@ def test_bodies_that_are_none_get_a_sentence(workbench: Server, what: str, capsy
 
 
 @pytest.mark.parametrize(
-    "line", ["X-Workbench: \xe9\xff", "X-Workbench: ", "Content-Length: \xb2", "Content-Length: -1", f"Content-Length: {'9' * 5000}",
+    "line", ["X-Stopset-Token: \xe9\xff", "X-Stopset-Token: ", "Content-Length: \xb2", "Content-Length: -1", f"Content-Length: {'9' * 5000}",
              "Transfer-Encoding: chunked", "Origin: \xe9"],
 )  # fmt: skip
 def test_headers_that_are_none_get_a_sentence(workbench: Server, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     name = line.partition(":")[0]
-    known = {"Host": own(workbench), "X-Workbench": workbench.token}
+    known = {"Host": own(workbench), "X-Stopset-Token": workbench.token}
     head = "".join(f"{k}: {v}\r\n" for k, v in known.items() if k != name)
     got = raw(workbench, f"POST /do/compare HTTP/1.1\r\n{head}{line}\r\n\r\n".encode("latin-1"))
     status, words = got.splitlines()[0], got.partition(b"\r\n\r\n")[2]
@@ -345,3 +345,50 @@ def test_a_connection_of_http_client_still_works(watch: Page) -> None:
     assert json.load(connection.getresponse())["word"] == "VIOLATION"
     connection.request("POST", "/now", b"{}")
     assert connection.getresponse().status == 405
+
+
+def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: Any) -> None:
+    """By the form in the browser: once with a reason; never with a foreign token, and not at all without a name."""
+    from stopset.monitor.orders import Reset
+
+    sent: list[str] = []
+    page = Page(heard("fine"), "127.0.0.1", 0, lambda reason: sent.append(Reset.of("A. Turner", reason).reason))
+    page.start()
+
+    def post(token: str, body: bytes) -> bytes:
+        head = f"POST /reset HTTP/1.1\r\nHost: {own(page)}\r\nX-Stopset-Token: {token}\r\nContent-Length: {len(body)}\r\n\r\n"
+        return raw(page, head.encode("latin-1") + body)
+
+    try:
+        good = b'{"reason": "hose refitted"}'
+        for token in ("", "guess", "\xe9", page.token[:-1]):
+            assert b" 403 " in post(token, good).splitlines()[0]
+        for body in (
+            b"{}",
+            b'{"reason": 3}',
+            b'{"reason": "x", "name": "somebody else"}',
+            b'{"reason": "  "}',
+            b'{"reason": "%s"}' % (b"x" * 300),
+        ):
+            assert b" 400 " in post(page.token, body).splitlines()[0], body
+        assert sent == []
+        browser.get(page.url)
+        wait(browser, lambda: browser.find_element("id", "reset").is_displayed())
+        browser.find_element("id", "reason").send_keys("hose refitted")
+        browser.find_element("css selector", "#reset button").click()
+        wait(browser, lambda: "sent" in browser.find_element("id", "resetsays").text)
+        assert sent == ["hose refitted"]
+    finally:
+        browser.get("about:blank")
+        page.shutdown()
+        page.server_close()
+
+
+def test_a_page_without_a_name_orders_nothing(watch: Page, browser: Any) -> None:
+    for token in ("", "x"):
+        head = f"POST /reset HTTP/1.1\r\nHost: {own(watch)}\r\nX-Stopset-Token: {token}\r\nContent-Length: 15\r\n\r\n"
+        assert b" 405 " in raw(watch, head.encode() + b'{"reason": "x"}').splitlines()[0]
+    browser.get(watch.url)
+    wait(browser, lambda: browser.find_element("id", "word").text == "VIOLATION")
+    assert not browser.find_element("id", "reset").is_displayed()
+    browser.get("about:blank")

@@ -36,7 +36,7 @@ def call(s: Server, path: str, body: bytes | None = None, **headers: str) -> tup
 
 
 def do(s: Server, action: str, **options: Any) -> tuple[int, str]:
-    return call(s, f"do/{action}", json.dumps(options).encode(), **{"X-Workbench": s.token})
+    return call(s, f"do/{action}", json.dumps(options).encode(), **{"X-Stopset-Token": s.token})
 
 
 def wait(s: Server) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def test_other_pages_of_the_same_browser_can_do_nothing(server: Server) -> None:
     ],
 )  # fmt: skip
 def test_a_wrong_request_gets_a_sentence(server: Server, action: str, body: bytes, says: str) -> None:
-    code, text = call(server, f"do/{action}", body, **{"X-Workbench": server.token})
+    code, text = call(server, f"do/{action}", body, **{"X-Stopset-Token": server.token})
     assert code == 400 and says in text
 
 

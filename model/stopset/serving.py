@@ -9,6 +9,7 @@ from __future__ import annotations
 import http.server
 import ipaddress
 import json
+import secrets
 import socket
 import sys
 import threading
@@ -116,6 +117,11 @@ class Handler(http.server.BaseHTTPRequestHandler):
         if ipaddress.ip_address(here.partition("%")[0]).is_loopback:
             names.add("localhost")
         return {f"{name}:{self.server.port}" for name in names} | (names if self.server.port == 80 else set())
+
+    def proves(self, token: str) -> bool:
+        """Whether an order carries the token that the page was given; a token of odd letters is wrong, not an error."""
+        given = self.headers.get("X-Stopset-Token", "").encode("latin-1", "replace")
+        return bool(token) and secrets.compare_digest(given, token.encode())
 
     def _body(self) -> dict[str, Any]:
         """The options of an order; raises `ValueError` with the sentence to send back."""

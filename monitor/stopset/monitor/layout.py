@@ -107,7 +107,7 @@ FIELDS: tuple[Field, ...] = (
     Field("cycle_us", "u32", 1, "us", "nominal cycle of the messages"),
     Field("joints", "u8", 1, "", "number of joints in use; later slots are 0"),
     Field("first_joint", "u8", 1, "", "first joint of the latched violation, 1 = joint 1; 0 none"),
-    Field("reserved", "u16", 1, "", "0"),
+    Field("violation_class", "u16", 1, "", "of the latched violation, by the evidence: see the class codes; 0 none"),
     Field("flags", "u32", 1, "", "see the flag bits"),
     Field("violation_count", "u32", 1, "", "samples outside their prediction since the last reset"),
     Field("holding_margin_min", "f32", 1, "N m", "least torque to spare in holding the arm on its brakes", "down"),

@@ -26,13 +26,15 @@ Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
+LOG = 65536  # frames kept for the record of a violation: 5 s of six drives with two PDOs each at 1 kHz
 SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
 
 
 class Source(Protocol):
     """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
 
-    ``complaints``: what the other side has said or sent wrongly since the last call, in words.
+    ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the last frames of
+    the bus as (time [s], identifier, bytes), for the record of a violation.
     """
 
     quantum: Quantum
@@ -40,6 +42,7 @@ class Source(Protocol):
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
     def complaints(self) -> list[str]: ...
+    def heard(self) -> list[tuple[float, int, bytes]]: ...
     def close(self) -> None: ...
 
 
@@ -98,6 +101,7 @@ class CanSource:
     quantum: Quantum = field(init=False)
     frames: int = 0
     dropped: int = 0
+    _log: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=LOG))
     _count: CycleCount = field(init=False)
     _stamps: Stamps = field(default_factory=Stamps)
 
@@ -135,8 +139,9 @@ class CanSource:
 
     def _take(self, frame: Frame) -> Sample | None:
         self.frames += 1
-        now = self.clock.time_ns() * 1e-9
-        cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
+        t = self._stamps(frame.t, self.clock.time_ns() * 1e-9)
+        self._log.append((t, frame.cob_id, bytes(frame.data)))
+        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
         return None if cycle is None else self._sample(cycle)
 
     def _sample(self, cycle: Cycle) -> Sample:
@@ -162,6 +167,9 @@ class CanSource:
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
         ]
 
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return list(self._log)
+
     def close(self) -> None:
         self.bus.close()
 
@@ -185,6 +193,9 @@ class NoSource:
         return {}
 
     def complaints(self) -> list[str]:
+        return []
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
         return []
 
     def close(self) -> None:
@@ -275,6 +286,9 @@ class JointStateSource:
     def complaints(self) -> list[str]:
         said, self.complaint = self.complaint, ""
         return [said] if said else []
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return []
 
     def close(self) -> None:
         """Nothing to close: the session belongs to the daemon."""

@@ -188,6 +188,11 @@ class Watch:
         """Oldest age that is checked [s]."""
         return float(self.ages[-1])
 
+    @property
+    def inputs(self) -> tuple[Array, Array] | None:
+        """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
+        return self._u
+
     def _forget(self) -> None:
         self._age[:] = -1
         self._widen = not self._inputs.plain
@@ -226,7 +231,8 @@ class Watch:
             verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         else:
             verdict = self._compare(x, before, outside)
-        self._launch(bool(outside))
+        if not verdict.deviations:  # what is refuted itself predicts nothing: one bad sample counts once
+            self._launch(bool(outside))
         self._u = (u, du)
         return verdict
 
@@ -270,6 +276,10 @@ class Watch:
             here[3 * n :], signals = s.temp, 4 * n
         if not lib.stopset_sound(signals, self._rows[0], LARGEST):
             return "a reading is not a number"
+        if x[0] == 0.0 and not x.any() and not s.tau.any():
+            return (
+                "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
+            )
         lo, hi = self.model.domain.payload
         if not lo <= self.payload <= hi:
             return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"

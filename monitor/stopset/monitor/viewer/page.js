@@ -83,6 +83,17 @@ function rooms(names) {
     g.stroke();
   });
 }
+const TOKEN = document.querySelector('meta[name=token]').content;
+$('reset').hidden = !TOKEN;
+$('reset').onsubmit = async e => {
+  e.preventDefault();
+  const reason = $('reason').value.trim();
+  if (!reason) { $('resetsays').textContent = 'a reason is needed'; return; }
+  let r;
+  try { r = await fetch('/reset', {method: 'POST', headers: {'X-Stopset-Token': TOKEN, 'Content-Type': 'application/json'}, body: JSON.stringify({reason})}); }
+  catch (x) { $('resetsays').textContent = 'the viewer does not answer'; return; }
+  $('resetsays').textContent = r.ok ? 'sent; the event tells whether it was taken' : await r.text();
+};
 Arm.steer($('arm'));
 const heard = s => { last = Date.now(); shot = s; show(s); };
 fetch('/now').then(r => r.json()).then(heard);

@@ -16,7 +16,7 @@ let running = false, shown = '', asked = false;
 
 async function act(what, options) {
   let r;
-  try { r = await fetch('/do/' + what, {method: 'POST', headers: {'X-Workbench': TOKEN, 'Content-Type': 'application/json'}, body: JSON.stringify(options || {})}); }
+  try { r = await fetch('/do/' + what, {method: 'POST', headers: {'X-Stopset-Token': TOKEN, 'Content-Type': 'application/json'}, body: JSON.stringify(options || {})}); }
   catch (e) { return poll(); }
   if (!r.ok) $('jobtext').textContent = await r.text();
   return poll();
