@@ -36,11 +36,13 @@ class Alive:
     """A daemon that answers every challenge and says its ``state`` whenever it is asked to; ``view`` believes it."""
 
     def __init__(self, state: State) -> None:
-        self.state, self._seq, self._nonce = state, itertools.count(1), 0
+        self.state, self.words, self._seq, self._nonce = state, b"", itertools.count(1), 0
         self.view = View(watchdog_s=60.0, ask=self.speak)
 
     def speak(self, nonce: bytes = b"") -> None:
-        """The next state message, with the answer to the last challenge."""
+        """The next state message, with the answer to the last challenge; and the words, where there are any."""
+        if self.words:
+            self.view.take_json("", self.words)
         self._nonce, now = int.from_bytes(nonce, "little") or self._nonce, time.time_ns()
         self.view.take_state("", pack({
             "data_id": 1, "boot_id": 3, "state": int(self.state), "valid_for_ms": 60_000, "seq": next(self._seq),
