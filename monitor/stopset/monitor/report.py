@@ -75,6 +75,13 @@ def _capsules(x: Numbers) -> list[list[float]] | None:
     return rows
 
 
+def _tube(d: Daemon) -> dict[str, list[float | None]] | None:
+    """Between which joint positions [rad] the predictions in force put the last sample."""
+    found = None if d.sample is None or d.verdict is None or d.verdict.room is None else d.watch.tube(d.sample)
+    n = d.model.n
+    return None if found is None else {k: [finite(v) for v in x[:n]] for k, x in zip(("lo", "hi"), found, strict=True)}
+
+
 def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
     """The binary message in words, with names."""
     v, s, joints, n = d.verdict, d.sample, d.model.joints, d.model.n
@@ -88,6 +95,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "outside_domain": list(v.outside) if v else [],
         "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
+        "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
         "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,

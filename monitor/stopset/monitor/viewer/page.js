@@ -24,10 +24,10 @@ function show(s) {
   if (s.twin) shownTwin = s.twin;
   if (!shownTwin) return;
   stops(stale ? {} : shownTwin.stops, stale);
-  joints(shownTwin, stale);
+  joints(shownTwin, stale, s.limits);
   violations(shownTwin);
   drawArm(s, stale);
-  if (!stale && shownTwin.room) past.push([Date.now(), shownTwin.room]);
+  if (!stale && shownTwin.room) past.push([Date.now(), shownTwin.joints.map((j, k) => within(shownTwin, j, k))]);
   past = past.filter(p => p[0] > Date.now() - 6e4); rooms(shownTwin.joints);
   fill('events', ...(s.events || []).slice().reverse().map(e => el('li', null,
     `${new Date(e.t_ns / 1e6).toLocaleTimeString()} ${e.told}` + (e.count > 1 ? `, ${e.count} times` : ''))));
@@ -44,17 +44,24 @@ function stops(all, stale) {
   if (!rows.length) rows.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
   fill('stops', heads('', 'time', 'flange'), ...rows);
 }
-function joints(t, stale) {
+// how far a joint stays from its end stops if it is stopped now [rad]
+function left(t, k, a, limits) {
+  if (!limits || !t.q || !number(a.forward_rad) || !limits[k] || !limits[k].every(number)) return null;
+  return Math.min(limits[k][1] - t.q[k] - a.forward_rad, t.q[k] - a.back_rad - limits[k][0]);
+}
+function joints(t, stale, limits) {
   const s0 = stale ? {} : (t.stops['0'] || {}).joints || {}, bad = {};
   t.violations.forEach(v => { bad[v.joint] = (bad[v.joint] || 0) + v.samples; });
-  fill('joints', heads('joint', 'room', 'STOP 0'), ...t.joints.map(j => {
+  fill('joints', heads('joint', 'room', 'STOP 0', 'then to its limit'), ...t.joints.map((j, k) => {
     const r = stale || !t.room ? null : t.room[j], a = s0[j] || {};
     const travel = number(a.forward_rad) && number(a.back_rad) ? Math.max(a.forward_rad, a.back_rad) : null;
+    const margin = stale ? null : left(t, k, a, limits);
     const bar = el('meter', {min: 0, max: 1, low: 0.1, high: 0.3, optimum: 0.9, value: number(r) ? Math.max(0, Math.min(1, r)) : 0});
     bar.setAttribute('aria-label', `room of ${j}`);
     return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
       figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
-      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, 1, 'rad', 4)}`));
+      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, 1, 'rad', 4)}`),
+      figure(margin == null ? '–' : el('span', {className: margin < 0 ? 'bad' : ''}, `${margin < 0 ? '✕ ' : ''}${margin.toFixed(2)} rad`)));
   }));
 }
 function violations(t) {
@@ -70,16 +77,21 @@ function drawArm(s, stale) {
   $('armsays').textContent = !s.arm ? 'no picture: the model has not been heard' : stale ? 'last known pose'
     : of('0').length || first.length ? "swept by the links' axes; add the links' own size" : 'no volume: no stop is proved';
 }
+// where in its prediction a joint is: 0 on its lower bound, 1 on its upper one
+function within(t, j, k) {
+  const lo = t.tube && t.tube.lo[k], hi = t.tube && t.tube.hi[k];
+  return t.q && number(lo) && number(hi) && hi > lo ? (t.q[k] - lo) / (hi - lo) : number(t.room[j]) ? t.room[j] / 2 : null;
+}
 function rooms(names) {
   if ($('rooms').children.length !== names.length) fill('rooms', ...names.map(j => el('figure', null, el('canvas', {width: 300, height: 90, ariaLabel: `room of ${j} over the last minute`, role: 'img'}), el('figcaption', null, j))));
   [...$('rooms').children].forEach((f, k) => {
-    const c = f.firstChild, g = c.getContext('2d'), y = v => c.height * (1 - (Math.max(-0.3, Math.min(1, v)) + 0.3) / 1.35), x = t => c.width * (1 - (Date.now() - t) / 6e4);
+    const c = f.firstChild, g = c.getContext('2d'), y = v => c.height * (1 - (Math.max(-0.3, Math.min(1.3, v)) + 0.3) / 1.6), x = t => c.width * (1 - (Date.now() - t) / 6e4);
     g.clearRect(0, 0, c.width, c.height);
     g.fillStyle = '#e3ece5'; g.fillRect(0, y(1), c.width, y(0) - y(1));
-    g.strokeStyle = '#b00020'; g.setLineDash([5, 4]); g.beginPath(); g.moveTo(0, y(0)); g.lineTo(c.width, y(0)); g.stroke(); g.setLineDash([]);
+    g.strokeStyle = '#b00020'; g.setLineDash([5, 4]); g.beginPath(); for (const b of [0, 1]) { g.moveTo(0, y(b)); g.lineTo(c.width, y(b)); } g.stroke(); g.setLineDash([]);
     g.strokeStyle = '#14532d'; g.lineWidth = 2; g.beginPath();
     let before = 0;
-    past.forEach(([t, r]) => { const v = r[names[k]]; if (!number(v)) return; if (t - before < 2000) g.lineTo(x(t), y(v)); else g.moveTo(x(t), y(v)); before = t; });
+    past.forEach(([t, r]) => { const v = r[k]; if (!number(v)) return; if (t - before < 2000) g.lineTo(x(t), y(v)); else g.moveTo(x(t), y(v)); before = t; });
     g.stroke();
   });
 }

@@ -54,6 +54,11 @@ class _Violation(msgspec.Struct):
     in_domain: bool = True
 
 
+class _Tube(msgspec.Struct):
+    lo: list[float | None]
+    hi: list[float | None]
+
+
 class Twin(msgspec.Struct):
     """What the displays need of ``state/json``; a message without it is not shown, and nothing else of it reaches them."""
 
@@ -69,6 +74,7 @@ class Twin(msgspec.Struct):
     notice: str
     stops: dict[str, _Stop]
     q: list[float] | None = None
+    tube: _Tube | None = None
     model_sha256: str = ""
     config_sha256: str = ""
     guarantee: str = ""
@@ -211,6 +217,7 @@ class View:
                 "health": self.health,
                 "events": self.events.last(12),
                 "arm": self._arm(),
+                "limits": None if self.model is None else self.model.robot.q_limit.tolist(),
                 "lost": lost,
                 "rejected": rejected,
             }

@@ -1,5 +1,5 @@
 'use strict';
-const SHEET = 700;  // [px at 96 per inch] A4 less its margins
+const SHEET = [700, 940];  // [px at 96 per inch] A4 less its margins and a heading
 const plots = [...document.querySelectorAll('script.figure')].map(s => {
   const d = document.getElementById(s.dataset.for), f = JSON.parse(s.textContent);
   d.style.minWidth = d.dataset.least + 'px';
@@ -10,8 +10,12 @@ const plots = [...document.querySelectorAll('script.figure')].map(s => {
 document.querySelectorAll('details').forEach(x => x.addEventListener('toggle', () => x.open && x.querySelectorAll('.plot').forEach(d => Plotly.Plots.resize(d))));
 addEventListener('beforeprint', () => {
   document.querySelectorAll('details').forEach(d => { if (!d.open) { d.open = true; d.dataset.folded = '1'; } });
-  // what needs more width than the sheet has is drawn at its own and made smaller
-  plots.forEach(d => { const w = Math.max(SHEET, Number(d.dataset.least)); Plotly.relayout(d, {autosize: false, width: w}); d.style.zoom = SHEET / w; });
+  // what needs more room than the sheet has is drawn at its own size and made smaller
+  plots.forEach(d => {
+    const w = Math.max(SHEET[0], Number(d.dataset.least));
+    Plotly.relayout(d, {autosize: false, width: w});
+    d.style.zoom = Math.min(SHEET[0] / w, SHEET[1] / d._fullLayout.height);
+  });
 });
 addEventListener('afterprint', () => {
   plots.forEach(d => { d.style.zoom = ''; Plotly.relayout(d, {autosize: true, width: null}); });

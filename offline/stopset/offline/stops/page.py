@@ -23,6 +23,7 @@ from stopset.offline.stops.shown import (
     over_speed,
     poses,
     refusals,
+    remarks,
     seen,
     terms,
     up,
@@ -45,8 +46,10 @@ def build_page(
     page.verdict(answered(rows), "good" if proved == len(rows) else "")
     page.next(_next(proved, len(rows), beyond))
     _overview(page, rows)
-    for index, why in refusals(rows):
-        page.text(f"[{index}] {why}")
+    number = refusals(rows)
+    if number:
+        page.heading("What the rows say")
+        page.points([f"[{index}] {why}" for why, index in number.items()])
     page.heading("Worst stops")
     page.table(("category", "axis", "time s", "angle rad", "TCP m", "proved"), list(worst(rows)))
     page.text("Upper bounds from the stop request to rest, over all rows, rounded up. No number where a row is not proved.")
@@ -60,10 +63,8 @@ def build_page(
         _measured_part(page, measured, model)
     page.heading("What the numbers rest on")
     page.points([sentence[0].upper() + sentence[1:] for sentence in assumptions])
-    number = {why: f"[{index}]" for index, why in refusals(rows)}
     for category in dict.fromkeys(r.category for r in rows):
-        with page.fold(f"{NAMES[category]}: time and angle of every axis over speed"):
-            _pictures(page, model, rows, measured, category)
+        _pictures(page, model, rows, measured, category)
         with page.fold(f"{NAMES[category]}: every row"):
             page.table(HEAD, [_cells(r, number) for r in of_category(rows, category)])
     with page.fold("Test poses"):
@@ -79,9 +80,10 @@ def _next(proved: int, total: int, beyond: str) -> str:
     return "measure stops at these poses (ISO 10218-1, annex B) and hold them against the bounds with `stopset stops --data`."
 
 
-def _cells(r: Row, number: Mapping[str, str]) -> list[object]:
+def _cells(r: Row, number: Mapping[str, int]) -> list[object]:
     numbers = ["-" if x is None else up(x, 4) for x in (r.time_s, r.angle_rad, r.tcp_m)]
-    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, number.get(r.why, r.why)]
+    said = " ".join(f"[{number[part]}]" for part in remarks(r))
+    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, said]
 
 
 def _overview(page: Page, rows: Sequence[Row]) -> None:
@@ -104,7 +106,14 @@ def _overview(page: Page, rows: Sequence[Row]) -> None:
     figure.update_xaxes(title_text="speed [% of the largest]", rangemode="tozero")
     figure.update_yaxes(rangemode="tozero")
     figure.update_layout(height=400, legend={"orientation": "h", "y": -0.2}, margin={"t": 40})
-    page.figure(figure, "Upper bounds, the worst axis at the largest extension; a line ends where no stop is proved.")
+    page.figure(
+        figure, f"Upper bounds, the worst of all axes and extensions; a line ends where one has no number.{_beyond(rows)}"
+    )
+
+
+def _beyond(rows: Sequence[Row]) -> str:
+    """What stands below a picture of rows with numbers that no recording supports."""
+    return f" {beyond}." if (beyond := extrapolations(rows)) else ""
 
 
 def _worst_pose(page: Page, model: Model, rows: Sequence[Row]) -> None:
@@ -116,7 +125,8 @@ def _worst_pose(page: Page, model: Model, rows: Sequence[Row]) -> None:
     page.picture(
         drawn_arm(model, np.asarray(r.pose), r.tcp_m or 0.0),
         f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg: "
-        f"within {up(r.tcp_m or 0.0, 3)} m (circle) of where it was. From the side and from above; the axes of the links are drawn.",
+        f"within {up(r.tcp_m or 0.0, 3)} m (circle) of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. From the side and from "
+        "above; the axes of the links are drawn.",
     )  # fmt: skip
 
 
@@ -154,7 +164,10 @@ def _pictures(page: Page, model: Model, rows: Sequence[Row], measured: Sequence[
     height = 140 + 270 * len(joints)
     legend = {"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0.0}  # above the pictures' titles
     figure.update_layout(height=height, margin={"t": 70}, legend=legend)
-    page.figure(figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension.")
+    with page.fold(f"{NAMES[category]}: time and angle of every axis over speed"):
+        page.figure(
+            figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension."
+        )
 
 
 def _measured_part(page: Page, measured: Sequence[Measured], model: Model) -> None:

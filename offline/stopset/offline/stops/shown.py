@@ -68,13 +68,20 @@ def answered(rows: Sequence[Row]) -> str:
         mine = [r for r in rows if r.category == category]
         if all(r.certified for r in mine) and all(r.tcp_m is not None and r.time_s is not None for r in mine):
             far, long = max(r.tcp_m or 0.0 for r in mine), max(r.time_s or 0.0 for r in mine)
-            said.append(f"STOP {category}: at rest within {up(long, 3)} s and {up(far, 3)} m of the flange.")
+            where = ", in the directions that are covered" if any(r.why for r in mine) else ""
+            said.append(f"STOP {category}: at rest within {up(long, 3)} s and {up(far, 3)} m of the flange{where}.")
     return " ".join(said)
 
 
-def refusals(rows: Sequence[Row]) -> list[tuple[int, str]]:
+def refusals(rows: Sequence[Row]) -> dict[str, int]:
     """Every remark of the rows once, numbered in the order of the rows."""
-    return list(enumerate(dict.fromkeys(r.why for r in rows if r.why), 1))
+    said = dict.fromkeys(part for r in rows for part in remarks(r))
+    return {part: k for k, part in enumerate(said, 1)}
+
+
+def remarks(row: Row) -> list[str]:
+    """What a row says of itself, one thing at a time."""
+    return [part for part in row.why.split("; ") if part]
 
 
 def seen(
