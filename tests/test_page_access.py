@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import threading
 import time
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from rich.console import Console
 
 from monitor_arm import known_model
 from stopset.artifact.store import model_text
@@ -20,7 +22,7 @@ from stopset.cli.main import main
 from stopset.monitor.layout import State
 from stopset.monitor.report import _stops
 from stopset.monitor.stopworker import answer_for
-from stopset.monitor.viewer import Page, View
+from stopset.monitor.viewer import Page, View, terminal
 from stopset.offline.report.page import Page as Report
 from stopset.offline.workbench import Loop, Server
 from stopset.reach.stops import StopBounds
@@ -113,6 +115,23 @@ def test_bad_states_are_told_apart_without_colour(browser: Any) -> None:
             )
             marks[f"{state.name} ground"] = ground
     assert len(set(marks.values())) == len(marks)
+
+
+def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
+    """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
+    daemon = moving(State.OK)
+    told = json.loads(daemon.words)
+    stop = {"time_s": 0.0800001, "forward_rad": 0.00001, "back_rad": 0.0}
+    told["stops"] = {"0": {"time_s": 0.0800001, "tcp_m": 0.0120001, "why": "", "joints": dict.fromkeys(told["joints"], stop)}}
+    daemon.words = json.dumps(told).encode()
+    daemon.speak()
+    console = Console(width=150, record=True, file=io.StringIO())
+    console.print(terminal(daemon.view))
+    with shown(daemon.view, browser, "OK"):
+        page = browser.find_element("id", "stops").text + browser.find_element("id", "joints").text
+    for text in (page, console.export_text()):
+        assert "81 ms" in text and "13 mm" in text and "0.0001 rad" in text
+        assert "80 ms" not in text and "12 mm" not in text and "0.0000 rad" not in text
 
 
 def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:

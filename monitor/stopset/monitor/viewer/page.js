@@ -6,7 +6,8 @@ const fill = (id, ...inside) => $(id).replaceChildren(...inside);
 const figure = (...inside) => el('td', {className: 'n'}, ...inside);
 const heads = (...names) => el('tr', null, ...names.map((n, k) => el('th', {className: k && n !== 'what' ? 'n' : '', scope: 'col'}, n)));
 const number = x => typeof x === 'number' && isFinite(x);
-const num = (x, f, u, d) => number(x) ? (x * f).toFixed(d) + ' ' + u : 'not provable';
+// bounds are rounded to the safe side: what is shown never promises more than what was proved
+const num = (x, f, u, d) => number(x) ? (Math.ceil(x * f * 10 ** d - 1e-9) / 10 ** d).toFixed(d) + ' ' + u : 'not provable';
 const count = (n, what) => `${n} ${what}${n === 1 ? '' : 's'}`;
 const SIGN = {OK: '✓', DEGRADED: '!', VIOLATION: '✕', UNKNOWN: '?', FAULT: '⚠', 'NO DATA': '–', INIT: '…', SHUTDOWN: '■'};
 const MEANS = {
@@ -52,7 +53,7 @@ function left(t, k, a, limits) {
 function joints(t, stale, limits) {
   const s0 = stale ? {} : (t.stops['0'] || {}).joints || {}, bad = {};
   t.violations.forEach(v => { bad[v.joint] = (bad[v.joint] || 0) + v.samples; });
-  fill('joints', heads('joint', 'room', 'STOP 0', 'then to its limit'), ...t.joints.map((j, k) => {
+  fill('joints', heads('joint', 'room', 'STOP 0', 'to its limit'), ...t.joints.map((j, k) => {
     const r = stale || !t.room ? null : t.room[j], a = s0[j] || {};
     const travel = number(a.forward_rad) && number(a.back_rad) ? Math.max(a.forward_rad, a.back_rad) : null;
     const margin = stale ? null : left(t, k, a, limits);
@@ -60,8 +61,8 @@ function joints(t, stale, limits) {
     bar.setAttribute('aria-label', `room of ${j}`);
     return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
       figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
-      figure(stale ? '–' : !number(a.time_s) && travel == null ? 'no number' : `${num(a.time_s, 1e3, 'ms', 0)}, ${num(travel, 1, 'rad', 4)}`),
-      figure(margin == null ? '–' : el('span', {className: margin < 0 ? 'bad' : ''}, `${margin < 0 ? '✕ ' : ''}${margin.toFixed(2)} rad`)));
+      stale || (!number(a.time_s) && travel == null) ? figure(stale ? '–' : 'no number') : figure(num(a.time_s, 1e3, 'ms', 0), el('small', null, num(travel, 1, 'rad', 4))),
+      figure(margin == null ? '–' : el('span', {className: margin < 0 ? 'bad' : ''}, `${margin < 0 ? '✕ ' : ''}${(Math.floor(margin * 100) / 100).toFixed(2)} rad`)));
   }));
 }
 function violations(t) {

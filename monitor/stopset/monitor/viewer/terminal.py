@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -20,7 +22,8 @@ COLOURS = {
 
 
 def _number(x: float | None, unit: str, factor: float = 1.0, digits: int = 0) -> str:
-    return "not provable" if x is None else f"{x * factor:.{digits}f} {unit}"
+    """A bound, rounded up: what is shown never promises more than what was proved."""
+    return "not provable" if x is None else f"{math.ceil(x * factor * 10**digits - 1e-9) / 10**digits:.{digits}f} {unit}"
 
 
 def terminal(view: View) -> RenderableType:
