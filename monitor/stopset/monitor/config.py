@@ -106,6 +106,14 @@ class Fallback:
 
 
 @dataclass(frozen=True, slots=True)
+class Signed:
+    """Whose models are taken: files of public keys (none: unsigned ones too), and the least revision, so that none comes back."""
+
+    keys: tuple[str, ...] = ()
+    least_revision: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
@@ -129,6 +137,7 @@ class Config:
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
+    signed: Signed = field(default_factory=Signed)
     record: Records = field(default_factory=Records)
     sha256: str = ""
 
@@ -197,6 +206,7 @@ def load_config(path: str | Path) -> Config:
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),
+        ("signed.least_revision", config.signed.least_revision, 0, 10**6),
         ("record.before_s", config.record.before_s, 0.1, 10.0),
         ("record.file_s", config.record.file_s, 1.0, 86400.0),
         ("record.keep_mb", config.record.keep_mb, 1.0, 1e6),
@@ -228,7 +238,9 @@ def load_config(path: str | Path) -> Config:
     journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
     record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
     return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
         journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
     )  # fmt: skip

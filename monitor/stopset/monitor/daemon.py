@@ -101,7 +101,7 @@ class Daemon:
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
         if desk is None:
             fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
-            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock)
+            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:

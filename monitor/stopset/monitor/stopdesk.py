@@ -173,6 +173,7 @@ class StopDesk:
     why: str = "the first stop bound is being computed"
     restarts: int = 0
     clock: Clock = field(default_factory=SystemClock)
+    sha256: str = ""  # of the model that is watched; its file may hold another one by now
     counters: dict[str, Counter] = field(init=False)
     _motion: Motion = field(init=False)
     _slack: Array = field(init=False)
@@ -206,7 +207,7 @@ class StopDesk:
     def _start(self) -> None:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (self.model_path, self.payload, self.stops, self.categories, theirs)
+        args = (self.model_path, self.sha256, self.payload, self.stops, self.categories, theirs)
         self._process = context.Process(target=work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from stopset.artifact import load_model
-from stopset.errors import StopsetError
+from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Stops
 from stopset.types import Array
@@ -26,11 +26,17 @@ if TYPE_CHECKING:
     from stopset.reach.stops import StopBounds
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
+MOST_CAPSULES = 400  # of a bound that are kept for pictures; one in more pieces has none, rather than a part
 PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
-def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
-    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready."""
+def work(
+    model_path: str, sha256: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection
+) -> None:  # fmt: skip
+    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready.
+
+    ``sha256``: of the model that is watched; a file that holds another one by now bounds nothing.
+    """
     from stopset.reach.stops import StopBounds
     from stopset.reach.stops.ramp import Ramp
 
@@ -44,6 +50,11 @@ def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, .
         )  # fmt: skip
     prepared, refusal = None, ""
     try:
+        if sha256 and model.sha256 != sha256:
+            raise ModelFileError(
+                f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
+                "have the monitor read it anew (SIGHUP), or restore it"
+            )
         prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         refusal = str(e)
@@ -108,4 +119,5 @@ def numbers_of(bound: Any, n: int) -> Numbers:
     if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
         return Numbers.none(n, bound.why, margin)
     tcp = np.inf if bound.tcp is None else float(bound.tcp)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+    swept = None if bound.capsules is None or bound.capsules.size > 7 * MOST_CAPSULES else bound.capsules.reshape(-1, 7)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept)
