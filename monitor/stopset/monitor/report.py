@@ -80,6 +80,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
+        "margins": d.margins, "override": d.override,
         "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,
