@@ -55,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": bool(x.provable.all()), "why": x.why,
+            "certified": x.proven, "why": x.why,
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)

@@ -20,6 +20,7 @@ from stopset.monitor.links.hub import Frame
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.watch import Quantum, Sample
+from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 GAP = 1000  # a step in the cycle number that no run of samples makes
@@ -47,13 +48,14 @@ class Source(Protocol):
 
 def sample_of(cycle: Cycle, k: int) -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
-    v = cycle.values
-    tau = v[TAU].copy() if not np.isnan(v[TAU]).any() else None
-    temp = v[TEMP].copy() if not np.isnan(v[TEMP]).any() else None
-    status = v[STATUS]
-    # CiA 402 statusword: operation enabled
-    powered = bool(np.all((np.nan_to_num(status, nan=0x27).astype(int) & 0x6F) == 0x27))
-    return Sample(k, cycle.t, v[Q].copy(), v[DQ].copy(), tau, temp, powered)
+    q, dq, tau, temp, status = cycle.values  # made for this cycle alone
+    # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
+    powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
+    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered)
+
+
+def _carried(row: Array) -> Array | None:
+    return None if any(x != x for x in row.tolist()) else row
 
 
 @dataclass(slots=True)
