@@ -51,9 +51,9 @@ def test_planes_joint_limits_and_wanted_stops() -> None:
     limits = Limits("0", time_s=0.2, tcp_m=0.04, radius_m=0.05, planes=(floor,))
     found = margins(ROBOT, limits, q, numbers(0.01), np.full(6, 1e-3))
     assert found["planes_m"]["floor"] == pytest.approx(ends(ROBOT, q)[0][0, 2] - 0.05), "the shoulder, which stays where it is"
-    front = Plane("front", (-1.0, 0.0, 0.0), -1.0)
+    front = Plane("front", (1.0, 0.0, 0.0), -1.0)
     left = margins(ROBOT, replace(limits, planes=(front,)), q, numbers(0.01), NONE)["planes_m"]["front"]
-    assert 0.0 < 1.0 - float(ends(ROBOT, q)[0][:, 0].max()) - 0.05 - left < 0.08
+    assert 0.0 < 1.0 + float(ends(ROBOT, q)[0][:, 0].min()) - 0.05 - left < 0.05
     assert found["joint_limits_rad"]["arm_2_joint"] == pytest.approx(ROBOT.q_limit[1, 1] - 0.3 - 0.011)
     assert found["time_s"] == pytest.approx(0.1) and found["angle_rad"] is None
     assert exceeded(found) == ["limits.tcp_m"]
