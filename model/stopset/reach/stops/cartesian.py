@@ -20,7 +20,7 @@ from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.tube import Tube
 from stopset.robot.rigid import Array, Chain, arm_struct
 
-SLICES = 10
+SLICES: int = lib.STOPSET_STOP_SLICES
 
 
 class Slices(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stopset.core.library import lib
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.split import certify
@@ -13,12 +14,16 @@ from stopset.robot.rigid import Array, gravity_torque
 from stopset.sets import Box
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
-FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
-FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
-FAST_WINDOWS = 2  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
+FAST_KNOTS: int = lib.STOPSET_STOP_KNOTS  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
+FAST_ENERGY_KNOTS: int = (
+    lib.STOPSET_STOP_ENERGY_KNOTS
+)  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
+FAST_WINDOWS: int = (
+    lib.STOPSET_STOP_WINDOWS
+)  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
 REGIONS = 4  # that a tube is tried in, each larger than what the last led to
-PATIENCE = 6  # times the expected stop before a tube is called endless
-MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
+PATIENCE: int = lib.STOPSET_STOP_PATIENCE  # times the expected stop before a tube is called endless
+MORE_PATIENCE: int = lib.STOPSET_STOP_MORE_PATIENCE  # where the kinetic energy bounds it: that takes longer
 
 
 def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
