@@ -27,6 +27,7 @@ from monitor_process import Ear, free_port, running, stopset, write_config
 from stopset.artifact import Model, load_model, save_model
 from stopset.effects import Fitted
 from stopset.monitor.authentication import Key
+from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Bus, Config, Publish
 from stopset.monitor.daemon import Daemon
 from stopset.monitor.layout import unpack
@@ -35,8 +36,7 @@ from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.source import CanSource
-from stopset.monitor.stopdesk import Answer, Numbers
-from stopset.monitor.watch import Quantum
+from stopset.monitor.stopdesk import StopDesk
 from stopset.recording import Recording, read_recordings, write_recordings
 from stopset.sets import Box
 
@@ -91,24 +91,17 @@ class Outlet:
     subscribe = serve = alive = lambda *_: None
 
 
-class Desk:
-    """A certified answer, tested against every state as the real one does."""
+class Desk(StopDesk):
+    """The desk as it is, with certificates that came long ago and no process behind it."""
 
-    def __init__(self, n: int) -> None:
-        a = np.full(n, 0.1)
-        numbers = {c: Numbers(a, a, a, 0.02, np.full(n, True)) for c in ("0", "1", "1 guaranteed")}
-        wide = np.full(n, 10.0)
-        self.answer = Answer(np.zeros(n), np.zeros(n), wide, wide, numbers, 0.001)
-        self.quantum = Quantum.none(n)
-
-    def offer(self, t: float, q: object, dq: object) -> None:
-        """Asked in another process."""
-
-    def now(self, q: np.ndarray, dq: np.ndarray) -> tuple[dict[str, Numbers], bool]:
-        return self.answer.numbers, self.answer.covers(q, dq, self.quantum)
-
-    def close(self) -> None:
-        """Nothing runs."""
+    def _start(self) -> None:
+        n, a = self.n, np.full(self.n, 0.1)
+        for category, c in self.counters.items():
+            for k in range(c.narrow.kept):  # a full shelf, of which the last holds the arm
+                wide = np.full(2 * n, 10.0 if k == c.narrow.kept - 1 else 1e-6)
+                c.narrow.put(Answer(category, -wide, wide, Numbers(a, a, a, 0.02, np.full(n, True)), 0.001))
+            c.wide.put(c.narrow.answers[-1])
+        self._ready = True
 
 
 def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
@@ -121,7 +114,8 @@ def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
         str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32,
         publish=Publish(json_hz=1e-9),
     )  # fmt: skip
-    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=Desk(model.n))  # type: ignore[arg-type]
+    desk = Desk(str(model_path), np.ones(model.n), config.stops, 0.0, source.quantum, clock=clock)
+    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=desk)
     daemon._next_json = daemon._next_health = 1e18
     parts = {name: Part(owner, name) for owner, name in ((source, "next"), (daemon.watch, "step"), (daemon.publisher, "state"))}
     source_next, step, publish = parts["next"], parts["step"], parts["state"]

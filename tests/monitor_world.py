@@ -18,6 +18,7 @@ import numpy as np
 from monitor_arm import DT, NOISE, VISCOUS, U, known_model
 from stopset.artifact import Model
 from stopset.errors import BusError
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Bus, Config, Publish, Stops
 from stopset.monitor.consumer import Consumer, Expected
 from stopset.monitor.daemon import Daemon
@@ -28,7 +29,6 @@ from stopset.monitor.links.canopen_map import Encoder
 from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import SIGNALS, Profile, load_profile
 from stopset.monitor.source import CanSource, Source
-from stopset.monitor.stopdesk import Numbers
 from stopset.reach.flowpipe import discretise
 
 PROFILE: Profile = load_profile("lwa4p/monitor")
@@ -327,7 +327,8 @@ EVENTS = ["kill", "stop", "jump", "bus off", "reset", "emergency", "drives stop"
 class Desk:
     """Stop bounds as the other process gives them: there, or not."""
 
-    answer = None
+    slowest = None
+    restarts = 0
 
     def __init__(self, world: World) -> None:
         self.world, self.down_until = world, -math.inf

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import ffi, given, lib, view
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.regions import Region, regions
+from stopset.reach.stops.regions import FrictionRegion, regions
 from stopset.reach.stops.tube import plant_struct
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 FRICTION = ("coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi")
 
 
@@ -55,7 +54,7 @@ def core_stop(bounds: StopBounds) -> Callable[..., CoreStop | None]:
     return bound
 
 
-def in_region(bounds: StopBounds, region: Region) -> StopBounds:
+def in_region(bounds: StopBounds, region: FrictionRegion) -> StopBounds:
     """The Python bounds with the friction of one region, wherever the stop leads."""
     assert bounds.setting is not None
     n = bounds.model.n

@@ -17,7 +17,7 @@ from stopset.offline.brakes.bands import RISK, band, beyond, farther, hull
 from stopset.offline.brakes.impulse import Impulse
 from stopset.offline.brakes.timing import tell
 from stopset.reach.stops import Ramp, StopBounds, ramp_of
-from stopset.reach.stops.plant import setting_of
+from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.windows import windows
 from stopset.recording import Recording, read_recordings
 from stopset.robot import load_robot

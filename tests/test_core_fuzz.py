@@ -10,7 +10,6 @@ import math
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from stopset.core.library import ffi, integers, lib, maths, view
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
@@ -31,8 +30,8 @@ from stopset.robot.rigid import (
 )
 from stopset.simulation.inclusion import solve_inclusion
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 WILD = np.array([0.0, -0.0, 1.0, -1.0, 1e-320, 1e-8, 3.14159, 1e6, 1.1e6, 1e17, 1e308, -1e308, math.inf, -math.inf, math.nan])
 seeds = st.integers(0, 2**32 - 1)
 

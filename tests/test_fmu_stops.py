@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fmu_models import arm_model
 from fmu_unit import Unit, unit
@@ -22,9 +21,8 @@ from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.regions import regions
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 from test_fmu import AGREE, EFFECTS, HERE, friction, joint_inputs, names, simulate
-
-Array = NDArray[np.float64]
 
 
 def braked(rotor: float, n: int = 4, spread: float = 0.1, **model_options: Any) -> Model:

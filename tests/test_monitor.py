@@ -16,6 +16,7 @@ from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
 from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc, status
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
@@ -23,7 +24,6 @@ from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, 
 from stopset.monitor.profile import load_profile
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
-from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch, check_cycle
 from stopset.recording import Recording
 

@@ -17,7 +17,7 @@ from stopset.reach.stops import Ramp, StopBounds, stop
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.parts import Parts
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of, tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model
 from stopset.core.library import lib
@@ -13,14 +12,14 @@ from stopset.errors import NotCovered
 from stopset.fmu.ctext import array
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.plant import Setting
 from stopset.reach.stops.regions import regions
+from stopset.reach.stops.setting import Setting
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 NO_BRAKES = (
     "a STOP 0 is asked for, but the model knows no brakes; give their torque, delay and rise in robot.json and identify again"
 )
-EDGE = 1e-9  # [rad, rad/s] of the domain, as in `stopset.reach.stops.plant.beyond_domain`
+EDGE = 1e-9  # [rad, rad/s] of the domain, as in `stopset.reach.stops.setting.beyond_domain`
 # the C structs' fields, in their order
 PLANT = (
     "pi_half", "rotor", "rotor_half", "coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi", "brake_lo", "brake_hi",

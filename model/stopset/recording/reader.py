@@ -19,8 +19,9 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from stopset.errors import RecordingError
-from stopset.recording.types import EFFORTS, PHASES, Array, Meta, Recording, Recordings, counted
+from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
+from stopset.types import Array
 
 BATCH_ROWS = 65_536
 FEWEST_STAMPS = 30  # of a trial whose clock is looked at

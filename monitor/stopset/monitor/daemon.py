@@ -21,6 +21,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import BusError, NotCovered, StopsetError
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
 from stopset.monitor.latch import Latch
@@ -31,7 +32,7 @@ from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.source import NoSource, Source
 from stopset.monitor.status import Limits, Recovery, Situation, believable, decide, stop_fields
-from stopset.monitor.stopdesk import Numbers, StopDesk
+from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.watch import Conformance, Sample, Verdict, Watch, check_cycle
 
 CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2, Conformance.FAULT: 3}
@@ -97,7 +98,10 @@ class Daemon:
         check_cycle(model, self.cycle_s)
         text = Path(c.model).read_bytes()
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
-        return Loaded(model, text, watch, desk or StopDesk(c.model, model.n, c.stops, c.payload_kg, quantum, clock=self.clock))
+        if desk is None:
+            fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
+            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock)
+        return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:
         self._loaded, self.model, self.watch, self.desk = loaded, loaded.model, loaded.watch, loaded.desk
@@ -157,6 +161,7 @@ class Daemon:
         turn = self._situation()
         self._send(turn)
         if sample is not None:
+            self.tally.states[turn.state.name] += 1
             self.tally.busy.append(self.clock.monotonic() - begin)
         self._slow_messages(begin, turn)
         self._fault = ""
@@ -323,6 +328,7 @@ class Daemon:
                 self.clock.sleep(PATIENCE)
             try:
                 self.source = reopen()
+                self.watch.restart()  # a new source counts its cycles anew
                 return
             except BusError as e:
                 words = str(e)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ class Tally:
 
     samples: int = 0
     verdicts: dict[str, int] = field(default_factory=lambda: {c.value: 0 for c in Conformance})
+    states: dict[str, int] = field(default_factory=lambda: {s.name: 0 for s in State})  # told of samples
     outside_domain: int = 0
     gaps: int = 0
     faults: int = 0
@@ -74,7 +75,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
-        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "gaps": d.tally.gaps,
+        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
@@ -93,7 +94,8 @@ def health(d: Daemon) -> dict[str, Any]:
         "outside_domain": t.outside_domain, "cycles_in_window": len(t.busy),
         "sync_to_publish_ms": {"median": 1e3 * float(np.median(delays)), "max": 1e3 * float(delays.max())},
         "loop_busy_ms": {"median": 1e3 * float(np.median(busy)), "max": 1e3 * float(busy.max())},
-        "bus": d.source.counters(), "stop_bound_ms": 1e3 * d.desk.answer.took if d.desk.answer else None,
+        "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
+        "stop_restarts": d.desk.restarts,
         "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
     }  # fmt: skip

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance, Sample, Verdict
 
 # whole numbers: combining flags in a loop of microseconds costs tens of them

@@ -21,8 +21,8 @@ from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 MAX_PREDICTIONS = 1500  # rows of the comparison; longer horizons start fewer predictions
 BRIDGE = 5  # cycles from one sample to the next that predictions are led across; after more they start anew
 LARGEST = 1e6  # of any reading [SI]; beyond it arithmetic would end in what is not a number
@@ -190,13 +190,17 @@ class Watch:
         self._since = self._next = 0
         self._inputs.forget()
 
+    def restart(self) -> None:
+        """The next sample belongs to no earlier one, whatever its number says: it is of another source."""
+        self._forget()
+        self._last = None
+
     def step(self, sample: Sample) -> Verdict:
         """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
         try:
             return self._step(sample)
         except Exception as e:  # noqa: BLE001 - whatever went wrong, the answer must say so and never read as conformant
-            self._forget()
-            self._last = None
+            self.restart()
             return Verdict(Conformance.FAULT, f"the check failed: {type(e).__name__}: {e}")
 
     def _step(self, s: Sample) -> Verdict:

@@ -163,6 +163,10 @@ STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
+/* The row of least cost (count,) among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
+STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
+                                     const double *x, const double *slack);
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */

@@ -135,6 +135,17 @@ int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const doubl
     return count;
 }
 
+int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost, const double *x,
+                         const double *slack) {
+    int64_t best = -1;
+    for (int64_t k = 0; k < count; k++) {
+        int64_t i = 0;
+        while (i < n && x[i] - slack[i] >= lo[k * n + i] && x[i] + slack[i] <= hi[k * n + i]) i++;
+        if (i == n && (best < 0 || cost[k] < cost[best])) best = k;
+    }
+    return best;
+}
+
 /* Coefficients of one step where a joint's position and speed depend on nothing but these two: rows (4, n) of position by
  * position and speed, speed by position and speed. 0 if joints are coupled. */
 static int own_steps(const StopsetPredictions *s, double own[4][J]) {

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from stopset.core.library import check, given, lib, view
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 
 class Curvature(NamedTuple):

@@ -33,7 +33,8 @@ import numpy as np
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import Parts
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 OK, ENDLESS, UNBOUNDED = 0, 1, 2  # how a tube ends: at rest; still moving at the last step; claims not verifiable
 REDOS: int = lib.STOPSET_TUBE_REDOS  # of a step, when a first excursion can end with less brake impulse than was taken

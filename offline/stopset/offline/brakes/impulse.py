@@ -13,15 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.recording import Recording
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SLIDING = 0.04  # [rad/s] below this a joint counts as coming to rest
 SHORTEST = 3  # samples
 

@@ -14,12 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects.base import Effect, Part
+from stopset.effects.registry import get
+from stopset.effects.selection import of_part
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
-from stopset.recording.types import Array
 from stopset.robot.rigid import regressors, torques
+from stopset.types import Array
 
 LOWERED = 0.05  # share by which a change must lower the held-out error of one of its joints
 SURE = 4.0  # standard errors
@@ -28,6 +31,10 @@ LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
 LEAST_MASS = 0.05  # [kg]
 FEWEST = 6  # blocks of time, below which their scatter tells nothing
 MOST = 8  # changes told
+PARTS: dict[Part, str] = {
+    "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
+    "torque scale": "torque scale", "load": "load at the flange",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,18 +57,13 @@ class Change:
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
-        what = {
-            "coulomb": "Coulomb friction", "viscous": "viscous friction", "asymmetric_coulomb": "constant torque",
-            "torque_gain": "torque scale", "payload": "load at the flange",
-        }[self.effect]  # fmt: skip
-        return f"The {what}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
+        return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Columns (rows, n, k) of a change, and what each says: ``effect, joint, symbol, unit, before``."""
+    """Columns (rows, n, k) of a change, and what each says."""
 
-    effect: str
     joint: int | None
     columns: Array
     terms: tuple[tuple[str, str, str, float], ...]  # (effect, symbol, unit, before) of the columns that are told
@@ -127,11 +129,11 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
 
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
     n, out = model.n, []
+    dry_law, damping, offset, scale, body = map(of_part, PARTS)
     levels = {(f.effect, f.joint): f.values for f in model.effects}
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
     for j, joint in enumerate(model.joints):
-        dry = levels.get(("coulomb", joint), {}).get("F_c", 0.0)
-        wet = levels.get(("viscous", joint), {}).get("F_v", 0.0)
+        dry, wet = (levels.get((law.name, joint), {}).get(law.terms[0].symbol, 0.0) for law in (dry_law, damping))
 
         def at(*columns: Array, j: int = j) -> Array:
             block = np.zeros((len(q), n, len(columns)))
@@ -139,15 +141,18 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        terms = (("coulomb", "F_c", "N m", dry), ("viscous", "F_v", "N m s/rad", wet))
-        out.append(_Candidate("coulomb", j, friction, terms, (DAILY * dry, DAILY * wet)))
-        constant = (("asymmetric_coulomb", "c", "N m", 0.0),)
-        out.append(_Candidate("asymmetric_coulomb", j, at(np.ones(len(q))), constant, (DAILY * dry,)))
-        out.append(_Candidate("torque_gain", j, at(rigid[:, j]), (("torque_gain", "e", "1", 0.0),), (LEAST_GAIN,)))
+        out.append(_Candidate(j, friction, (_told(dry_law, dry), _told(damping, wet)), (DAILY * dry, DAILY * wet)))
+        out.append(_Candidate(j, at(np.ones(len(q))), (_told(offset, 0.0),), (DAILY * dry,)))
+        out.append(_Candidate(j, at(rigid[:, j]), (_told(scale, 0.0),), (LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = (("payload", "m", "kg", 0.0), *((("payload", s, "kg m", 0.0)) for s in ("mx", "my", "mz")))
-    out.append(_Candidate("payload", None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
+    load = tuple(_told(body, 0.0, k) for k in range(4))
+    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
     return out
+
+
+def _told(law: Effect, before: float, term: int = 0) -> tuple[str, str, str, float]:
+    """What a column says: effect, symbol, unit, level before."""
+    return law.name, law.terms[term].symbol, law.terms[term].unit, before
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:

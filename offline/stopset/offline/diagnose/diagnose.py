@@ -10,6 +10,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects import Effect, Fitted, get
+from stopset.effects.selection import of_part
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.changes import Change, changes
@@ -22,12 +23,12 @@ from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.explain.partial import Partial, partial
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 MOVE = "Move every joint through its range at several speeds."
@@ -289,11 +290,12 @@ def moves(r: Recording) -> bool:
 
 def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()) -> Diagnosis:
     """Recordings in which no joint moves: torque that changes there by more than friction can hold comes from outside."""
-    coulomb = {f.joint: f.values.get("F_c", 0.0) for f in fitted if f.effect == "coulomb"}
+    dry = of_part("dry friction")
+    level = {f.joint: f.values.get(dry.terms[0].symbol, 0.0) for f in fitted if f.effect == dry.name}
     pushed = []
     for j, name in enumerate(robot.joints):
         limit = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else 100.0
-        friction = coulomb.get(name, 0.05 * limit)
+        friction = level.get(name, 0.05 * limit)
         swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
         if swing > 2 * friction + 0.02 * limit:
             pushed.append((swing / limit, name))
@@ -323,7 +325,7 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
         if effect.enters == "input_delay":
             lag = f.values.get(effect.terms[0].symbol, 0.0)
             shapes = {"d0": lag} if lag else {}
-        elif effect.name == "elasticity":
+        elif effect.role == "swing":
             shapes |= {"exact": 1.0, "begun": 1.0}
         candidate = engine.add(effect, place, shapes)
         if candidate is not None:
@@ -372,7 +374,7 @@ def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: _L
 
 def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
     """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
-    m = told["m"] if effect.name == "payload" else None
+    m = told["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std

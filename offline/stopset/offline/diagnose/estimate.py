@@ -16,8 +16,8 @@ from stopset.offline.diagnose.diagnose import Examination, Ranked, examine, move
 from stopset.offline.diagnose.evidence.engine import Known
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.recording import Recordings
-from stopset.recording.types import Array
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stopset.effects import base, bound, get, signals
+from stopset.effects import base, bound, get, selection, signals
 from stopset.effects.registry import catalogue
 from stopset.offline.abstraction import choose, forms, identified, models
 from stopset.offline.brakes import bands as spread_bands
@@ -70,7 +70,7 @@ from stopset.recording import reader
 from stopset.ring import interval
 from stopset.robot import arm, generic
 
-SCHEMA = 1  # of the hash: counted up when a name changes or the way values are written
+SCHEMA = 2  # of the hash: counted up when a name changes or the way values are written
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
@@ -92,8 +92,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("shared motors", pair_choice, "TELLS LOOKED_AT EFFECT"),
-    ("friction laws", friction_choice, "LAWS BASE GAINS MOSTLY NEVER"),
+    ("shared motors", pair_choice, "TELLS LOOKED_AT"),
+    ("friction laws", friction_choice, "GAINS MOSTLY NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
@@ -139,7 +139,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "REDOS PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
-    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS PATIENCE MORE_PATIENCE"),
+    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
@@ -155,7 +155,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
-    ("diagnosis wanted", wanted, "LAGS NEIGHBOURS"),
+    ("diagnosis wanted", wanted, "LAGS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )
 
@@ -166,6 +166,7 @@ def constants() -> dict[str, Any]:
     return out | {
         "preprocessing defaults": preprocess.Preprocessing(),
         "description tolerance": prior.Tolerance(),
+        "laws tried": {"always": selection.base(), "joints": selection.usual(), "pairs": selection.usual("pair")},
         "changes since": {f: priors.Known.__dataclass_fields__[f].default for f in ("gain", "spread", "scales")},
     }
 

@@ -14,16 +14,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBound, StopBounds
-from stopset.reach.stops.plant import Setting, beyond_domain
+from stopset.reach.stops.setting import Setting, beyond_domain
 from stopset.reach.stops.words import NO_REST, UNSEEN, ramp_assumptions
 from stopset.robot.rigid import link_frames, torque
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 GRID = 60
 DENSE = 4  # times as many points in the check
 BISECTIONS = 18  # of the length: a quarter of a millionth of the path

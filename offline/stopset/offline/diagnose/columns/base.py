@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.rows.rows import JointRows, joint_rows, pose_scatter
+from stopset.types import Array
 
 
 def all_rows(source: Source) -> list[JointRows]:

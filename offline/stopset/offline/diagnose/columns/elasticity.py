@@ -11,9 +11,10 @@ import numpy as np
 
 from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.prepare import Mask
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.robot.rigid import bent_torques
+from stopset.types import Array
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset

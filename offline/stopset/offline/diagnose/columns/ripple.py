@@ -11,9 +11,10 @@ from stopset.core.library import ffi, flags, given, lib, view
 from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.rows.noise import whiten_adjoint
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.prepare import Mask
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.diagnose.search.wanted import Wanted
+from stopset.types import Array
 
 STEP = 0.5  # [cycles per turn]
 RIPPLES = np.arange(12.0, 161.0, STEP)  # [cycles per turn]

@@ -14,7 +14,7 @@ import numpy as np
 from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
 from stopset.offline.diagnose.rows.noise import coloured
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 POINTS = 800  # drawn per effect
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 ORDER = 6  # rows the prediction looks back: the kernel's correlation is below 1e-4 after 5 rows
 
 

@@ -16,8 +16,8 @@ from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.recording import Recording, Recordings, SuiteKey
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten
-from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared
+from stopset.offline.diagnose.rows.prepare import Index, Mask, Prepared
+from stopset.types import Array
 
 FEW_POSES = 12  # below this the poses' own scatter can't be told
 

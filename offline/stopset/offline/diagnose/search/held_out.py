@@ -8,7 +8,8 @@ from stopset.offline.campaign.hold_out import GUARD
 from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
 from stopset.offline.diagnose.rows.noise import coloured
-from stopset.offline.diagnose.rows.prepare import Array, Index, Mask
+from stopset.offline.diagnose.rows.prepare import Index, Mask
+from stopset.types import Array
 
 BLOCK = 2.0  # [s] of one trial held out together where there are too few motions to hold out whole ones
 WHOLE = "motions left out in turn"
