@@ -55,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": bool(x.provable.all()), "why": x.why,
+            "certified": x.proven, "why": x.why,
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
@@ -73,6 +73,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f in turn.flags],
         "conformance": v.conformance.value if v else "UNKNOWN", "conformance_why": v.why if v else "",
         "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
+        "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
         "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
@@ -97,8 +98,21 @@ def health(d: Daemon) -> dict[str, Any]:
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
         "stop_restarts": d.desk.restarts,
         "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
+        "recorder": None if d.recorder is None else {
+            "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,
+        },
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
     }  # fmt: skip
     t.delays.clear()
     t.busy.clear()
     return out
+
+
+def about(d: Daemon) -> dict[str, str]:
+    """Whose words a file holds: arm, model, configuration, life."""
+    c, m = d.config, d.model
+    return {
+        "schema": "1", "key": c.prefix, "data_id": str(c.data_id), "boot_id": f"{d.publisher.boot:016x}",
+        "model_sha256": m.sha256, "config_sha256": c.sha256, "joints": ",".join(m.joints), "effort": m.effort,
+        "robot": m.robot.name, "cycle_s": repr(d.cycle_s), "payload_kg": repr(c.payload_kg), "notice": NOTICE,
+    }  # fmt: skip

@@ -135,7 +135,7 @@ class Counter:
         """An answer has come."""
         size, self.waiting = self.waiting, None
         self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
-        if answer.numbers.provable.all():
+        if answer.numbers.proven:
             (self.wide if size is WIDE else self.narrow).put(answer)
             return
         self.refused = answer
