@@ -109,7 +109,6 @@ static int inside(const Ask *a, const StopsetRegion *r, double fastest[SN]) {
 /* One tube from the box with the friction of the first region that it does not leave; whether there is one that comes to rest.
  * A continuous motion that stays inside while it has not left cannot leave. */
 static int march(Ask *a, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]) {
-    static const StopsetParts all = {1.0, 1.0, 1.0, 1.0};
     const StopsetStops *s = a->stops;
     const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, steps = knots * (energetic ? MORE_PATIENCE : PATIENCE);
     double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN];
@@ -133,7 +132,7 @@ static int march(Ask *a, const double *delay_lo, const double *delay_hi, int ene
         plant.viscous_hi = r->viscous_hi;
         plant.u_lo = r->u_lo;
         plant.u_hi = r->u_hi;
-        if (stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / knots, steps, &all, energetic, &a->tube, &a->made)) return 0;
+        if (stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / knots, steps, &stops_whole, energetic, &a->tube, &a->made)) return 0;
         if (inside(a, r, fastest)) return 1;
     }
     return 0;
