@@ -29,12 +29,13 @@ SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level: friction differs by some percent from day to day, with temperature and rest
 LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
 LEAST_MASS = 0.05  # [kg]
-FEWEST = 6  # blocks of time, below which their scatter tells nothing
+FEWEST = 6  # trials (of fewer ones: blocks of time), below which their scatter tells nothing
 MOST = 8  # changes told
 PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
 }  # fmt: skip
+Told = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class _Candidate:
 
     joint: int | None
     columns: Array
-    terms: tuple[tuple[str, str, str, float], ...]  # (effect, symbol, unit, before) of the columns that are told
+    terms: tuple[Told, ...]
     least: tuple[float, ...]
 
 
@@ -89,12 +90,12 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         told = [
             Change(
                 effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(std[k]), float(before[worst]), float(after[worst]),
+                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
             )
-            for k, (effect, symbol, unit, level) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(SURE * std[k], candidate.least[k])
+            for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
+            if abs(theta[k]) > max(SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
-        found.remove(candidate)
+        found = [c for c in found if c is not candidate]
         if not told:
             continue
         out += told
@@ -106,11 +107,10 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
-    number = 0
-    for r in recordings:
-        if r.phase == "static":
-            continue
-        for piece in blocks(r):
+    number, moving = 0, [r for r in recordings if r.phase != "static"]
+    whole = len(moving) >= FEWEST  # friction scatters from trial to trial: pieces of one err alike
+    for r in moving:
+        for piece in (r,) if whole else blocks(r):
             for m in motions(piece, Preprocessing()):
                 k = m.kept
                 q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
@@ -130,10 +130,16 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
     n, out = model.n, []
     dry_law, damping, offset, scale, body = map(of_part, PARTS)
-    levels = {(f.effect, f.joint): f.values for f in model.effects}
+    fitted = {(f.effect, f.joint): f for f in model.effects}
+
+    def level(law: Effect, joint: str) -> tuple[float, float]:
+        """What the model says, and its error."""
+        f, symbol = fitted.get((law.name, joint)), law.terms[0].symbol
+        return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
+
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
     for j, joint in enumerate(model.joints):
-        dry, wet = (levels.get((law.name, joint), {}).get(law.terms[0].symbol, 0.0) for law in (dry_law, damping))
+        dry, wet = level(dry_law, joint), level(damping, joint)
 
         def at(*columns: Array, j: int = j) -> Array:
             block = np.zeros((len(q), n, len(columns)))
@@ -141,18 +147,18 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        out.append(_Candidate(j, friction, (_told(dry_law, dry), _told(damping, wet)), (DAILY * dry, DAILY * wet)))
-        out.append(_Candidate(j, at(np.ones(len(q))), (_told(offset, 0.0),), (DAILY * dry,)))
-        out.append(_Candidate(j, at(rigid[:, j]), (_told(scale, 0.0),), (LEAST_GAIN,)))
+        out.append(_Candidate(j, friction, (_told(dry_law, *dry), _told(damping, *wet)), (DAILY * dry[0], DAILY * wet[0])))
+        out.append(_Candidate(j, at(np.ones(len(q))), (_told(offset),), (DAILY * dry[0],)))
+        out.append(_Candidate(j, at(rigid[:, j]), (_told(scale),), (LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = tuple(_told(body, 0.0, k) for k in range(4))
+    load = tuple(_told(body, term=k) for k in range(4))
     out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
     return out
 
 
-def _told(law: Effect, before: float, term: int = 0) -> tuple[str, str, str, float]:
-    """What a column says: effect, symbol, unit, level before."""
-    return law.name, law.terms[term].symbol, law.terms[term].unit, before
+def _told(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Told:
+    """What a column says."""
+    return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:

@@ -21,7 +21,7 @@ from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import on_grid, survey
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.diagnose import Diagnosis, Parameter, Ranked
+from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches

@@ -41,7 +41,7 @@ from stopset.offline.diagnose.evidence import baseline, candidate, engine, evide
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.diagnose.search import refine, search, wanted
 from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
@@ -142,7 +142,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
-    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP"),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP GOLDEN"),
     ("diagnosis poses", rows, "FEW_POSES"),
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
@@ -152,7 +152,6 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),
-    ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
     ("diagnosis wanted", wanted, "LAGS"),

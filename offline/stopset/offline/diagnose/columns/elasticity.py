@@ -124,7 +124,7 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
     free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit * np.sqrt(K / M))]
     torques = [-K * x - filtered.D * dx for x, dx, _ in free]
     A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
-    noise = float(d.torque_noise[j] * np.linalg.norm(d.kernel.h))
+    noise = float(np.median(d.torque_noise[:, j]) * np.linalg.norm(d.kernel.h))
     for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
         rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
         if len(rows) > ROWS_TO_BEGIN:
