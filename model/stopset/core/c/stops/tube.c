@@ -11,7 +11,7 @@
 #include "stops.h"
 
 enum { OK, ENDLESS, UNBOUNDED };
-enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES, WAYS = 4 }; /* WAYS: steps between two bounds of ways by energy */
+enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0};
 
@@ -299,7 +299,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
     double way[SN];
-    if (k % WAYS == 0 && stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
+    if (stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
         for (int i = 0; i < n; i++) {
             m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way[i]);
             m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way[i]);
