@@ -146,7 +146,7 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     n, dt = model.n, model.powered.dt
     figure = make_subplots(rows=2, cols=n, shared_xaxes=True, subplot_titles=model.joints, vertical_spacing=0.06)
     for sets, colour in _cases(model):
-        lo, hi = _around(model, sets, trials)
+        lo, hi = around(model, sets, trials)
         t: Array = np.arange(len(lo), dtype=np.float64) * dt
         for i in range(2 * n):
             if np.isfinite(hi[:, i]).all():
@@ -166,7 +166,7 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     return figure
 
 
-def _around(model: Model, sets: UncertaintySets, trials: list[tuple[Recording, Array]]) -> tuple[Array, Array]:
+def around(model: Model, sets: UncertaintySets, trials: list[tuple[Recording, Array]]) -> tuple[Array, Array]:
     """Lower and upper edge (N, 2n) of what is predicted from the trials' starts, over the longest trial or the horizon.
 
     Each trial is held against the prediction from its own measured start; one picture takes the hull of the starts.

@@ -13,6 +13,7 @@ import secrets
 import socket
 import sys
 import threading
+from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -172,6 +173,11 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Quiet: the terminal belongs to the command."""
+
+
+def own_file(package: str, name: str) -> str:
+    """A text file that lies beside the modules of ``package``."""
+    return (resources.files(package) / name).read_text(encoding="utf-8")
 
 
 def loopback(host: str) -> bool:
