@@ -62,7 +62,7 @@ function compare(c, full) {
     table('Errors per joint', ['joint', 'torque error [N m]', 'repeatability floor [N m]', 'times the floor', 'velocity [rad/s]', 'position [rad]'],
       Object.entries(c.joints).sort((x, y) => (ratio(y[1]) || 0) - (ratio(x[1]) || 0)).map(([j, r]) => [words(j), figure(num(r.torque_rmse)), figure(num(r.torque_rmse_floor)),
         figure(el('span', {className: ratio(r) >= 2 ? 'bad' : ''}, ratio(r) == null ? '–' : ratio(r).toFixed(1))), figure(num(r.velocity_rmse)), figure(num(r.position_rmse))])),
-    small(c.guarantee.text));
+    small(c.guarantee.motions ? `A new motion leaves the sets with probability of at most ${(Math.ceil(1000 * c.guarantee.upper_bound - 1e-9) / 10).toFixed(1)} %, at ${Math.round(100 * c.guarantee.confidence)} % confidence; the full page explains it beside its curve.` : c.guarantee.text));
 }
 function heat(d, joints) {
   if (!d) { $('partial').hidden = true; return fill('heat', small('Compare shows it')); }
