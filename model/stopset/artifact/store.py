@@ -97,7 +97,8 @@ def save_model(model: Model, path: str | Path) -> Model:
 
 def _build(kind: Any, x: Any, where: str) -> Any:
     """The value of type ``kind`` from JSON ``x``; raises with the place in the file."""
-    origin = get_origin(kind)
+    # numpy's name of an array is an alias of its own since 2.5, of which Python tells the origin only when asked again
+    origin = get_origin(getattr(get_origin(kind), "__value__", kind))
     if origin in (typing.Union, types.UnionType):
         options = [a for a in get_args(kind) if a is not type(None)]
         return None if x is None else _build(options[0], x, where)
