@@ -69,15 +69,15 @@ def message(k: float, names: tuple[str, ...] = JOINTS) -> bytes:
 def test_samples_follow_names_and_stamps_show_gaps() -> None:
     source = JointStateSource(JOINTS, 0.004)
     shuffled = tuple(reversed((*JOINTS, "gripper")))
-    for k in (1, 2, 5, 5.4, 6.4):
+    for k in (1, 2, 5, 5.1, 6.1):
         source.take("", message(k, shuffled))
     source.take("", b"rubbish")
-    source.take("", message(7.4))
+    source.take("", message(7.1))
     got = [source.next(0.0) for _ in range(7)]
     assert [s.k for s in got[:3] if s] == [1, 2, 5]
     first = got[0]
     assert first is not None and first.q.tolist() == [6, 5, 4, 3, 2, 1]
-    assert got[3] is not None and got[3].k == 5 + GAP, "a stamp off the grid is a gap"
+    assert got[3] is not None and got[3].k == 5 + GAP, "a stamp that belongs to no cycle is a gap"
     assert got[5] is None and source.refused == 1 and source.next(0.0) is None
     assert got[6] is not None and got[6].q.tolist() == [0, 1, 2, 3, 4, 5]
 

@@ -205,7 +205,7 @@ def _told(twin: dict[str, Any], counts: list[dict[str, int]]) -> dict[str, Any]:
     totals = [sum(c.values()) for c in counts]
     if not totals or not totals[-1]:
         return {"word": "no state", "text": "nothing of the arm came over zenoh"}
-    first = next(c for c, n in zip(counts, totals, strict=True) if 2 * n >= totals[-1])
+    first = [{}, *(c for c, n in zip(counts, totals, strict=True) if 2 * n <= totals[-1])][-1]
     second = {k: v - first.get(k, 0) for k, v in counts[-1].items() if v > first.get(k, 0)}
     word = max(second, key=lambda k: second[k])
     said = ", ".join(f"{v} {k}" for k, v in sorted(second.items(), key=lambda x: -x[1]))

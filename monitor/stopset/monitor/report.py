@@ -98,6 +98,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
+        "margins": d.margins, "override": d.override,
         "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,

@@ -20,12 +20,11 @@ import numpy as np
 
 from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.clock import Clock, SystemClock
-from stopset.monitor.config import Stops
+from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.stopworker import work
 from stopset.monitor.watch import Quantum
 from stopset.types import Array
 
-EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
 START = 0.25  # [s] from rest to the largest speed identification has seen
 MEMORY = 2.0  # [s] in which the largest acceleration seen is forgotten to a third
