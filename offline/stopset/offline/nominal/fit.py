@@ -25,9 +25,9 @@ ASSUMED_FREEDOM = 4.0  # motions that the assumed spread counts for beside those
 COVERED = 0.975  # by two standard errors, one-sided
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 30.0  # times: a CAD further off than this is another robot
-# by which something undescribed at the last link must lower minus twice the log evidence: 2.8 kg on a real arm lower it by 90 to 570, four
-# arms that carried nothing by up to 20
-CLEARLY = 40.0
+# by which something undescribed at the last link must lower minus twice the log evidence: 2.8 kg on a real arm lower it by 75 to 550, and
+# by 12 on a simulated one of three joints; four real arms that carried nothing by 3 at most
+CLEARLY = 10.0
 
 
 @dataclass(frozen=True, slots=True)
