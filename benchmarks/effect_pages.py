@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact.inputs import entry
 from stopset.effects.base import Effect, Shape, Signals, Term
@@ -21,8 +20,8 @@ from stopset.effects.registry import catalogue
 from stopset.effects.signals import arm_signals, paired
 from stopset.files import write_text
 from stopset.robot.arm import robot_from_text
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "effects"
 DT, SAMPLES, DOTS = 0.004, 6000, 450

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 @dataclass(frozen=True)

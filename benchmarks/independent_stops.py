@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from independent_arm import Arm, about_origin, frames, mass_matrix, newton_euler, read_arm
 from numba import njit
-from numpy.typing import NDArray
 
 import stopset.robot
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 DT = 1e-4  # [s]
 SWEEPS = 400  # of the joints, at most
 SHIPPED = Path(stopset.robot.__file__).with_name("arms") / "lwa4p"  # its description only

@@ -9,14 +9,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model, load_model
 from stopset.files import write_text
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Recording, read_recordings
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 WIDTH, HEIGHT, PAD = 420.0, 260.0, 46.0
 HORIZON = 1.5  # [s] drawn
 

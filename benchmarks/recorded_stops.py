@@ -28,8 +28,8 @@ from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
 from stopset.offline.brakes.stops import rest_noise
 from stopset.offline.identify.pipeline import identify
 from stopset.offline.stops.measured import trigger_of
-from stopset.reach.stops.plant import setting_of
 from stopset.reach.stops.ramp import Ramp, ramp_of, ramp_time
+from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.recording import Recording, read_recordings

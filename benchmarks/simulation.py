@@ -10,14 +10,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.robot import Robot, load_robot
 from stopset.simulation import PLANS, prepare, simulate_stop
 from stopset.simulation.arm import Script, run, start
 from stopset.simulation.plant import Plant, healthy_plant
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)
 FINE = 6.25e-6
 

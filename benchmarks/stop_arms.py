@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
 from stopset.effects.base import Fitted
@@ -13,8 +12,7 @@ from stopset.robot import Robot, load_robot
 from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 # Universal Robots UR5: kinematics, masses and centres of the maker's public tables, inertias of solid cylinders.
 _UR5 = [  # xyz, rpy of the joint; mass, centre, inertia (ixx iyy izz) of the link behind it

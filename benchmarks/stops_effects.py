@@ -42,8 +42,8 @@ from stopset.simulation.arm import Script, start
 from stopset.simulation.arm import run as simulate
 from stopset.simulation.scenario import Scenario
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 PIECE, STEPS = 1e-3, 2  # [s] an effect's torque is held constant over a piece, of so many steps of the simulation
 HELD = 4.0  # times as much as the stepping's own error: the torque of an effect is held over a piece
 WARM, COLD = 20.0, -10.0  # [K] about the reference temperature

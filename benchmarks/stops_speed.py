@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from stop_arms import prbt_like, ur5_like
 
 from stopset.offline.stops.sampling import DT
@@ -24,8 +23,7 @@ from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop, tube_of
 from stopset.simulation.stop import simulate_stop
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def median_us(f: Callable[[], object], count: int) -> float:

@@ -11,16 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from stop_arms import prbt_like
 
 from stopset.offline.stops.poses import Poses
 from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SHARES = (0.33, 0.66, 1.0)
 TOP = 1.26
 

@@ -28,7 +28,8 @@ import numpy as np
 from stopset.artifact import Abstraction
 from stopset.offline.abstraction import ORDERS, build, degrees
 from stopset.robot import Robot, load_robot
-from stopset.robot.rigid import Array, Chain, mass_matrices, torques
+from stopset.robot.rigid import Chain, mass_matrices, torques
+from stopset.types import Array
 
 # v1 [N m s/rad]: per-joint model 1 fitted to the paper's open-loop recordings; v3 = CUBIC * v1: a friction curve that
 # flattens by a tenth at 1 rad/s, a common size; v2 = 0 (no preferred direction). An arm of other size gets these too,

@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques, torques
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 JOINTS = ("base", "shoulder", "elbow")
 RATE = 250.0
 F_C, F_V, ROTOR = np.array([6.0, 9.0, 5.0]), np.array([9.0, 12.0, 7.0]), np.array([0.9, 1.1, 0.6])

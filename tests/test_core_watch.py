@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from stopset.artifact.inputs import InputMap, effect_torques, law_signals, memories_along
 from stopset.artifact.taped import SIGNALS
@@ -21,8 +20,8 @@ from stopset.monitor.layout import outward
 from stopset.ring import Tape
 from stopset.robot import load_robot
 from stopset.robot.rigid import gravity_torques
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 ARM = load_robot("lwa4p")
 N = 37
 RNG = np.random.default_rng(0)

@@ -17,8 +17,9 @@ from stopset.offline.diagnose.evidence.engine import Engine, _put
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, gain, project
 from stopset.offline.diagnose.evidence.scores import scores
 from stopset.offline.diagnose.explain.residual import slow_excess
-from stopset.offline.diagnose.rows.noise import autocovariance, coloured, predictor, whiten
+from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.search import Claim, _stands, foretells
 from stopset.offline.diagnose.search.wanted import LAGS
@@ -61,17 +62,34 @@ def test_kernel_is_exact_on_quadratics() -> None:
 def test_whitening_makes_sensor_noise_independent_and_is_invertible() -> None:
     rng = np.random.default_rng(0)
     kernel, step, s_tau, s_acc = Kernel.gaussian(0.004, 0.012), 5, 0.3, 5e-5
-    n = 120_000
-    noise = np.convolve(rng.normal(0, s_tau, n), kernel.h, "valid") + np.convolve(rng.normal(0, s_acc, n), kernel.h2, "valid")
-    rows = noise[::step, None]
-    start = np.zeros(len(rows), bool)
-    start[::37] = True
-    a, sd = predictor(autocovariance(kernel, step, s_tau, s_acc))
-    w = whiten(rows, start, a, sd)[:, 0]
+    n, louder = 120_000, 3.0  # the controller's own jitter, in every other run
+    noise = (
+        np.convolve(rng.normal(0, s_tau, n), kernel.h, "valid")[::step],
+        np.convolve(rng.normal(0, s_acc, n), kernel.h2, "valid")[::step],
+    )
+    kind = np.arange(len(noise[0])) // 37 % 2
+    rows = (noise[0] * np.where(kind, louder, 1.0) + noise[1])[:, None]
+    start = np.arange(len(rows)) % 37 == 0
+    whiten = Whitening.of(start, kind, [autocovariance(kernel, step, s, s_acc) for s in (s_tau, louder * s_tau)])
+    w = whiten(rows)[:, 0]
     error = 4 / np.sqrt(len(w))  # four standard deviations of a correlation estimate
     assert np.var(w) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(w)))
     assert all(abs(np.mean(w[k:] * w[:-k])) < error for k in range(1, 6))
-    assert np.allclose(coloured(w, start, a, sd), rows[:, 0], atol=1e-9)
+    assert all(np.var(w[kind == k]) == pytest.approx(1.0, abs=8 / np.sqrt(len(w))) for k in (0, 1))
+    assert np.allclose(whiten.coloured(w), rows[:, 0], atol=1e-9)
+    with pytest.raises(ValueError, match="kinds 0 to 1 for 1 predictors"):
+        dataclasses.replace(whiten, a=whiten.a[:1], sd=whiten.sd[:1])(rows)
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.3, 1.0, 3.0])
+def test_noise_of_a_reading_in_steps_is_neither_half_nor_twice_what_it_is(steps: float) -> None:
+    """An encoder without noise of its own still rounds; so does one whose noise is of the order of its steps."""
+    rng, step = np.random.default_rng(4), 2.0**-14
+    t = np.arange(8000) * 0.004
+    true = np.sin(0.7 * t)[:, None] + rng.normal(0, max(steps, 1e-9) * step, (8000, 1))
+    wanted = np.hypot(steps, 1 / np.sqrt(12)) * step
+    assert white(np.round(true / step) * step)[0] == pytest.approx(wanted, rel=0.25)  # rounding is no normal noise
+    assert white(true + rng.normal(0, step, true.shape))[0] == pytest.approx(np.hypot(steps, 1.0) * step, rel=0.05)
 
 
 def test_random_friction_scales_equal_brute_force_likelihood() -> None:

@@ -6,7 +6,7 @@ import pytest
 from stopset.offline.diagnose.columns.ripple import _power, _products
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.levers import levers
-from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten, whiten_adjoint
+from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.robot import load_robot, rigid
 
@@ -38,15 +38,15 @@ def test_levers_give_gravity_its_tilt_and_its_stiffness() -> None:
 
 
 def test_ripple_sums_are_those_of_whitened_waves() -> None:
-    a, sd = predictor(autocovariance(Kernel.gaussian(0.004, 0.012), 5, 1.0, 0.01))
+    covariances = [autocovariance(Kernel.gaussian(0.004, 0.012), 5, tau, 0.01) for tau in (1.0, 2.0)]
     q, fade, r = RNG.normal(size=60), 1e-5 * RNG.random(60), RNG.normal(size=60)
-    start = np.arange(60) % 25 == 0
+    whiten = Whitening.of(np.arange(60) % 25 == 0, np.arange(60) // 25 % 2, covariances)
     n = np.arange(12.0, 161.0, 0.5)
     size = np.exp(-fade[:, None] * n**2)
-    s, c = (whiten(size * wave(q[:, None] * n), start, a, sd) for wave in (np.sin, np.cos))
-    for got, expected in zip(_power(q, fade, start, a, sd, n, 0.5), ((s * s), (c * c), (s * c)), strict=True):
+    s, c = (whiten(size * wave(q[:, None] * n)) for wave in (np.sin, np.cos))
+    for got, expected in zip(_power(q, fade, whiten, n, 0.5), ((s * s), (c * c), (s * c)), strict=True):
         assert np.allclose(got, expected.sum(axis=0), rtol=1e-8, atol=1e-8)
-    for got, expected in zip(_products(q, fade, whiten_adjoint(r, start, a, sd), n, 0.5), (r @ s, r @ c), strict=True):
+    for got, expected in zip(_products(q, fade, whiten.adjoint(r), n, 0.5), (r @ s, r @ c), strict=True):
         assert np.allclose(got, expected, rtol=1e-8, atol=1e-8)
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fmu_models import arm_model
 from stopset.artifact import Model
@@ -21,13 +20,13 @@ from stopset.fmu.build import native
 from stopset.fmu.reference import reference, write_reference
 from stopset.reach.flowpipe import deviation_tube, expm, predict
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
 fmpy = pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
 HERE = native()
 pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
 
-Array = NDArray[np.float64]
 AGREE = 1e-9  # [rad, rad/s]: what the interface promises between FMU and Python model
 DT = 0.01
 

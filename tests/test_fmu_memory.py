@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from fmu_models import arm_model
@@ -22,6 +21,7 @@ from stopset.errors import EffectError
 from stopset.fmu import archive
 from stopset.fmu.reference import reference, write_reference
 from stopset.fmu.variables import variables
+from stopset.types import Array
 from test_fmu import AGREE, BOUNDS, DT, HERE, STATE, columns, exported, friction, held, joint_inputs, names, simulate
 
 fmpy = pytest.importorskip("fmpy")
@@ -29,7 +29,6 @@ pytest.importorskip("ziglang")
 pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
 __all__ = ["exported"]  # the fixture
 
-Array = NDArray[np.float64]
 REMEMBERED = ("hysteresis_z_axis_1", "self_heating_w_axis_1", "hysteresis_z_axis_2")
 EFFECTS = (
     friction("coulomb", "axis_1", F_c=3.0),

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fmu_models import arm_model
 from stopset.artifact import Brakes, Model
@@ -18,9 +17,8 @@ from stopset.fmu.stops import by_accelerations, by_energy, fmu_stop
 from stopset.reach.flowpipe import deviation_tube
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 from test_fmu import AGREE, HERE, joint_inputs, names, simulate
-
-Array = NDArray[np.float64]
 
 
 def braked(rotor: float, n: int = 4, spread: float = 0.1) -> Model:

@@ -17,7 +17,7 @@ from stopset.effects import catalogue
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.recording import read_recordings
 from stopset.robot import load_robot
-from stopset.simulation.hidden import KINDS
+from stopset.simulation.hidden import kinds
 
 # a turntable, an upper arm and a light forearm with a flange: the smallest arm on which all effects differ (two parallel
 # axes alone can't tell a tilted base from a shoulder whose zero is off)
@@ -44,7 +44,7 @@ AT = {"spring": "spring:turn"}  # on a joint that gravity loads, masses within t
 SIZE = {"cubic_viscous": "hard"}
 SHIFTS = ("payload", "rotor_inertia", "torque_gain", "spring")  # masses and rotors, fitted again, imitate them in motion
 OUTSIDE = ("outside_bump", "outside_resonance", "outside_weave", "outside_walk")
-NAMED = tuple(n for n in catalogue() if n in KINDS and n not in (*PLAIN, *ABSORBED, "residual_gravity"))
+NAMED = tuple(n for n in catalogue() if n in kinds() and n not in (*PLAIN, *ABSORBED, "residual_gravity"))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_every_effect_of_the_catalogue_can_be_hidden_and_nothing_else_is_called_
     ours = {name for name, effect in catalogue().items() if effect.law.__module__.startswith("stopset.")}
     # a motor's inertia between two joints is not part of the simulated arm: tests/test_as_found.py finds it on recordings of its own law
     between = {"coupled_wrist"}
-    assert ours - between | set(OUTSIDE) == set(KINDS)
+    assert ours - between | set(OUTSIDE) == set(kinds())
     assert {*NAMED, *ABSORBED, "residual_gravity", "coulomb", "viscous"} == ours - between
 
 

@@ -19,7 +19,7 @@ PARTS = ("model", "offline", "monitor", "fmu")
 # who may use whom: only those further down (offline, monitor and fmu never each other)
 LAYERS = (
     ("cli",), ("offline", "monitor", "fmu"), ("simulation",), ("reach",), ("artifact",), ("recording",), ("effects",), ("robot",),
-    ("sets",), ("ring",), ("core",), ("files",), ("errors",),
+    ("sets",), ("ring",), ("core",), ("files",), ("errors",), ("types",),
 )  # fmt: skip
 LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
 # what the monitor's host must not need
@@ -206,6 +206,42 @@ def test_every_entry_of_the_bibliography_is_used() -> None:
     used = {surname + year for _, surname, year in cited()} | set(re.findall(r'source="(\w+)"', "\n".join(text.values())))
     unused = {k for k in bib_keys() if not any(u.endswith(k[-4:]) and u.startswith(k[:-4]) for u in used)}
     assert not unused
+
+
+# words of the code that are an effect's name and mean something else: module, words, why
+OTHER_MEANINGS = (
+    ("stopset.cli.demo", "spring", "what the demo hides, as a user would type it"),
+    ("stopset.artifact", "inertia coriolis", "a signal that laws read"),
+    ("stopset.reach.stops.friction", "coriolis", "a signal that laws read"),
+    ("stopset.fmu.laws", "coriolis", "a signal that laws read"),
+    ("stopset.offline.diagnose.columns", "coriolis", "a signal that laws read"),
+    ("stopset.reach.stops", "viscous delay", "fields of a stop's numbers"),
+    ("stopset.artifact.store", "delay", "a field of the model file"),
+    ("stopset.offline.brakes.power_off", "delay", "the brakes'"),
+    ("stopset.offline.identify.constants", "delay", "a stage of the identification"),
+    ("stopset.fmu.variables", "viscous", "the damping of the abstraction"),
+)
+
+
+def effects_named(name: str) -> set[str]:
+    """Names of effects that a module writes as text of its own, docstrings aside."""
+    from stopset.effects.registry import catalogue
+
+    said = {id(n.value) for n in ast.walk(tree(name)) if isinstance(n, ast.Expr)}
+    texts = (
+        n.value for n in ast.walk(tree(name)) if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in said
+    )
+    return {word for text in texts if (word := text.partition(":")[0]) in catalogue()}
+
+
+def test_no_effect_is_named_outside_its_folder() -> None:
+    """What others must know of an effect is an attribute of it: one from outside is then treated as ours are."""
+    named = {m: effects_named(m) for m in modules() if not m.startswith("stopset.effects")}
+    wrong = {
+        f"{m}: {word}" for m, words in named.items() for word in words
+        if not any((m == where or m.startswith(f"{where}.")) and word in other.split() for where, other, _ in OTHER_MEANINGS)
+    }  # fmt: skip
+    assert not wrong, f"{sorted(wrong)}: ask the effect (stopset.effects.base.Effect), or say here what else the word means"
 
 
 # ---- the command line

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from stopset.artifact.inputs import effect_torques, memories_along
@@ -19,9 +18,9 @@ from stopset.offline.nominal.open_loop import DIRECTION_WIDTH, EffectTerm, Joint
 from stopset.recording import Recordings
 from stopset.robot.arm import robot_from_text
 from stopset.simulation import prepare
+from stopset.types import Array
 from test_diagnose import ARM
 
-Array = NDArray[np.float64]
 LASTING = ("hysteresis", "self_heating")
 DT = 0.004
 

@@ -16,14 +16,15 @@ from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
 from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc, status
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
+from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
-from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch, check_cycle
 from stopset.recording import Recording
 
@@ -231,11 +232,16 @@ def test_violations_stay_latched_and_are_classified() -> None:
     assert latch.latched and latch.joints == ("arm_6_joint",)
     assert next(k for k, n in enumerate(new) if n) == 30
     entry = latch.entries[("arm_6_joint", "dq", "above")]
-    assert entry.plain()["kind"] == "spike" and entry.worst.excess == pytest.approx(0.5, abs=0.1)
+    assert entry.plain()["kind"] == "unclassed" and entry.worst.excess == pytest.approx(0.5, abs=0.1)
+    assert latch.count == 1, "one bad sample counts once"
+    assert latch.kind is Kind.UNCLASSED
+    latch.classed(Cause(Kind.SPIKE, "one sample"), 0.0)
     for s in samples(with_torque_scaled(motion(1), 1, 1.5), k0=1000):
         latch.take(s, watch.step(s))
     assert latch.joints == ("arm_6_joint", "arm_2_joint"), "first-out first"
-    assert any(e.plain()["kind"] == "drift" for e in latch.entries.values())
+    latch.classed(Cause(Kind.MISSING_EFFECT, "another"), 0.0)
+    assert {e.plain()["kind"] for e in latch.entries.values()} == {"spike", "missing_effect"}
+    assert latch.kind is Kind.SPIKE, "first-out"
     latch.reset()
     assert not latch.latched and latch.count == 0
 

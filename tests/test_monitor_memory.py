@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from monitor_arm import DT, known_model, motion
 from stopset.artifact import Model
@@ -18,8 +17,8 @@ from stopset.errors import NotCovered
 from stopset.monitor.carried import Carried
 from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch
 from stopset.recording import Recording
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 HYSTERESIS = {"F_h": 12.0, "delta": 0.02}
 HEATING = {"k_c": -6.0, "k_v": -4.0, "tau_w": 0.5}
 

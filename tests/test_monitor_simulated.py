@@ -65,6 +65,11 @@ def drives_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Nodes, "bad", lambda self, now: (0, ""))
 
 
+def test_a_bus_that_comes_back_counts_anew(live: Live) -> None:
+    """In this life the reopened bus numbers its first sample one above the last one before: 0.3 s lie between them."""
+    assert not (found := broken(live(5475))), "\n".join(found)
+
+
 @pytest.mark.parametrize(
     ("mutant", "promise"),
     [

@@ -11,7 +11,8 @@ import pytest
 
 from stopset.artifact import save_model
 from stopset.monitor.config import Stops
-from stopset.monitor.stopdesk import StopDesk, answer_for
+from stopset.monitor.stopdesk import StopDesk
+from stopset.monitor.stopworker import answer_for
 from stopset.monitor.watch import Quantum
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import Ramp, StopBounds
@@ -33,7 +34,8 @@ def prepared() -> StopBounds:
 def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> None:
     s = prepared.setting
     assert s is not None
-    told = answer_for(prepared, ("0", "1", "1 guaranteed", "2"), Q, DQ, *BOX).numbers
+    x, r = np.concatenate([Q, DQ]), np.concatenate(BOX)
+    told = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
     assert all(x.provable.all() for x in told.values())
     narrow = prepared.bound(Q, DQ, "0")
     assert narrow.forward is not None and narrow.time is not None
@@ -74,7 +76,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     assert layers.count("energy") >= 4, "these states need the kinetic energy"
     assert np.median(spent[True]) < 0.5 * np.median(spent[False])
     save_model(ur5_like(), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), 6, Stops(("0",)), 0.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), np.full(6, 2.0), Stops(("0",)), 0.0, Quantum.none(6))
     try:
         until, busy, told = time.monotonic() + 60.0, [], 0
         while told < 20 and time.monotonic() < until:
@@ -91,7 +93,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
 
 def test_a_payload_the_model_does_not_cover_has_no_bound_and_one_sentence(tmp_path: Path) -> None:
     save_model(prbt_like((0.0, 0.25)), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), 6, Stops(("0",)), 3.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), np.full(6, 2.0), Stops(("0",)), 3.0, Quantum.none(6))
     try:
         until, numbers, fresh = time.monotonic() + 60.0, {}, False
         while not fresh and time.monotonic() < until:

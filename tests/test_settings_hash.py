@@ -43,7 +43,6 @@ LEFT_OUT = (
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
-    ("stopset.offline.abstraction.identified", "POWERS", ROLES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
@@ -54,17 +53,17 @@ LEFT_OUT = (
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
-    ("stopset.offline.diagnose.compensated", "LEFT_OUT CARRIED", ROLES),
-    ("stopset.offline.diagnose.diagnose", "MOVE SINCE", WORDS),
+    ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
+    ("stopset.offline.diagnose.diagnose", "SINCE", WORDS),
+    ("stopset.offline.diagnose.standing", "MOVE", WORDS),
     ("stopset.offline.diagnose.evidence.engine", "KEPT", BUDGET),
     ("stopset.offline.diagnose.explain.identifiable",
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),
     ("stopset.offline.diagnose.explain.residual", "BINS BLOCK", SHOWN),
     ("stopset.offline.diagnose.search.held_out", "WHOLE BLOCKS", WORDS),
-    ("stopset.offline.diagnose.search.search", "SHIFTS", ROLES),
     ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
-    ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST", "asked of a finished model only"),
+    ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
     ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
@@ -77,8 +76,8 @@ LEFT_OUT = (
     ("stopset.reach.stops.cartesian", "SLICES", "in the workspace only, which no model file holds"),
     ("stopset.reach.stops.friction", "RUBS RUBS_VISCOUS DRY VISCOUS PUSH", CODES),
     ("stopset.reach.stops.parts", "ALL_PARTS", CODES),
-    ("stopset.reach.stops.plant", "OUTSIDE", WORDS),
-    ("stopset.reach.stops.plant", "HEAVIEST FARTHEST", REFUSED),
+    ("stopset.reach.stops.setting", "OUTSIDE", WORDS),
+    ("stopset.reach.stops.setting", "HEAVIEST FARTHEST", REFUSED),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),
     ("stopset.reach.stops.ramp", "LONGEST STEEPEST QUICKEST", REFUSED),
     ("stopset.reach.stops.split", "FIELDS", CODES),
@@ -139,7 +138,7 @@ def test_what_effects_run_is_part_of_it() -> None:
     """`identify --effects` runs the diagnosis; array constants count too."""
     names = table.constants()
     assert {"diagnosis.THRESHOLD", "diagnosis rows.KERNEL", "diagnosis ripple.RIPPLES", "normal equations.DELAYS"} <= names.keys()
-    assert len(names) == sum(len(n.split()) for *_, n in TABLE) + 3
+    assert len(names) == sum(len(n.split()) for *_, n in TABLE) + 4
     assert settings_sha256(Settings(effects=("stribeck",))) != settings_sha256(Settings())
 
 

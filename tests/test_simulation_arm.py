@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from stopset.core import build
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
@@ -15,9 +14,9 @@ from stopset.simulation import plant as plant_module
 from stopset.simulation import simulate_stop
 from stopset.simulation.arm import Script, State, run, start
 from stopset.simulation.plant import Plant, healthy_plant
+from stopset.types import Array
 from test_simulation_stop import ARM
 
-Array = NDArray[np.float64]
 N = 6
 PERIOD = 0.004
 WARM = np.full(N, 45.0)

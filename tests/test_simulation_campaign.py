@@ -14,7 +14,7 @@ from stopset.recording import read_recordings
 from stopset.robot import Robot, load_robot
 from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torque
-from stopset.simulation import KINDS, Plan, prepare
+from stopset.simulation import Plan, kinds, prepare
 from stopset.simulation.campaign import make
 from stopset.simulation.cell import EVERY, TICK, Cell, build_cell, wrong_cad
 from stopset.simulation.hidden import Hidden, healthy, parse_hidden
@@ -92,8 +92,8 @@ def test_the_same_seed_gives_the_same_recordings_and_another_does_not() -> None:
 def test_hiding_nothing_leaves_the_recordings_as_they_are(sound: Cell) -> None:
     """Everything random has its own stream, so an effect of size nearly zero changes nothing else."""
     base = np.vstack([r.tau for r in closed_loop(sound, SMALL)])
-    for effect in KINDS:
-        joint = None if KINDS[effect].scope == "arm" else 0
+    for effect in kinds():
+        joint = None if kinds()[effect].scope == "arm" else 0
         changed, _ = inject(sound, [Hidden(effect, joint, 1e-7)])
         tau = np.vstack([r.tau for r in closed_loop(changed, SMALL)])
         if effect == "hysteresis":  # a gear of any presliding at all is another mechanism than dry friction
@@ -102,30 +102,30 @@ def test_hiding_nothing_leaves_the_recordings_as_they_are(sound: Cell) -> None:
             assert np.quantile(np.abs(tau - base), 0.99) < 0.05, effect
 
 
-@pytest.mark.parametrize("effect", [name for name, kind in KINDS.items() if kind.fixed])
+@pytest.mark.parametrize("effect", [name for name, kind in kinds().items() if kind.fixed])
 def test_what_raises_no_residual_has_a_fixed_size_and_says_why(sound: Cell, effect: str) -> None:
     sized = size_effect(sound, SMALL, [], effect, 0, RATIOS["hard"])
-    assert sized.hidden.size == KINDS[effect].guess > 0
-    assert KINDS[effect].fixed in sized.note
+    assert sized.hidden.size == kinds()[effect].guess > 0
+    assert kinds()[effect].fixed in sized.note
     changed, said = inject(sound, [sized.hidden])
     assert changed.truth is not sound.truth and said[0]
 
 
-@pytest.mark.parametrize("effect", [name for name, kind in KINDS.items() if not kind.fixed])
+@pytest.mark.parametrize("effect", [name for name, kind in kinds().items() if not kind.fixed])
 def test_every_effect_reaches_its_size_and_only_there(sound: Cell, effect: str) -> None:
-    joint = None if KINDS[effect].scope == "arm" else 0
+    joint = None if kinds()[effect].scope == "arm" else 0
     healthy_trials = closed_loop(sound, SMALL)
     sized = size_effect(sound, SMALL, healthy_trials, effect, joint, RATIOS["hard"])
     if (
         effect in ("coriolis", "encoder_eccentricity") and sized.note
     ):  # slow arms hardly have any; encoders err by 0.02 rad at most
-        assert sized.hidden.size == KINDS[effect].most
+        assert sized.hidden.size == kinds()[effect].most
         return
     assert sized.ratio == pytest.approx(RATIOS["hard"], rel=0.05), sized.note
-    assert 0 < sized.hidden.size <= KINDS[effect].most
+    assert 0 < sized.hidden.size <= kinds()[effect].most
     changed, said = inject(sound, [sized.hidden])
-    again = residual_rms(sound, closed_loop(changed, SMALL), KINDS[effect].top)
-    assert again / residual_rms(sound, healthy_trials, KINDS[effect].top) == pytest.approx(sized.ratios)
+    again = residual_rms(sound, closed_loop(changed, SMALL), kinds()[effect].top)
+    assert again / residual_rms(sound, healthy_trials, kinds()[effect].top) == pytest.approx(sized.ratios)
     assert said and all(isinstance(v, (float, int, str, np.floating)) for v in said[0].values())
 
 

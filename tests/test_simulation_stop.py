@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from stopset.robot import Robot
 from stopset.robot.arm import robot_from_text
@@ -12,8 +11,8 @@ from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 from stopset.simulation import simulate_stop
 from stopset.simulation.dynamics import mass_and_bias
 from stopset.simulation.inclusion import solve_inclusion
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 # both sides sum some 10^3 products of order 10^2 in double precision
 ROUNDING = 1e-11
 

@@ -17,7 +17,7 @@ from stopset.reach.stops import Ramp, StopBounds, stop
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.parts import Parts
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of, tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque
@@ -163,7 +163,7 @@ def test_pieces_certify_what_one_tube_cannot() -> None:
     s = setting((4.75, 5.0), ur5_like())
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     cut = 0
-    for k, (q, dq) in enumerate(states(5, 3, 1.25)):
+    for k, (q, dq) in enumerate(states(5, 3, 2.0)):
         tubes = tubes_of(s, q, dq, r, v, 64)
         if tubes[-1].end != OK:
             continue

@@ -15,7 +15,7 @@ from stopset.effects.bound import SIGMAS
 from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, torques_of
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of
 from stopset.robot.rigid import torque

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from stopset.artifact import Model
@@ -24,8 +23,8 @@ from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.files import write_text
 from stopset.fmu.variables import start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 DURATION = 10.0  # [s]
 HOLD = 10  # grid steps between two changes of the torque
 SEED = 2018

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
@@ -24,8 +23,8 @@ from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.friction import BEYOND, Torques, misreading, torques_of
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 RAMP, CLAIMS, PIECES, STEPS = 64, 60, 40, 2000
 DIFFERENCE = 1e-3  # [rad] of the slope of M; its error is below (8/6) 1e-6 of the bound of M
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact.polynomial import Polynomial, Program, compiled, evaluate, jacobian
 from stopset.ring import Interval
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 __all__ = ["Abstraction", "Polynomial"]
 
 

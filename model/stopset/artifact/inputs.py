@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.taped import taped
@@ -21,12 +20,12 @@ from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals, paired
 from stopset.errors import EffectError
 from stopset.robot import Robot
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
 
 ENTRIES = {
-    "viscous": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
+    "damping": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
     "input_gain": "the scale of the measured torque",
 }  # fmt: skip
 

@@ -17,8 +17,8 @@ from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
 from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SCHEMA_VERSION = 3  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag
 
 

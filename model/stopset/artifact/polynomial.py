@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from stopset.core.library import ffi, given, integers, lib, view
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 

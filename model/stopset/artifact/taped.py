@@ -20,11 +20,11 @@ from stopset.effects.registry import get
 from stopset.errors import EffectError
 from stopset.ring import Tape
 from stopset.robot.rigid import torques
+from stopset.types import Array
 
 if TYPE_CHECKING:
     from stopset.artifact.inputs import InputMap
 
-Array = NDArray[np.float64]
 # numbers of the signals a law may look at, in the order of the core's inputs.h; pairs of tilt, ten of tip, then the states
 SIGNALS = (
     "q", "dq", "ddq", "way", "load", "tau", "dtau", "link", "temp", "warm", "t", "stiff", "inertia", "coriolis", "dq_other",

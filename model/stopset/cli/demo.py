@@ -180,8 +180,7 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
         def take(_key: str, data: bytes) -> None:
             new = json.loads(data)
             # once the replay ends the bus falls silent and the state is FAULT, as it must be; what held before is told
-            before = {k: twin[k] for k in ("state", "why") if k in twin} if new["state"] == "FAULT" else {}
-            twin.update(new | before)
+            twin.update(new | ({"state": twin["state"]} if new["state"] == "FAULT" and "state" in twin else {}))
 
         link.subscribe("state/json", take)
         while time.monotonic() < deadline and replay.poll() is None and monitor.poll() is None:
@@ -192,14 +191,19 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
 
 
 def _told(twin: dict[str, Any]) -> dict[str, Any]:
-    """What the other process saw, in words."""
+    """What the other process saw, in words: the state that held longest, and why another came between."""
+    verdicts, states = twin.get("verdicts", {}), {k: v for k, v in twin.get("states", {}).items() if v}
     if twin.get("violation_latched"):
         text = f"a zenoh subscriber sees the violation, at {', '.join(twin['violating_joints'])}; stop numbers are withdrawn"
-    else:
-        text = f"a zenoh subscriber sees {twin.get('verdicts', {}).get('CONFORMANT', 0)} conformant samples and no violation"
-        if twin.get("state") not in ("OK", None):
-            text += f"; {twin['why']}"
-    return {"word": twin.get("state", "no state"), "text": text}
+        return {"word": twin["state"], "text": text}
+    if not states:
+        return {"word": "no state", "text": "nothing came over zenoh"}
+    word = max(states, key=lambda k: states[k])
+    said = ", ".join(f"{v} {k}" for k, v in sorted(states.items(), key=lambda x: -x[1]))
+    text = f"a zenoh subscriber sees {verdicts.get('CONFORMANT', 0)} conformant samples and no violation; told of {said}"
+    if len(states) > 1:
+        text += " (OK begins anew where one recorded motion ends and the next begins)"
+    return {"word": word, "text": text}
 
 
 @contextlib.contextmanager

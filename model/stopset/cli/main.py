@@ -10,6 +10,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
+from types import ModuleType
 from typing import NoReturn
 
 from stopset import cli
@@ -21,6 +22,7 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
 NOT_COMMANDS = {"main", "common"}
+FILES = {"import": "import_logs"}  # commands that are keywords of Python, and so no module's name
 DEFECT = 70  # exit code of an error inside stopset (EX_SOFTWARE): no answer, and nothing the caller could mend
 DEBUG = "STOPSET_DEBUG"  # set to anything: an error inside stopset is shown whole
 FOOTER = "Monitoring aid, not a certified safety function: see the README before you rely on a number."
@@ -35,12 +37,13 @@ class Parser(argparse.ArgumentParser):
 
 def commands() -> list[str]:
     """Names of all commands, as typed."""
+    words = {file: command for command, file in FILES.items()}
     names = (m.name for m in pkgutil.iter_modules(cli.__path__))
-    return sorted(n.replace("_", "-") for n in names if n not in NOT_COMMANDS)
+    return sorted(words.get(n, n.replace("_", "-")) for n in names if n not in NOT_COMMANDS)
 
 
-def _module(command: str) -> object:
-    return importlib.import_module(f"stopset.cli.{command.replace('-', '_')}")
+def _module(command: str) -> ModuleType:
+    return importlib.import_module(f"stopset.cli.{FILES.get(command, command.replace('-', '_'))}")
 
 
 def _overview() -> str:
@@ -65,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     parser = Parser(prog=f"stopset {words[0]}", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=FOOTER)
     try:
-        module = importlib.import_module(f"stopset.cli.{words[0].replace('-', '_')}")
+        module = _module(words[0])
         parser.description = module.HELP
         module.add_arguments(parser)
         args = parser.parse_args(words[1:])

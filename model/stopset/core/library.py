@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stopset.core.build import HERE, library_name
 from stopset.errors import StopsetError
+from stopset.types import Array
 
 try:
     from stopset.core import _binding
@@ -19,7 +20,6 @@ except ImportError as e:  # a clone that was never installed
         "run pip install -e . (or python -m stopset.core.build) in the clone"
     ) from e
 
-Array = NDArray[np.float64]
 ffi: Any = _binding.ffi
 # another library in its place: one compiled with sanitizers, for tests
 lib: Any = ffi.dlopen(os.environ.get("STOPSET_CORE") or str(HERE / library_name()))

@@ -28,4 +28,7 @@ EFFECT = Effect(
     source="liu2018",
     looks_like=("spring", "coulomb"),
     tell_apart="Stand still with the brake closed: an offset of the current sensor stays, asymmetric friction is gone.",
+    part="constant torque",
+    usual=3,
+    simulated="skew",
 )

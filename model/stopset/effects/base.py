@@ -18,8 +18,9 @@ from stopset.errors import EffectError
 from stopset.ring import sign
 
 Number = Any  # a float, an array, an Interval, a Taylor form or C text: whatever stopset.ring computes with
-Entry = Literal["compensation", "inertia", "viscous", "input_gain", "input_delay", "state"]
+Entry = Literal["compensation", "inertia", "damping", "input_gain", "input_delay", "state"]
 Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing"]
+Part = Literal["", "dry friction", "damping", "constant torque", "torque scale", "load"]
 REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that base friction means friction at 30 degC
 
 
@@ -121,6 +122,13 @@ class Effect:
     ``plant``: is in the rigid body and the rotors of the model already; ``input``: is in the reading of the motor's torque, and
     no motor gives any; ``reading``: the encoder's, ``reading`` gives each term's columns of true minus recorded position and
     of true minus recorded speed over speed; ``swing``: adds a motion that a rigid arm does not have: no stop is bounded.
+
+    What others ask of it, so that none of them knows its name.  ``part``: the number of a plain arm that it changes, at most one
+    effect each; ``usual``: its place among the laws that identification tries at every joint unasked, 0: not among them;
+    ``adjacent``: of a pair, that its joints follow each other; ``periodic``: over the joint's turn, its shape the cycles per turn;
+    ``absorbed``: a free rigid body takes up what it does, so held-out errors do not show it; ``within_friction``: its first term is
+    a part of its joint's dry friction; ``effort``: the kind of recorded torque it is part of, where it is of one alone;
+    ``simulated``: what of the simulated arm it is seen in (`stopset.simulation.hidden`).
     """
 
     name: str
@@ -143,6 +151,14 @@ class Effect:
     reading: Reading | None = None
     power: int = 0
     carried: bool = False
+    part: Part = ""
+    usual: int = 0
+    adjacent: bool = False
+    periodic: bool = False
+    absorbed: bool = False
+    within_friction: bool = False
+    effort: str = ""
+    simulated: str = ""
 
     def compensated(self, degree: int = 1) -> bool:
         """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.
@@ -150,7 +166,7 @@ class Effect:
         Else it is part of the abstraction (its damping, its inertia) or of the recorded torque's scale; or it stays in the
         torque set U, as no torque of the measured state can take it off: a link's swing, a torque that is reported late.
         """
-        if self.enters in ("viscous", "inertia", "input_gain", "input_delay") or self.role == "swing":
+        if self.enters in ("damping", "inertia", "input_gain", "input_delay") or self.role == "swing":
             return False
         return not 0 < self.power <= degree
 

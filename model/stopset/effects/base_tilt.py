@@ -27,4 +27,6 @@ EFFECT = Effect(
     scope="arm",
     looks_like=("spring", "payload"),
     tell_apart="Put a spirit level on the base; turn joint 1 with the arm stretched: a tilt loads it like a sine.",
+    absorbed=True,
+    simulated="tilted base",
 )

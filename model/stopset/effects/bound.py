@@ -15,14 +15,13 @@ from functools import cache
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.effects.base import Effect, Fitted, Shape, Signals, Term
 from stopset.effects.memory import affine, whole
 from stopset.errors import NotCovered
 from stopset.ring import Interval, Slope
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SIGMAS = 3.0  # identified parameters enter with this many standard deviations
 # roles whose law is a torque on the arm, whoever moves it
 ACTING = frozenset({"friction", "torque", "arm or drive"})

@@ -25,4 +25,5 @@ EFFECT = Effect(
     scope="arm",
     looks_like=("cubic_viscous", "coupling"),
     tell_apart="Move several joints fast at the same time, then each alone.",
+    simulated="unlogged feed-forward",
 )

@@ -25,4 +25,6 @@ EFFECT = Effect(
     looks_like=("load_coulomb", "stribeck"),
     tell_apart="Move slowly back and forth at constant speed: Coulomb friction jumps at the reversal and stays.",
     base=True,
+    part="dry friction",
+    simulated="more dry friction",
 )

@@ -32,4 +32,6 @@ EFFECT = Effect(
     scope="pair",
     looks_like=("coupling", "coriolis"),
     tell_apart="Move both joints with different ratios of their speeds: with opposite speeds of one size the common motor stands still.",
+    usual=1,
+    adjacent=True,
 )

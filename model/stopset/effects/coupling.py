@@ -24,4 +24,5 @@ EFFECT = Effect(
     scope="pair",
     looks_like=("viscous", "coriolis"),
     tell_apart="Move one joint while the other holds still, then both with different speed ratios.",
+    simulated="drag by the neighbour",
 )

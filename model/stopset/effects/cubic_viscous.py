@@ -27,4 +27,6 @@ EFFECT = Effect(
     tell_apart=(
         "Move at constant speeds over two decades up to full speed: a cubic bends at the fast end, Stribeck at the slow end."
     ),
+    usual=2,
+    simulated="thinning with speed",
 )

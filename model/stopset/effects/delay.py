@@ -24,4 +24,5 @@ EFFECT = Effect(
     source="swevers1997",
     looks_like=("elasticity", "rotor_inertia"),
     tell_apart="Excite from 1 to 60 Hz: a delay gives a straight phase line, elasticity a dip and a peak.",
+    simulated="late torque",
 )

@@ -45,4 +45,5 @@ EFFECT = Effect(
     source="spong1987",
     looks_like=("delay", "rotor_inertia"),
     tell_apart="Excite from 1 to 60 Hz: elasticity gives a dip and a peak, a delay a straight phase line.",
+    simulated="soft gear",
 )

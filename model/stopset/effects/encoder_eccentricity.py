@@ -39,4 +39,5 @@ EFFECT = Effect(
     source="khalil2007",
     looks_like=("encoder_offset", "torque_ripple", "spring"),
     tell_apart="Compare with an outside position measurement over a full turn; torques alone rarely show it.",
+    simulated="eccentric encoder",
 )

@@ -37,4 +37,6 @@ EFFECT = Effect(
     tell_apart=(
         "Reverse many times with different accelerations: hysteresis depends on the way since the reversal, Stribeck on speed."
     ),
+    within_friction=True,
+    simulated="presliding",
 )

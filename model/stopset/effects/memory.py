@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from stopset.core.library import flags, given, lib, view
 from stopset.effects.base import Effect, Number, Signals
 from stopset.ring import Interval
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, get_args
 
-from stopset.effects.base import Effect, Role, Shape, Term
+from stopset.effects.base import Effect, Part, Role, Shape, Term
 from stopset.effects.bound import silent_at_rest
 from stopset.errors import EffectError
 
@@ -26,7 +26,7 @@ def catalogue() -> MappingProxyType[str, Effect]:
     """
     found: dict[str, Effect] = {}
     for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
-        if info.name not in ("base", "bound", "registry", "signals", "memory"):
+        if info.name not in ("base", "bound", "registry", "selection", "signals", "memory"):
             effect = importlib.import_module(f"stopset.effects.{info.name}").EFFECT
             found[effect.name] = effect
     for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
@@ -75,6 +75,8 @@ def check(effect: Any, where: str) -> None:
         raise EffectError(f"{where}: {effect.name} lacks its sentence, what to look at, or the signals it needs")
     if effect.role not in get_args(Role):
         raise EffectError(f"{where}: {effect.name} has the role {effect.role!r}; expected one of {', '.join(get_args(Role))}")
+    if effect.part not in get_args(Part):
+        raise EffectError(f"{where}: {effect.name} is the part {effect.part!r}; expected one of {', '.join(get_args(Part))}")
     if effect.role == "reading" and effect.reading is None:
         raise EffectError(f"{where}: {effect.name} misreads a position and does not say by how much; give its `reading`")
     if effect.role == "friction" and not silent_at_rest(effect):

@@ -24,4 +24,6 @@ EFFECT = Effect(
     source="liu2018",
     looks_like=("payload", "delay", "elasticity"),
     tell_apart="Accelerate the joint with the arm stretched and folded: a rotor's share does not change with the pose.",
+    absorbed=True,
+    simulated="heavier rotor",
 )

@@ -49,4 +49,5 @@ EFFECT = Effect(
         "a warm-up of the session does not come back, and a cubic term shows no change at one speed. Record the temperature too."
     ),
     instead_of="temp",
+    simulated="film heated by losses",
 )

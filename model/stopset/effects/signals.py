@@ -6,13 +6,12 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.effects.base import REFERENCE_TEMPERATURE, Signals
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, mass_matrix, regressors, torques
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 _STEP = 1e-4  # [rad] central difference of the gravity torque: error ~ step^2 = 1e-8 of the torque, rounding 1e-12
 
 

@@ -24,4 +24,5 @@ EFFECT = Effect(
     source="bittencourt2012",
     looks_like=("thermal_viscous", "warm_up"),
     tell_apart=("Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."),
+    simulated="seals softening with heat",
 )

@@ -24,4 +24,7 @@ EFFECT = Effect(
     source="gautier2014",
     looks_like=("payload", "load_coulomb", "rotor_inertia"),
     tell_apart="Hang a weighed mass at the flange: the true torque is then known.",
+    part="torque scale",
+    absorbed=True,
+    simulated="drive gain",
 )

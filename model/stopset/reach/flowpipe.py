@@ -13,14 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.core.library import lib, view
 from stopset.errors import NotCovered
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def expm(X: Array) -> Array:

@@ -23,8 +23,8 @@ from stopset.artifact import Abstraction, UncertaintySets
 from stopset.core.library import check, given, lib, view
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stopset.types import Array
+
 SuiteKey = tuple[int, str, int]  # (file, phase, suite)
 
 PHASES = ("static", "closed_loop", "open_loop", "stop0", "stop1")

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stopset.types import Array
+
 _ULPS = 4  # numpy documents <= 4 ulp for exp, sin, cos, tanh in double precision
 _TWO_PI = 2 * np.pi
 
 
 def _out(lo: Any, hi: Any, ulps: int = 1) -> Interval:
-    lo, hi = np.asarray(lo, float), np.asarray(hi, float)
     for _ in range(ulps):
         lo, hi = np.nextafter(lo, -np.inf), np.nextafter(hi, np.inf)
     return Interval(lo, hi)
@@ -44,7 +43,7 @@ class Interval:
 
     def __post_init__(self) -> None:
         lo, hi = np.asarray(self.lo, float), np.asarray(self.hi, float)
-        if not np.all(lo <= hi):
+        if not (lo <= hi).all():
             raise ValueError(f"interval with lower bound {lo} above upper bound {hi}; expected lo <= hi")
         object.__setattr__(self, "lo", lo)
         object.__setattr__(self, "hi", hi)
@@ -79,8 +78,8 @@ class Interval:
 
     def __mul__(self, other: Any) -> Interval:
         lo, hi = _pair(other)
-        p = np.stack(np.broadcast_arrays(self.lo * lo, self.lo * hi, self.hi * lo, self.hi * hi))
-        return _out(p.min(axis=0), p.max(axis=0))
+        a, b, c, d = self.lo * lo, self.lo * hi, self.hi * lo, self.hi * hi
+        return _out(np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d)))
 
     __radd__ = __add__
     __rmul__ = __mul__

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from stopset.core.library import integers, lib, view
 from stopset.errors import StopsetError
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
 MEMORY_LIMIT = 2 << 30  # [bytes] what one construction may need at most
 _KEY_BITS = 63

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from stopset.errors import RobotError
-from stopset.robot.rigid import Array, Chain
+from stopset.robot.rigid import Chain
+from stopset.types import Array
 
 STANDARD_GRAVITY = 9.81  # [m/s^2] as in most URDF tools; the data sheet's "gravity" overrides it
 

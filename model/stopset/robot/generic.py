@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from stopset.robot.rigid import Array, Chain
+from stopset.robot.rigid import Chain
+from stopset.types import Array
 
 Number = Any
 Vector = list[Number]

@@ -18,8 +18,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from stopset.core.library import Array as Array
 from stopset.core.library import check, ffi, given, lib, view
+from stopset.types import Array
 
 _ARM = ffi.typeof("StopsetArm *")
 _recent: deque[tuple[Any, ...]] = deque(maxlen=4)

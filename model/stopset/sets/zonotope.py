@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stopset.sets.box import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

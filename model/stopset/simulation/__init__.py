@@ -4,8 +4,8 @@
 """
 
 from stopset.simulation.campaign import PLANS, Plan
-from stopset.simulation.hidden import KINDS
+from stopset.simulation.hidden import kinds
 from stopset.simulation.scenario import Scenario, prepare
 from stopset.simulation.stop import simulate_stop
 
-__all__ = ["KINDS", "PLANS", "Plan", "Scenario", "prepare", "simulate_stop"]
+__all__ = ["PLANS", "Plan", "Scenario", "kinds", "prepare", "simulate_stop"]

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, integers, lib, view
-from stopset.robot.rigid import Array, arm_struct, gravity_torque
+from stopset.robot.rigid import arm_struct, gravity_torque
 from stopset.simulation.plant import COLUMNS, ELEMENTS, Plant, table
+from stopset.types import Array
 
 
 class Script(NamedTuple):

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.recording import Recording
-from stopset.robot.rigid import Array
 from stopset.simulation.cell import EVERY, HOLD, RAMP, RUN_UP, STATIC_WORK, TICK, Cell, Job, play, record, temperatures
 from stopset.simulation.motions import creep, fourier, from_rest, point_to_point, pose, ramp_down, run_up
+from stopset.types import Array
 
 ROUNDS = 5
 REACTION = 0.008  # [s] of the controller to a stop request

@@ -18,12 +18,13 @@ from stopset.errors import RobotError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
-from stopset.robot.rigid import Array, mass_matrix
+from stopset.robot.rigid import mass_matrix
 from stopset.simulation.arm import Script, run, start
 from stopset.simulation.dynamics import motor_torques
 from stopset.simulation.hidden import Truth
 from stopset.simulation.motions import Motion, Space, space_of
 from stopset.simulation.plant import Plant
+from stopset.types import Array
 
 TICK = 0.001  # [s] of the control loop; the torque is held in between
 EVERY = 4  # ticks are recorded: 250 Hz, so that a recorded torque is that of its sample, not of the next

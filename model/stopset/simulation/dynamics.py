@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.core.library import check, given, lib, view
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 
 def mass_and_bias(chain: Chain, pi: Array, q: Array, dq: Array) -> tuple[Array, Array]:

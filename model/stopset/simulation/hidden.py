@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 
+from stopset.effects import catalogue
 from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
-from stopset.robot.rigid import Array
 from stopset.simulation.motions import space_of
 from stopset.simulation.plant import Plant, largest_gravity
+from stopset.types import Array
 
 Parameters = dict[str, float | str]
 
@@ -59,6 +62,8 @@ class Kind:
     scope: str = "joint"
     top: float = float("inf")  # [rad/s] its residual is looked at below this speed
     where: str = "any"  # joints chosen when none is named: "any", "loaded" (by gravity)
+    joints: int = 1  # that the arm must have
+    both: bool = False  # whether the cause sits at both joints of a pair, or at the first alone
     fixed: str = ""  # why the size is `guess` whatever factor is wanted; empty where it is chosen for the factor
 
 
@@ -264,36 +269,46 @@ def _residual_gravity(t: Truth, r: Robot, j: int, size: float, g: np.random.Gene
 
 
 BASE = "every model fits plain friction itself: nothing is missing"
-KINDS: dict[str, Kind] = {
-    "coulomb": Kind(_coulomb, 0.5, 0.5, fixed=BASE),
-    "viscous": Kind(_viscous, 0.5, 0.5, fixed=BASE),
-    "residual_gravity": Kind(_residual_gravity, 0.3, 0.3, where="loaded", fixed="compensated torque has no such residual"),
-    "thermal_viscous": Kind(_thermal_viscous, 0.02, 0.06),
-    "thermal_coulomb": Kind(_thermal_coulomb, 0.01, 0.04),
-    "warm_up": Kind(_warm_up, 0.15, 0.6),
-    "self_heating": Kind(_self_heating, 0.3, 2.0),
-    "stribeck": Kind(_stribeck, 0.2, 0.8, top=0.15),
-    "load_coulomb": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
-    "asymmetric_coulomb": Kind(_asymmetric, 0.05, 0.6),
-    "cubic_viscous": Kind(_cubic, 1.5, 25.0),
-    "payload": Kind(_payload, 0.2, 8.0, scope="arm"),
-    "rotor_inertia": Kind(_rotor, 0.3, 4.0),
-    "elasticity": Kind(_elasticity, 1.0, 60.0, where="loaded"),
-    "torque_ripple": Kind(_ripple, 0.5, 8.0),
-    "hysteresis": Kind(_hysteresis, 0.003, 0.06),
-    "torque_gain": Kind(_gain, 0.05, 0.5, where="loaded"),
-    "delay": Kind(_delay, 0.01, 0.06),
-    "base_tilt": Kind(_tilt, 0.02, 0.25, scope="arm"),
-    "spring": Kind(_spring, 1.0, 40.0),
-    "coupling": Kind(_coupling, 0.1, 0.9),
-    "encoder_offset": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
-    "encoder_eccentricity": Kind(_eccentricity, 0.01, 0.02, where="loaded"),
-    "coriolis": Kind(_coriolis, 0.5, 1.5, scope="arm"),
+# by what an effect calls `Effect.simulated`
+SEEN: dict[str, Kind] = {
+    "more dry friction": Kind(_coulomb, 0.5, 0.5, fixed=BASE),
+    "more drag": Kind(_viscous, 0.5, 0.5, fixed=BASE),
+    "gravity left": Kind(_residual_gravity, 0.3, 0.3, where="loaded", fixed="compensated torque has no such residual"),
+    "oil thinning with heat": Kind(_thermal_viscous, 0.02, 0.06),
+    "seals softening with heat": Kind(_thermal_coulomb, 0.01, 0.04),
+    "running in": Kind(_warm_up, 0.15, 0.6),
+    "film heated by losses": Kind(_self_heating, 0.3, 2.0),
+    "breakaway": Kind(_stribeck, 0.2, 0.8, top=0.15),
+    "tooth friction": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
+    "skew": Kind(_asymmetric, 0.05, 0.6),
+    "thinning with speed": Kind(_cubic, 1.5, 25.0),
+    "body on the last link": Kind(_payload, 0.2, 8.0, scope="arm"),
+    "heavier rotor": Kind(_rotor, 0.3, 4.0),
+    "soft gear": Kind(_elasticity, 1.0, 60.0, where="loaded"),
+    "cogging": Kind(_ripple, 0.5, 8.0),
+    "presliding": Kind(_hysteresis, 0.003, 0.06),
+    "drive gain": Kind(_gain, 0.05, 0.5, where="loaded"),
+    "late torque": Kind(_delay, 0.01, 0.06),
+    "tilted base": Kind(_tilt, 0.02, 0.25, scope="arm"),
+    "dress pack": Kind(_spring, 1.0, 40.0),
+    "drag by the neighbour": Kind(_coupling, 0.1, 0.9, joints=2, both=True),
+    "shifted encoder": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
+    "eccentric encoder": Kind(_eccentricity, 0.01, 0.02, where="loaded"),
+    "unlogged feed-forward": Kind(_coriolis, 0.5, 1.5, scope="arm"),
+}
+OUTSIDE: dict[str, Kind] = {
     "outside_bump": Kind(_outside_bump, 1.0, 30.0),
     "outside_walk": Kind(_outside_walk, 0.5, 15.0),
     "outside_resonance": Kind(_outside_resonance, 1.0, 15.0),
-    "outside_weave": Kind(_outside_weave, 1.0, 30.0),
+    "outside_weave": Kind(_outside_weave, 1.0, 30.0, joints=2),
 }
+
+
+@cache
+def kinds() -> MappingProxyType[str, Kind]:
+    """What can be hidden, by the names users type: effects of the catalogue that this arm can show, and causes that are in none."""
+    ours = {e.name: SEEN[e.simulated] for e in catalogue().values() if e.simulated in SEEN}
+    return MappingProxyType(ours | OUTSIDE)
 
 
 def neighbour(joint: int, n: int) -> int:
@@ -316,14 +331,14 @@ def parse_hidden(words: Sequence[str], robot: Robot, rng: np.random.Generator) -
     out: list[tuple[str, int | None]] = []
     for word in words:
         name, _, joint = word.partition(":")
-        if name not in KINDS:
-            raise EffectError(f"--hide {word}: no effect {name!r}; expected none or one of {', '.join(KINDS)}")
-        kind = KINDS[name]
+        if name not in kinds():
+            raise EffectError(f"--hide {word}: no effect {name!r}; expected none or one of {', '.join(kinds())}")
+        kind = kinds()[name]
         if joint and kind.scope == "arm":
             raise EffectError(f"--hide {word}: {name} belongs to the whole arm, not to a joint; write --hide {name}")
         if joint and joint not in robot.joints:
             raise EffectError(f"--hide {word}: {robot.name} has no joint {joint!r}; expected one of {', '.join(robot.joints)}")
-        if robot.n < 2 and name in ("coupling", "outside_weave"):
+        if robot.n < kind.joints:
             raise EffectError(f"--hide {word}: {robot.name} has one joint; {name} needs two")
         where = None if kind.scope == "arm" else robot.joints.index(joint) if joint else _draw(kind, robot, rng)
         if (name, where) in out:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, given, integers, lib, view
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def solve_inclusion(A: Array, b: Array, plus: Array, minus: Array, mode: NDArray[np.int64], w: Array) -> bool:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stopset.robot import Robot
-from stopset.robot.rigid import Array
+from stopset.types import Array
 
 HARMONICS = 5
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.robot import Robot
-from stopset.robot.rigid import Array, Chain, gravity_torques, mass_matrix
+from stopset.robot.rigid import Chain, gravity_torques, mass_matrix
+from stopset.types import Array
 
 ELEMENTS = 4  # spring-slider elements in parallel, each with its share of the friction
 

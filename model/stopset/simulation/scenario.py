@@ -16,7 +16,7 @@ from stopset.robot.arm import robot_from_text
 from stopset.simulation.campaign import PLANS, Plan, make, schedule
 from stopset.simulation.cell import Cell, build_cell, wrong_cad
 from stopset.simulation.compensated import PHASES, compensated
-from stopset.simulation.hidden import BASE, KINDS, Parameters, healthy, parse_hidden
+from stopset.simulation.hidden import BASE, Parameters, healthy, kinds, parse_hidden
 from stopset.simulation.plant import healthy_plant, rotor_inertia
 from stopset.simulation.sizing import RATIOS, Sized, closed_loop, inject, residual_rms, size_effect
 
@@ -110,14 +110,14 @@ def _tell(
 ) -> dict[str, Any]:  # fmt: skip
     joints, plant = cell.cad.joints, cell.truth.plant
     outside = any(s.hidden.effect.startswith("outside_") for s in sized)
-    missing = any(KINDS[s.hidden.effect].fixed != BASE for s in sized)
+    missing = any(kinds()[s.hidden.effect].fixed != BASE for s in sized)
     effects = []
     for s, said in zip(sized, parameters, strict=True):
         joint = None if s.hidden.joint is None else joints[s.hidden.joint]
         partner = said.get("partner")
-        where = [j for j in (joint, partner if s.hidden.effect == "coupling" else None) if j is not None]
+        where = [j for j in (joint, partner if kinds()[s.hidden.effect].both else None) if j is not None]
         effects.append({
-            "effect": s.hidden.effect, "joint": joint, "joints": where, "joint_scored": KINDS[s.hidden.effect].scope == "joint",
+            "effect": s.hidden.effect, "joint": joint, "joints": where, "joint_scored": kinds()[s.hidden.effect].scope == "joint",
             "level": size, "ratio_wanted": round(s.wanted, 3), "ratio_achieved": round(s.ratio, 3),
             "ratios": dict(zip(joints, s.ratios.round(3).tolist(), strict=True)), "note": s.note,
             "params": {k: v if isinstance(v, str) else float(v) for k, v in said.items()},

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.recording import Recording
-from stopset.robot.rigid import Array, torques
+from stopset.robot.rigid import torques
 from stopset.simulation.campaign import Plan, closed_loop_jobs
 from stopset.simulation.cell import Cell, record, temperatures
-from stopset.simulation.hidden import KINDS, Hidden, Parameters, Truth
+from stopset.simulation.hidden import Hidden, Parameters, Truth, kinds
+from stopset.types import Array
 
 RATIOS = {"large": float(np.sqrt(50.0)), "easy": float(np.sqrt(10.0)), "hard": float(np.sqrt(2.0))}
 SLOW = 0.015  # [rad/s] where a joint gets slower within the filter's window, its friction may be on either side
@@ -47,7 +48,7 @@ def inject(cell: Cell, hidden: Sequence[Hidden]) -> tuple[Cell, list[Parameters]
     for h in hidden:
         joint = 0 if h.joint is None else h.joint
         rng = cell.random("effect", h.effect, h.joint)
-        truth, parameters = KINDS[h.effect].inject(truth, cell.cad, joint, h.size, rng)
+        truth, parameters = kinds()[h.effect].inject(truth, cell.cad, joint, h.size, rng)
         said.append(parameters)
     return replace(cell, truth=truth), said
 
@@ -103,7 +104,7 @@ def size_effect(cell: Cell, plan: Plan, healthy: Sequence[Recording], effect: st
 
     Where physics ends earlier (`Kind.most`), the largest sensible size is taken and the note says what it reaches.
     """
-    kind = KINDS[effect]
+    kind = kinds()[effect]
     if kind.fixed:
         return Sized(Hidden(effect, joint, kind.guess), np.ones(cell.cad.n), wanted, f"size fixed, {kind.fixed}")
     floor = residual_rms(cell, healthy, kind.top)

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 
 def simulate_stop(

@@ -11,13 +11,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.jointstate import JointState, decode
 from stopset.recording import Meta, Recording
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
 SHORTEST = 10
 GAP = 2.5  # periods without a message that end a trial

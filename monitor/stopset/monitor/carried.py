@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects import Effect, Fitted
 from stopset.effects.memory import affine, whole
 from stopset.effects.registry import get
 from stopset.errors import NotCovered
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,6 +84,19 @@ class Stops:
 
 
 @dataclass(frozen=True, slots=True)
+class Records:
+    """What is written down. ``folder``: "" = beside the journal; ``violations``: one file each, with ``before_s`` of readings
+    before it; ``continuous``: everything too, in files of ``file_s``. Of each kind at most ``keep_mb`` are kept."""
+
+    folder: str = ""
+    violations: bool = True
+    before_s: float = 2.0
+    continuous: bool = False
+    file_s: float = 600.0
+    keep_mb: float = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
 class Fallback:
     """Numbers to publish when the model is refuted or silent; infinite unless a worst-case table gives better ones."""
 
@@ -116,6 +129,7 @@ class Config:
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
+    record: Records = field(default_factory=Records)
     sha256: str = ""
 
     @property
@@ -183,6 +197,9 @@ def load_config(path: str | Path) -> Config:
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),
+        ("record.before_s", config.record.before_s, 0.1, 10.0),
+        ("record.file_s", config.record.file_s, 1.0, 86400.0),
+        ("record.keep_mb", config.record.keep_mb, 1.0, 1e6),
         # a stop takes time and way: none at all is no worst case
         ("fallback.time_s", config.fallback.time_s, 1e-3, math.inf),
         ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
@@ -208,8 +225,10 @@ def load_config(path: str | Path) -> Config:
     here = p.parent
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
+    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
+    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
     return dataclasses.replace(
         config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
-        journal=str(here / config.journal if config.journal else state / f"{p.stem}.latch"),
+        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
     )  # fmt: skip

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import InputMap
@@ -14,11 +13,10 @@ from stopset.artifact.taped import Kept, places, taped
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.registry import get
 from stopset.monitor.carried import Carried
+from stopset.types import Array
 
 if TYPE_CHECKING:
     from stopset.monitor.watch import Quantum
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import BusError
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SIGNALS = ("q", "dq", "tau", "temp", "status")
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.monitor.jointstate import JointState, to_cdr, to_json
@@ -16,8 +15,8 @@ from stopset.monitor.links.bus import Talker
 from stopset.monitor.links.canopen_map import Encoder
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.recording import Recording
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 PAUSE_CYCLES = 8  # silence between two trials: the arm jumps there, and the listener must see a gap
 OPERATION_ENABLED, QUICK_STOP, SWITCHED_OFF = 0x27, 0x07, 0x40
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.stopdesk import Numbers
 from stopset.monitor.watch import Conformance
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ class Tally:
 
     samples: int = 0
     verdicts: dict[str, int] = field(default_factory=lambda: {c.value: 0 for c in Conformance})
+    states: dict[str, int] = field(default_factory=lambda: {s.name: 0 for s in State})  # told of samples
     outside_domain: int = 0
     gaps: int = 0
     faults: int = 0
@@ -54,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": bool(x.provable.all()), "why": x.why,
+            "certified": x.proven, "why": x.why,
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
@@ -72,9 +73,10 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f in turn.flags],
         "conformance": v.conformance.value if v else "UNKNOWN", "conformance_why": v.why if v else "",
         "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
+        "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
-        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "gaps": d.tally.gaps,
+        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
@@ -93,10 +95,24 @@ def health(d: Daemon) -> dict[str, Any]:
         "outside_domain": t.outside_domain, "cycles_in_window": len(t.busy),
         "sync_to_publish_ms": {"median": 1e3 * float(np.median(delays)), "max": 1e3 * float(delays.max())},
         "loop_busy_ms": {"median": 1e3 * float(np.median(busy)), "max": 1e3 * float(busy.max())},
-        "bus": d.source.counters(), "stop_bound_ms": 1e3 * d.desk.answer.took if d.desk.answer else None,
+        "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
+        "stop_restarts": d.desk.restarts,
         "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
+        "recorder": None if d.recorder is None else {
+            "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,
+        },
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
     }  # fmt: skip
     t.delays.clear()
     t.busy.clear()
     return out
+
+
+def about(d: Daemon) -> dict[str, str]:
+    """Whose words a file holds: arm, model, configuration, life."""
+    c, m = d.config, d.model
+    return {
+        "schema": "1", "key": c.prefix, "data_id": str(c.data_id), "boot_id": f"{d.publisher.boot:016x}",
+        "model_sha256": m.sha256, "config_sha256": c.sha256, "joints": ",".join(m.joints), "effort": m.effort,
+        "robot": m.robot.name, "cycle_s": repr(d.cycle_s), "payload_kg": repr(c.payload_kg), "notice": NOTICE,
+    }  # fmt: skip

@@ -14,12 +14,15 @@ from stopset.errors import BusError, NotCovered
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.config import Config
 from stopset.monitor.daemon import Daemon
+from stopset.monitor.evidence.overheard import Overheard
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import FileStore, Journal
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import Profile, load_profile
-from stopset.monitor.report import health
+from stopset.monitor.report import about, health
 from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, Source
 from stopset.monitor.watch import check_cycle
 
@@ -54,13 +57,18 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
                 raise
             return NoSource(profile, time.monotonic() + config.bus.wait_s)
 
+    recorder = Recorder(Trace(model.n), config.record, Path(config.record.folder), cycle_s)
     try:
         daemon = Daemon(
-            config, model, first_source(), link, cycle_s, latch=latch, signer=signer, load=lambda: load_model(config.model)
-        )
+            config, model, first_source(), Overheard(link, recorder), cycle_s, latch=latch, signer=signer,
+            load=lambda: load_model(config.model), recorder=recorder,
+        )  # fmt: skip
     except BaseException:
         link.close()
         raise
+    recorder.about = lambda: about(daemon)
+    recorder.heard = lambda: daemon.source.heard()
+    recorder.start()
     _signals(daemon, seconds)
     if config.realtime:
         ctypes.CDLL(None, use_errno=True).mlockall(3)

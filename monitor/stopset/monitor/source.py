@@ -20,18 +20,21 @@ from stopset.monitor.links.hub import Frame
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.watch import Quantum, Sample
+from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
+LOG = 65536  # frames kept for the record of a violation: 5 s of six drives with two PDOs each at 1 kHz
 SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
 
 
 class Source(Protocol):
     """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
 
-    ``complaints``: what the other side has said or sent wrongly since the last call, in words.
+    ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the last frames of
+    the bus as (time [s], identifier, bytes), for the record of a violation.
     """
 
     quantum: Quantum
@@ -39,18 +42,20 @@ class Source(Protocol):
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
     def complaints(self) -> list[str]: ...
+    def heard(self) -> list[tuple[float, int, bytes]]: ...
     def close(self) -> None: ...
 
 
 def sample_of(cycle: Cycle, k: int) -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
-    v = cycle.values
-    tau = v[TAU].copy() if not np.isnan(v[TAU]).any() else None
-    temp = v[TEMP].copy() if not np.isnan(v[TEMP]).any() else None
-    status = v[STATUS]
-    # CiA 402 statusword: operation enabled
-    powered = bool(np.all((np.nan_to_num(status, nan=0x27).astype(int) & 0x6F) == 0x27))
-    return Sample(k, cycle.t, v[Q].copy(), v[DQ].copy(), tau, temp, powered)
+    q, dq, tau, temp, status = cycle.values  # made for this cycle alone
+    # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
+    powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
+    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered)
+
+
+def _carried(row: Array) -> Array | None:
+    return None if any(x != x for x in row.tolist()) else row
 
 
 @dataclass(slots=True)
@@ -96,6 +101,7 @@ class CanSource:
     quantum: Quantum = field(init=False)
     frames: int = 0
     dropped: int = 0
+    _log: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=LOG))
     _count: CycleCount = field(init=False)
     _stamps: Stamps = field(default_factory=Stamps)
 
@@ -133,8 +139,9 @@ class CanSource:
 
     def _take(self, frame: Frame) -> Sample | None:
         self.frames += 1
-        now = self.clock.time_ns() * 1e-9
-        cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
+        t = self._stamps(frame.t, self.clock.time_ns() * 1e-9)
+        self._log.append((t, frame.cob_id, bytes(frame.data)))
+        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
         return None if cycle is None else self._sample(cycle)
 
     def _sample(self, cycle: Cycle) -> Sample:
@@ -160,6 +167,9 @@ class CanSource:
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
         ]
 
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return list(self._log)
+
     def close(self) -> None:
         self.bus.close()
 
@@ -183,6 +193,9 @@ class NoSource:
         return {}
 
     def complaints(self) -> list[str]:
+        return []
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
         return []
 
     def close(self) -> None:
@@ -273,6 +286,9 @@ class JointStateSource:
     def complaints(self) -> list[str]:
         said, self.complaint = self.complaint, ""
         return [said] if said else []
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return []
 
     def close(self) -> None:
         """Nothing to close: the session belongs to the daemon."""

@@ -1,226 +1,279 @@
-"""Stop bounds beside the loop: another process certifies them for a box around the state, the loop checks it is inside.
+"""Stop bounds beside the loop: another process certifies them for boxes of states, the loop looks the state up.
 
-A bound takes milliseconds, a cycle has not that many. So each answer covers every state of a box wide enough for the motion
-until the next answer; a state that has left the box has no bound until a new one comes.
+A bound takes milliseconds, a cycle has not that many. So each answer covers a box around the motion ahead, is kept, and serves
+whenever the arm comes by again; only where no box holds what is coming is a new one asked for. Two sizes are asked for: a wide
+one, which the arm cannot leave soon, whatever it does; and within it narrow ones, which give tight numbers. A state in none
+of them has no bound.
 """
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing as mp
-import os
-import time
+import threading
 from collections import deque
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stopset.artifact import load_model
-from stopset.errors import StopsetError
+from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Stops
+from stopset.monitor.stopworker import work
 from stopset.monitor.watch import Quantum
+from stopset.types import Array
 
-if TYPE_CHECKING:  # its compiled code is for the other process
-    from stopset.reach.stops import StopBounds
-
-Array = NDArray[np.float64]
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
+START = 0.25  # [s] from rest to the largest speed identification has seen
+MEMORY = 2.0  # [s] in which the largest acceleration seen is forgotten to a third
 SPARE_SPEED = 0.04  # [rad/s] noise of a measured speed and of the acceleration made from it; too little costs answers, not truth
 SPARE_ANGLE = 5e-4  # [rad]
-LONGEST = 0.1  # [s] motion covered ahead beyond one period; a slower answer finds the arm outside its box
+SLOWER = 2.0  # an answer is expected to take no longer than so many times what the last ones took
+FIRST = 0.02  # [s] an answer takes that was never measured
+LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
+KEPT_WIDE = 256  # certificates of wide boxes, per category
+PATIENCE = 16  # narrow boxes asked for after a wide one had no bound
+RESTARTS = 5  # of the other process, then it stays ended
+LEFT = "the arm has left the states the last bounds were computed for"
+PATH = np.linspace(0.0, 1.0, 5)[:, None]  # instants at which the motion ahead is looked at, as parts of it
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
-    """One category's bound: per joint (n,) time [s], forward and back [rad], and the flange's travel [m]; inf = not provable."""
+class Size:
+    """A box that covers the motion ``ahead`` [s] of its answer, at accelerations off the present one by ``swerve`` times the
+    largest seen of late; ``starts``: also if the arm, still as it may be, starts with all it has."""
 
-    time: Array
-    forward: Array
-    back: Array
-    tcp: float
-    provable: NDArray[np.bool_]
-    why: str = ""
-    margin: float = float("-inf")  # least holding margin [N m]
-
-    @classmethod
-    def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:
-        inf = np.full(n, np.inf)
-        return cls(inf, inf, inf, float("inf"), np.zeros(n, bool), why, margin)
-
-    @classmethod
-    def fallback(cls, n: int, time: float, angle: float, tcp: float, why: str) -> Numbers:
-        a = np.full(n, angle)
-        return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool), why)
+    ahead: float
+    swerve: float
+    starts: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """Bounds that hold for every state with ``|q - q_mid| <= q_radius`` and ``|dq - dq_mid| <= dq_radius``."""
-
-    q_mid: Array
-    dq_mid: Array
-    q_radius: Array
-    dq_radius: Array
-    numbers: dict[str, Numbers]
-    took: float
-
-    def covers(self, q: Array, dq: Array, quantum: Quantum) -> bool:
-        """Whether a reading lies inside with everything that bus rounding may have hidden; the noise ``V`` is in the bound."""
-        near = np.abs(q - self.q_mid) + quantum.q <= self.q_radius
-        return bool(near.all() and np.all(np.abs(dq - self.dq_mid) + quantum.dq <= self.dq_radius))
+# as found on recorded arms: the wide one holds nearly every motion, narrow ones give numbers that hardly widen
+WIDE, NARROW = Size(0.2, 1.0, True), Size(0.04, 0.2, False)
 
 
-def _numbers(bound: Any, n: int) -> Numbers:
-    margin = -np.inf if bound.holding_margin is None else float(np.min(bound.holding_margin))
-    if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
-        return Numbers.none(n, bound.why, margin)
-    tcp = np.inf if bound.tcp is None else float(bound.tcp)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+@dataclass(slots=True)
+class Motion:
+    """Where the arm goes, from its last readings; it may always be as fast as ``fastest`` (n,) [rad/s] within `START`."""
 
+    fastest: Array
+    q: Array = field(init=False)
+    dq: Array = field(init=False)
+    a: Array = field(init=False)
+    _past: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=64))
+    _most: Array = field(init=False)  # (n,) [rad/s^2] largest acceleration seen of late
+    _seen: float = 0.0
 
-def _work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
-    """The other process: takes the newest state, answers for a box around it."""
-    from stopset.reach.stops import StopBounds
-    from stopset.reach.stops.ramp import Ramp
+    def __post_init__(self) -> None:
+        self.q, self.dq, self.a, self._most = (np.zeros_like(self.fastest) for _ in range(4))
 
-    parent = os.getppid()
-    model = load_model(model_path)
-    n = model.n
-    ramp = None
-    if stops.ramp_time_s or stops.ramp_deceleration:
-        ramp = Ramp.stated(
-            n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
-            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
-        )  # fmt: skip
-    prepared, refusal = None, ""
-    try:
-        prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
-    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
-        refusal = str(e)
-    if prepared is not None and prepared.setting is not None:  # load the compiled code before anybody waits for it
-        for category in categories:
-            prepared.bound(np.clip(np.zeros(n), *model.robot.q_limit.T), np.full(n, 0.1), cast(Any, category))
-    pipe.send(None)
-    while True:
-        while not pipe.poll(0.5):
-            if os.getppid() != parent:
-                return  # the daemon is gone
-        request = pipe.recv()
-        while pipe.poll(0):
-            request = pipe.recv()
-        if request is None:
+    def see(self, t: float, q: Array, dq: Array) -> None:
+        """A reading at ``t`` [s]: ``q`` [rad], ``dq`` [rad/s], (n,) each."""
+        self._past.append((t, dq))
+        self.q, self.dq = q, dq
+
+    def settle(self) -> None:
+        """Take the acceleration from what was seen; before `at` and `box`."""
+        past = self._past
+        if not past:
             return
-        q, dq, q_radius, dq_radius = request
-        if prepared is None:
-            pipe.send(Answer(q, dq, q_radius, dq_radius, {c: Numbers.none(n, refusal) for c in categories}, 0.0))
-        else:
-            pipe.send(answer_for(prepared, categories, q, dq, q_radius, dq_radius))
+        now = past[-1][0]
+        while len(past) > 2 and now - past[0][0] > LOOK_BACK:
+            past.popleft()
+        before, was = past[0]
+        dq = self.dq
+        self.a = (dq - was) / (now - before) if 0.0 < now - before < 2 * LOOK_BACK else np.zeros_like(dq)
+        forgotten = max(0.0, 1.0 - max(now - self._seen, 0.0) / MEMORY)
+        self._most, self._seen = np.maximum(forgotten * self._most, np.abs(self.a)), now
+
+    def at(self, after: float) -> Array:
+        """(2n,) where the arm is expected ``after`` [s]."""
+        return np.concatenate([self.q + after * (self.dq + 0.5 * after * self.a), self.dq + after * self.a])
+
+    def box(self, until: float, size: Size) -> tuple[Array, Array]:
+        """(2n,) least and largest of what it may do from now ``until`` [s] from now."""
+        t = PATH * until
+        most = np.maximum(self._most, self.fastest / START) if size.starts else self._most
+        swerved = SPARE_SPEED + size.swerve * t * most
+        v = self.dq + t * self.a
+        q = self.q + t * (self.dq + 0.5 * t * self.a)
+        off = SPARE_ANGLE + 0.5 * t * swerved
+        lo, hi = np.hstack([q - off, v - swerved]).min(axis=0), np.hstack([q + off, v + swerved]).max(axis=0)
+        return lo, hi
 
 
-def answer_for(
-    prepared: StopBounds, categories: tuple[str, ...], q: Array, dq: Array, q_radius: Array, dq_radius: Array
-) -> Answer:
-    """Bounds for every measured state no farther from ``q``, ``dq`` than these (n,) radii."""
-    begin = time.monotonic()
-    n, numbers = len(q), {}
-    for category in categories:
-        try:
-            numbers[category] = _numbers(prepared.bound(q, dq, cast(Any, category), q_radius, dq_radius), n)
-        except StopsetError as e:
-            numbers[category] = Numbers.none(n, str(e))
-    return Answer(q, dq, q_radius, dq_radius, numbers, time.monotonic() - begin)
+@dataclass(slots=True)
+class Counter:
+    """What one category has asked for and got."""
+
+    narrow: Shelf
+    wide: Shelf
+    answer: Answer | None = None  # the one in use
+    refused: Answer | None = None  # the newest that has no number
+    waiting: Size | None = None  # asked for
+    only_narrow: int = 0  # so many answers, as a wide box could not be proved
+    took: float = FIRST
+
+    @classmethod
+    def of(cls, n: int) -> Counter:
+        return cls(Shelf(n), Shelf(n, KEPT_WIDE))
+
+    def best(self, x: Array, slack: Array) -> Answer | None:
+        """The tightest certificate kept for a reading."""
+        return self.narrow.best(x, slack) or self.wide.best(x, slack)
+
+    def holds(self, x: Array, slack: Array) -> Answer | None:
+        """The certificate in use as long as it holds, else the tightest kept."""
+        if self.answer is None or not self.answer.covers(x, slack):
+            self.answer = self.best(x, slack)
+        return self.answer
+
+    def take(self, answer: Answer) -> None:
+        """An answer has come."""
+        size, self.waiting = self.waiting, None
+        self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
+        if answer.numbers.proven:
+            (self.wide if size is WIDE else self.narrow).put(answer)
+            return
+        self.refused = answer
+        if size is WIDE:
+            self.only_narrow = PATIENCE
+
+    def lacks(self, motion: Motion, slack: Array, period: float) -> tuple[float, Size] | None:
+        """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
+
+        A wide box where none holds the state now or will when an answer could be there; a narrow one likewise.
+        """
+        lead = SLOWER * self.took + period
+        here, later = motion.at(0.0), motion.at(2.0 * lead)
+        self.answer = self.best(here, slack)  # a tighter one may have come
+        if not self.only_narrow and (self.wide.best(here, slack) is None or self.wide.best(later, slack) is None):
+            return 2.0 * lead + WIDE.ahead, WIDE
+        if self.narrow.best(motion.at(lead), slack) is None:
+            self.only_narrow = max(0, self.only_narrow - 1)
+            return lead + NARROW.ahead, NARROW
+        return None
 
 
 @dataclass(slots=True)
 class StopDesk:
-    """Asks for bounds, keeps the last answer, says what holds for the state now."""
+    """Asks for bounds, keeps the answers, says what holds for the state now."""
 
     model_path: str
-    n: int
+    fastest: Array  # (n,) [rad/s] seen in identification
     stops: Stops
     payload: float
     quantum: Quantum
-    answer: Answer | None = None
     why: str = "the first stop bound is being computed"
     restarts: int = 0
     clock: Clock = field(default_factory=SystemClock)
+    counters: dict[str, Counter] = field(init=False)
+    _motion: Motion = field(init=False)
+    _slack: Array = field(init=False)
+    _told: dict[str, Numbers] = field(default_factory=dict)
+    _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
-    _asked: float = float("-inf")
-    _waiting: bool = False
-    _past: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=64))
+    _inbox: deque[Answer | str | None] = field(default_factory=deque)
+    _ready: bool = False
+    _looked: float = float("-inf")
 
     def __post_init__(self) -> None:
+        self.counters = {c: Counter.of(self.n) for c in self.categories}
+        self._motion, self._slack = Motion(self.fastest), np.concatenate([self.quantum.q, self.quantum.dq])
         self._start()
+
+    @property
+    def n(self) -> int:
+        return len(self.fastest)
 
     @property
     def categories(self) -> tuple[str, ...]:
         """What is asked for, STOP 1 with and without a working ramp."""
         return tuple(e for c in self.stops.categories for e in EXPANDED[c])
 
+    @property
+    def slowest(self) -> float | None:
+        """[s] the category that takes longest lately takes; None before the first answer."""
+        return max((c.took for c in self.counters.values()), default=0.0) if self._ready else None
+
     def _start(self) -> None:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         args = (self.model_path, self.payload, self.stops, self.categories, theirs)
-        self._process = context.Process(target=_work, args=args, daemon=True, name="stop-bounds")
+        self._process = context.Process(target=work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()
-        self._waiting = True  # for its word that it is ready
+        self._ready = False
+        for c in self.counters.values():
+            c.waiting = None
+        self._inbox = deque()
+        # what comes is taken in beside the loop, which then looks at a list and asks no system
+        threading.Thread(target=_receive, args=(self._pipe, self._inbox), daemon=True, name="stop-answers").start()
 
     def offer(self, t: float, q: Array, dq: Array) -> None:
-        """The newest state at ``t`` [s]; asks for a new bound when the last one is there and it is time."""
-        self._past.append((t, dq))
-        while len(self._past) > 2 and t - self._past[0][0] > LOOK_BACK:
-            self._past.popleft()
+        """The newest state at ``t`` [s]; asks for new bounds where those that are kept do not hold what is coming."""
+        self._motion.see(t, q, dq)
         self._collect()
-        now = self.clock.monotonic()
-        if self._waiting or now - self._asked < 1.0 / self.stops.rate_hz or self._pipe is None:
+        now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
+        if not self._ready or now - self._looked < period:
             return
-        took = min(self.answer.took if self.answer else 0.01, LONGEST)
-        ahead = 1.2 / self.stops.rate_hz + 2.0 * took
-        before, was = self._past[0]
-        a = (dq - was) / (t - before) if 0.0 < t - before < 2 * LOOK_BACK else np.zeros(self.n)
-        # the middle of the box is where the arm is half way to the next answer
-        dq_mid = dq + 0.5 * ahead * a
-        dq_radius = 0.65 * ahead * np.abs(a) + SPARE_SPEED
-        q_mid = q + 0.5 * ahead * dq_mid
-        q_radius = 0.55 * ahead * np.abs(dq_mid) + 0.5 * ahead * dq_radius + SPARE_ANGLE
-        try:
-            self._pipe.send((q_mid, dq_mid, q_radius, dq_radius))
-            self._asked, self._waiting = now, True
-        except (OSError, ValueError):
-            self._lost()
+        self._looked = now
+        self._motion.settle()
+        for category, c in self.counters.items():
+            wanted = c.lacks(self._motion, self._slack, period) if c.waiting is None else None
+            if wanted is None or self._pipe is None:
+                continue
+            try:
+                self._pipe.send((category, *self._motion.box(*wanted)))
+                c.waiting = wanted[1]
+            except (OSError, ValueError):
+                self._lost()
 
     def _collect(self) -> None:
-        try:
-            while self._pipe is not None and self._pipe.poll(0):
-                self.answer = self._pipe.recv() or self.answer
-                self._waiting = False
-        except (EOFError, OSError):
-            self._lost()
+        while self._inbox:
+            answer = self._inbox.popleft()
+            if answer is None:
+                self._ready = True
+            elif isinstance(answer, str):
+                self._lost()
+            else:
+                self.counters[answer.category].take(answer)
 
     def _lost(self) -> None:
-        self.answer, self.why = None, "the process that bounds stops has ended; it is started again"
+        self.why = "the process that bounds stops has ended; it is started again"
         self.restarts += 1
-        if self.restarts < 5:
+        if self.restarts < RESTARTS:
             self._start()
         else:
-            self._pipe, self.why = None, "the process that bounds stops keeps ending; no stop provable"
+            self._pipe, self._ready, self.why = None, False, "the process that bounds stops keeps ending; no stop provable"
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
-        """Bounds by category that hold for this state, and whether they are fresh."""
-        names = self.categories
-        if self.answer is None:
-            return {c: Numbers.none(self.n, self.why) for c in names}, False
-        if not self.answer.covers(q, dq, self.quantum):
-            why = "the arm has left the states the last bound was computed for"
-            return {c: Numbers.none(self.n, why) for c in names}, False
-        return self.answer.numbers, True
+        """Bounds by category that hold for this state, and whether all of them were answered for it."""
+        x, fresh = np.concatenate([q, dq]), True
+        told: dict[str, Numbers] = {}
+        for category, c in self.counters.items():
+            answer = c.holds(x, self._slack)
+            if answer is None and c.refused is not None and c.refused.covers(x, self._slack):
+                answer = c.refused
+            if answer is not None:
+                told[category] = answer.numbers
+                continue
+            fresh = False
+            asked = c.narrow.answers or c.wide.answers or c.refused
+            told[category] = self._nothing(LEFT if asked else self.why)
+        # the same object as long as nothing changes: who makes a message of it need not do so again
+        if len(told) != len(self._told) or any(told[c] is not self._told[c] for c in told):
+            self._told = told
+        return self._told, fresh
+
+    def _nothing(self, why: str) -> Numbers:
+        if self._none is None or self._none.why != why:
+            self._none = Numbers.none(self.n, why)
+        return self._none
 
     def close(self) -> None:
         """End the other process."""
@@ -231,3 +284,11 @@ class StopDesk:
             self._process.join(timeout=0.2)
             if self._process.is_alive():
                 self._process.kill()
+
+
+def _receive(pipe: Connection, inbox: deque[Answer | str | None]) -> None:
+    try:
+        while True:
+            inbox.append(pipe.recv())
+    except (EOFError, OSError):
+        inbox.append("ended")

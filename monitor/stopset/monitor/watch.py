@@ -21,8 +21,8 @@ from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 MAX_PREDICTIONS = 1500  # rows of the comparison; longer horizons start fewer predictions
 BRIDGE = 5  # cycles from one sample to the next that predictions are led across; after more they start anew
 LARGEST = 1e6  # of any reading [SI]; beyond it arithmetic would end in what is not a number
@@ -128,11 +128,13 @@ class Watch:
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
     _room: Array = field(init=False)
     _row: NDArray[np.int64] = field(init=False)
+    _none: Array = field(init=False)  # (n,) zeros
     _widen: bool = False  # the widths ``_w`` change from step to step
     _predictions: Any = field(init=False)  # the C struct of the above
     _held: Any = field(init=False)  # what it points at
-    _oldest: Any = field(init=False)
-    _limits: Array = field(init=False)  # (4, 3n or 4n): signals, domain lo and hi, rounding, of q, dq, u and temperature
+    _seen: Any = field(init=False)  # (2,) of the comparison: greatest age in steps, bounds passed
+    _limits: Array = field(init=False)  # (4, 4n): signals, domain lo and hi, rounding, of q, dq, u (or torque), temperature
+    _rows: Any = field(init=False)  # where these lie, for the core
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
@@ -162,6 +164,7 @@ class Watch:
         rows = steps // self.stride + 1
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
+        self._none = np.zeros(n)
         self._room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
         self._widen = not self._inputs.plain
         kept = Kept([])
@@ -172,16 +175,23 @@ class Watch:
         ))  # fmt: skip
         d = m.domain
         boxes, h = [d.q, d.dq, d.u, *([] if d.temp is None else [d.temp])], [self.quantum.q, self.quantum.dq]
-        self._limits = np.zeros((4, n * len(boxes)))
-        self._limits[1], self._limits[2] = (np.concatenate([getattr(b, end) for b in boxes]) for end in ("lo", "hi"))
+        self._limits = np.zeros((4, 4 * n))
+        for row, end in ((1, "lo"), (2, "hi")):
+            self._limits[row, : n * len(boxes)] = np.concatenate([getattr(b, end) for b in boxes])
         self._limits[3, : 2 * n] = np.concatenate(h)
-        self._held, self._oldest = kept, ffi.new("int64_t *")
+        self._rows = [view(x) for x in self._limits]
+        self._held, self._seen = kept, ffi.new("int64_t[2]")
         self._forget()
 
     @property
     def horizon(self) -> float:
         """Oldest age that is checked [s]."""
         return float(self.ages[-1])
+
+    @property
+    def inputs(self) -> tuple[Array, Array] | None:
+        """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
+        return self._u
 
     def _forget(self) -> None:
         self._age[:] = -1
@@ -190,13 +200,17 @@ class Watch:
         self._since = self._next = 0
         self._inputs.forget()
 
+    def restart(self) -> None:
+        """The next sample belongs to no earlier one, whatever its number says: it is of another source."""
+        self._forget()
+        self._last = None
+
     def step(self, sample: Sample) -> Verdict:
         """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
         try:
             return self._step(sample)
         except Exception as e:  # noqa: BLE001 - whatever went wrong, the answer must say so and never read as conformant
-            self._forget()
-            self._last = None
+            self.restart()
             return Verdict(Conformance.FAULT, f"the check failed: {type(e).__name__}: {e}")
 
     def _step(self, s: Sample) -> Verdict:
@@ -217,7 +231,8 @@ class Watch:
             verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         else:
             verdict = self._compare(x, before, outside)
-        self._launch(bool(outside))
+        if not verdict.deviations:  # what is refuted itself predicts nothing: one bad sample counts once
+            self._launch(bool(outside))
         self._u = (u, du)
         return verdict
 
@@ -254,9 +269,17 @@ class Watch:
             return "the drives are not in powered operation"
         if s.tau is None:
             return "no torque in the signals"
-        readings = (x, s.tau) if s.temp is None else (x, s.tau, s.temp)
-        if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
+        here, n = self._limits[0], self.model.n
+        signals = 3 * n
+        here[: 2 * n], here[2 * n : 3 * n] = x, s.tau
+        if s.temp is not None:
+            here[3 * n :], signals = s.temp, 4 * n
+        if not lib.stopset_sound(signals, self._rows[0], LARGEST):
             return "a reading is not a number"
+        if x[0] == 0.0 and not x.any() and not s.tau.any():
+            return (
+                "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
+            )
         lo, hi = self.model.domain.payload
         if not lo <= self.payload <= hi:
             return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"
@@ -266,12 +289,10 @@ class Watch:
         """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
         d, q, n = self.model.domain, self.quantum, self.model.n
         assert q is not None
-        here, lo, hi, slack = self._limits
-        here[:n], here[n : 2 * n], here[2 * n : 3 * n], slack[2 * n : 3 * n] = s.q, s.dq, u, du + 1e-12
-        signals = 3 * n
-        if s.temp is not None and d.temp is not None:
-            here[3 * n :], signals = s.temp, 4 * n
-        if not lib.stopset_beyond(signals, view(here), view(lo), view(hi), view(slack)):
+        # positions, speeds and temperatures stand there since they were looked at as numbers
+        self._limits[0, 2 * n : 3 * n] = u
+        np.add(du, 1e-12, out=self._limits[3, 2 * n : 3 * n])
+        if not lib.stopset_beyond((4 if s.temp is not None and d.temp is not None else 3) * n, *self._rows):
             return ()
         rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, du + 1e-12)]
         if s.temp is not None and d.temp is not None:
@@ -283,20 +304,20 @@ class Watch:
         return tuple(out)
 
     def _compare(self, x: Array, before: Sample | None, outside: tuple[str, ...]) -> Verdict:
-        if self._u is None or before is None or not self._age.max(initial=-1) >= 0:
+        if self._u is None or before is None:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
         n2 = len(x)
         # what rounding of the torque adds stands in the tube's limits already where inputs are plain
-        added = np.zeros(len(u)) if self._inputs.plain else du
+        added = self._none if self._inputs.plain else du
         live = lib.stopset_advance(
             self._predictions, view(x), view(np.concatenate([before.q, before.dq])), view(u), view(added), bool(outside),
-            self._widen, self._oldest,
+            self._widen, self._seen,
         )  # fmt: skip
-        oldest = self._oldest[0]
+        oldest, passed = self._seen
         if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
-        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0] if self._row.max() >= 0 else []
+        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0] if passed else []
         deviations = tuple(self._deviation(x, i, side) for side, i in found)
         room = np.where(np.isfinite(self._room), self._room, 1.0)
         result, why = Conformance.CONFORMANT, "inside every prediction"

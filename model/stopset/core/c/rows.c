@@ -49,11 +49,11 @@ void stopset_whiten(const StopsetPredictor *p, int64_t N, int64_t columns, const
     int64_t run = 0;
     for (int64_t k = 0; k < N; k++) {
         run = start[k] ? 0 : run + 1;
-        const int64_t m = run < order ? run : order;
+        const int64_t m = run < order ? run : order, at = p->kind[k] * (order + 1) + m;
         for (int64_t c = 0; c < columns; c++) {
             double e = X[k * columns + c];
-            for (int64_t i = 0; i < m; i++) e -= p->a[m * order + i] * X[(k - 1 - i) * columns + c];
-            out[k * columns + c] = e / p->sd[m];
+            for (int64_t i = 0; i < m; i++) e -= p->a[at * order + i] * X[(k - 1 - i) * columns + c];
+            out[k * columns + c] = e / p->sd[at];
         }
     }
 }
@@ -63,9 +63,9 @@ void stopset_coloured(const StopsetPredictor *p, int64_t N, const double *e, con
     int64_t run = 0;
     for (int64_t k = 0; k < N; k++) {
         run = start[k] ? 0 : run + 1;
-        const int64_t m = run < order ? run : order;
-        double x = e[k] * p->sd[m];
-        for (int64_t i = 0; i < m; i++) x += p->a[m * order + i] * out[k - 1 - i];
+        const int64_t m = run < order ? run : order, at = p->kind[k] * (order + 1) + m;
+        double x = e[k] * p->sd[at];
+        for (int64_t i = 0; i < m; i++) x += p->a[at * order + i] * out[k - 1 - i];
         out[k] = x;
     }
 }
@@ -76,10 +76,10 @@ void stopset_whiten_adjoint(const StopsetPredictor *p, int64_t N, const double *
     memset(out, 0, (size_t)N * sizeof *out);
     for (int64_t k = 0; k < N; k++) {
         run = start[k] ? 0 : run + 1;
-        const int64_t m = run < order ? run : order;
-        const double e = r[k] / p->sd[m];
+        const int64_t m = run < order ? run : order, at = p->kind[k] * (order + 1) + m;
+        const double e = r[k] / p->sd[at];
         out[k] += e;
-        for (int64_t i = 0; i < m; i++) out[k - 1 - i] -= p->a[m * order + i] * e;
+        for (int64_t i = 0; i < m; i++) out[k - 1 - i] -= p->a[at * order + i] * e;
     }
 }
 
@@ -127,18 +127,18 @@ STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, int64_t N, con
     memset(sc, 0, row);
     for (int64_t k = 0; k < N; k++) {
         run = start[k] ? 0 : run + 1;
-        const int64_t m = run < order ? run : order, here = k % ring;
+        const int64_t m = run < order ? run : order, at = p->kind[k] * (order + 1) + m, here = k % ring;
         waves(q[k], fade[k], R, n, step, s + here * R, c + here * R);
         memcpy(x, s + here * R, row);
         memcpy(y, c + here * R, row);
         for (int64_t i = 0; i < m; i++) {
-            const double weight = p->a[m * order + i], *before = s + (k - 1 - i) % ring * R, *beside = c + (k - 1 - i) % ring * R;
+            const double weight = p->a[at * order + i], *before = s + (k - 1 - i) % ring * R, *beside = c + (k - 1 - i) % ring * R;
             for (int64_t j = 0; j < R; j++) {
                 x[j] -= weight * before[j];
                 y[j] -= weight * beside[j];
             }
         }
-        const double scale = 1.0 / (p->sd[m] * p->sd[m]);
+        const double scale = 1.0 / (p->sd[at] * p->sd[at]);
         for (int64_t j = 0; j < R; j++) {
             ss[j] += scale * x[j] * x[j];
             cc[j] += scale * y[j] * y[j];

@@ -163,6 +163,13 @@ STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
+/* Whether every one of x (N,) is a number of at most this size. */
+STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
+
+/* The row of least cost (count,) among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
+STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
+                                     const double *x, const double *slack);
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */
@@ -177,9 +184,9 @@ typedef struct {
 } StopsetPredictions;
 
 /* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
- * Returns the predictions alive; `oldest`: the greatest age. Not a number counts as outside. */
+ * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
-                                    const double *du, int outside, int widen, int64_t *oldest);
+                                    const double *du, int outside, int widen, int64_t seen[2]);
 
 /* ---- message.c: what a message needs */
 
@@ -271,7 +278,8 @@ STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, in
 
 typedef struct {
     int64_t order;
-    const double *a, *sd; /* (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, and its deviation */
+    const double *a, *sd; /* of each kind of row (order + 1, order), (order + 1,): prediction from 0, 1, .. rows before, its deviation */
+    const int64_t *kind;  /* (N,) of each row; the rows of one run are of one kind */
 } StopsetPredictor;
 
 /* Rows (N, columns) less their prediction, over its deviation; back again; and the adjoint. */
@@ -363,7 +371,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step;
+    double coupling, christoffel, gravity_slope, whole_step, bend;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -401,6 +409,10 @@ STOPSET_API void stopset_follow(const StopsetTube *tube, int n, int64_t K, const
 /* Inertia, gravity and Christoffel symbols at q and their slopes, of the middle payload and of half its range. */
 STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
                                double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
+/* For angles in q + [x_lo, x_hi] the inertia lies in M +- dM (n, n), rotors included, and its slopes in those at q, of the same
+ * payload, +- turn (n, n, n). */
+STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
+                                    const StopsetParts *parts, double *M, double *dM, double *turn);
 /* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
@@ -14,8 +14,8 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
 from stopset.reach.stops.fast import Certificate
-from stopset.reach.stops.plant import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import FAST_KNOTS, fastest, stopped_after, tube_of, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
@@ -34,8 +34,8 @@ from stopset.reach.stops.words import (
 )  # fmt: skip
 from stopset.robot.rigid import gravity_torque, link_frames
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SWEEPS = 4  # capsules per link and tube
 FASTEST = 100.0  # [rad/s] of a joint: beyond, a unit was mistaken
 FEW = 2  # pieces of a STOP 0 that follows a STOP 2

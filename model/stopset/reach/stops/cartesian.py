@@ -18,7 +18,8 @@ import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.tube import Tube
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 SLICES = 10
 

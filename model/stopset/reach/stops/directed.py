@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import NotCovered
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def _support(sets: Array, ball: Array, direction: Array) -> Array:

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import ffi, given, lib, view
 from stopset.errors import NotCovered
 from stopset.reach.stops.tube import Tube
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def follow(tube: Tube, low: Array, high: Array) -> Array:

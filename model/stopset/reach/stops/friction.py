@@ -23,7 +23,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted
@@ -36,8 +35,8 @@ from stopset.reach.stops.payload import bodies, effect_of, largest_gravity, weig
 from stopset.ring import Interval
 from stopset.robot.rigid import Chain
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
 BEYOND = 0.5  # [rad] how far past the identified angles `Torques.everywhere` holds
 ROUNDING = 1e-12  # of a middle, a radius and an expansion, relative to the largest
@@ -138,7 +137,7 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
     fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     base = np.zeros((5, n, 2))
-    damped = [i for g in groups if g.effect.enters == "viscous" for i in g.joints]
+    damped = [i for g in groups if g.effect.enters == "damping" for i in g.joints]
     unknown = np.setdiff1d(np.arange(n), damped)  # there the abstraction's linear friction, as nothing better is known
     base[RUBS_VISCOUS, unknown] = model.abstraction.viscous[unknown, :1]
     fixed, speed, roaming = base.copy(), np.full(n, np.inf), []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.base import Effect, Fitted
@@ -11,8 +10,7 @@ from stopset.effects.bound import SIGMAS, uncovered
 from stopset.effects.registry import get
 from stopset.errors import EffectError, NotCovered
 from stopset.robot.arm import standard_parameters
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 def effect_of(f: Fitted) -> Effect:

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.tube import Tube
-from stopset.robot.rigid import torque
+from stopset.robot.rigid import torques
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KEY = "stop1_ramp"  # in a model's provenance
 KNOTS = 60
 POINTS = 40  # of the torque check, from one joint's rest to the next's
@@ -217,7 +217,7 @@ def infeasible(
         moving = (lasts > begin) & (np.abs(dq) > 0)
         for pi, pace in product(bodies, sorted({0.0, *ramp.pace})):
             times = np.linspace(begin, end, POINTS)
-            tau = np.array([_ramp_torque(model, pi, rotor, q, dq, lasts, t, moving, pace) for t in times])
+            tau = _ramp_torques(model, pi, rotor, q, dq, lasts, times, moving, pace)
             jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
             asked = np.maximum(asked, np.abs(tau).max(axis=0) + jump + extra)
     worst = int(np.argmin(limit - asked))
@@ -229,13 +229,13 @@ def infeasible(
     )
 
 
-def _ramp_torque(
-    model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: float, moving: NDArray[np.bool_], pace: float
+def _ramp_torques(
+    model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: Array, moving: NDArray[np.bool_], pace: float
 ) -> Array:
-    """(n,) [N m] of the rigid body with rotors, ``t`` seconds into the ramp of the joints ``moving``."""
-    u = np.minimum(t / lasts, 1.0)
+    """(N, n) [N m] of the rigid body with rotors, ``t`` (N,) seconds into the ramp of the joints ``moving``."""
+    u = np.minimum(t[:, None] / lasts, 1.0)
     way = lasts * (u - 0.5 * u * u)
     here, speed = q + dq * (way + 0.5 * pace * way * way), dq * (1.0 - u) * (1.0 + pace * way)
     acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * way) / lasts), 0.0)
-    out: Array = torque(model.robot.chain, pi, here, speed, acc) + rotor * acc
+    out: Array = torques(model.robot.chain, pi, here, speed, acc) + rotor * acc
     return out

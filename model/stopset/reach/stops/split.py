@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.tube import OK, Plant, Tube
-from stopset.robot.rigid import Array
+from stopset.types import Array
 
 FIELDS = ("delay", "rise", "brake")
 

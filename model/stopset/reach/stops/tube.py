@@ -33,7 +33,8 @@ import numpy as np
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import Parts
-from stopset.robot.rigid import Array, Chain, arm_struct
+from stopset.robot.rigid import Chain, arm_struct
+from stopset.types import Array
 
 OK, ENDLESS, UNBOUNDED = 0, 1, 2  # how a tube ends: at rest; still moving at the last step; claims not verifiable
 REDOS: int = lib.STOPSET_TUBE_REDOS  # of a step, when a first excursion can end with less brake impulse than was taken
@@ -143,6 +144,17 @@ def march(
     d_lo, d_hi, v_lo, v_hi = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
     return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic)  # type: ignore[call-arg]
+
+
+def inertia_box(plant: Plant, q: Array, x_lo: Array, x_hi: Array, parts: Parts) -> tuple[Array, Array, Array]:
+    """For angles in ``q + [x_lo, x_hi]`` (n,) the inertia is within the first (n, n) +- the second, rotor_half apart; its slopes
+    (n, n, n) differ from those at ``q``, of the same payload, by no more than the third."""
+    n = len(q)
+    struct, _held = plant_struct(plant)
+    out = [np.empty(shape) for shape in ((n, n), (n, n), (n, n, n))]
+    box = [view(given(x)) for x in (q, x_lo, x_hi)]
+    check(lib.stopset_inertia_box(struct, *box, ffi.new("StopsetParts *", tuple(parts)), *(view(x) for x in out)))
+    return out[0], out[1], out[2]
 
 
 def largest_energy(plant: Plant, q: Array, x_lo: Array, x_hi: Array, v_lo: Array, v_hi: Array) -> float:

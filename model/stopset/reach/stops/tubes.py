@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
-from stopset.reach.stops.plant import Setting
+from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.windows import windows
-from stopset.robot.rigid import Array, gravity_torque
+from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
+from stopset.types import Array
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
 FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
 FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
 FAST_WINDOWS = 2  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
-REGIONS = 4  # that a tube is tried in, each larger than what the last led to
+REGIONS = 5  # that a tube is tried in, each larger than what the last led to
+COARSE = 4  # times fewer knots of the tube that finds a region
 PATIENCE = 6  # times the expected stop before a tube is called endless
 MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
 
@@ -30,31 +35,71 @@ def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
     return engaged + float(np.min([0.5, np.max(np.abs(speed) * M / authority)]))
 
 
+@dataclass(slots=True)
+class Region:
+    """Angles, ``way`` (n,) [rad] beyond a box, and speeds (n,) [rad/s] that a stop is taken not to leave, until shown.
+
+    A continuous motion that stays inside while it has not left cannot leave: so a tube counts once it lies inside the region that
+    its effects were taken over.  Stops from one box share it, as what held one mostly holds the next; ``known``: it has been found
+    by a tube and not guessed.
+    """
+
+    way: Array
+    speed: Array
+    known: bool = False
+    _friction: Friction | None = None
+
+    @classmethod
+    def first(cls, setting: Setting, fast: Array, lasts: float) -> Region:
+        """A guess for speeds of the box up to ``fast`` (n,) [rad/s] and a stop of some ``lasts`` seconds."""
+        limit, speed = setting.torques.speed, 1.05 * fast + 0.05
+        return cls(1.1 * lasts * fast + 0.01, np.where(fast < limit, np.minimum(speed, limit), speed))
+
+    def plant(self, setting: Setting, plant: Plant, q: Array, q_radius: Array) -> Plant:
+        """``plant`` with what the effects give in the region around ``q +- q_radius``."""
+        if self._friction is None:
+            self._friction = setting.torques.over(Box(q - q_radius - self.way, q + q_radius + self.way), self.speed)
+        return setting.with_friction(plant, self._friction)
+
+    def holds(self, tube: Tube) -> bool:
+        """Whether the tube stays inside; if not the region is now a larger one."""
+        moved, fast = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)), fastest(tube)
+        if np.all(moved < self.way) and np.all(fast < self.speed):
+            return True
+        self.way, self.speed = np.maximum(self.way, 1.3 * moved), np.maximum(self.speed, 1.1 * fast)
+        self.known, self._friction = True, None
+        return False
+
+
 def march_box(
     setting: Setting, plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, energetic: bool,
-    parts: Parts = ALL_PARTS, knots: int = KNOTS,
+    parts: Parts = ALL_PARTS, knots: int = KNOTS, region: Region | None = None,
 ) -> Tube:  # fmt: skip
     """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each).
 
-    Where effects depend on pose or speed, they are those of a region that the stop must not leave: a continuous motion that
-    stays inside while it has not left cannot leave.  So a tube counts once it lies inside its region, else that grows.
+    Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here, first
+    with a coarse tube.
     """
     fast = np.abs(dq) + dq_radius
     lasts = expected_stop(setting.plant, q, fast)
-    steps = knots * (MORE_PATIENCE if energetic else PATIENCE)
-    way, known = 1.1 * lasts * fast + 0.01, setting.torques.speed
-    fast = np.where(fast < known, np.minimum(1.05 * fast + 0.05, known), 1.05 * fast + 0.05)
+    patience = MORE_PATIENCE if energetic else PATIENCE
+    settled = setting.torques.settled
+    region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        region = setting.near(plant, Box(q - q_radius - way, q + q_radius + way), fast)
+        coarse = not (settled or region.known)
+        steps = max(1, knots // COARSE) if coarse else knots
         tube: Tube = march(
-            region, q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, lasts / knots, steps, parts, energetic
-        )
-        if setting.torques.settled or tube.end != OK:
+            plant if settled else region.plant(setting, plant, q, q_radius),
+            q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, lasts / steps, steps * patience, parts, energetic,
+        )  # fmt: skip
+        if settled or (tube.end != OK and not coarse):
             return tube
-        moved = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0))
-        if np.all(moved < way) and np.all(fastest(tube) < fast):
-            return tube
-        way, fast = np.maximum(way, 1.3 * moved), np.maximum(fast, 1.1 * fastest(tube))
+        if tube.end != OK:
+            region.known = True  # no more is found with so few steps
+        elif region.holds(tube):
+            if not coarse:
+                return tube
+            region.known = True
     return tube._replace(end=UNBOUNDED)
 
 
@@ -85,8 +130,10 @@ def tubes_of(
 
     knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, KNOTS)
 
+    regions = [Region.first(setting, np.abs(dq) + dq_radius, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
+
     def one(plant: Plant, energetic: bool) -> Tube:
-        return march_box(setting, plant, q, dq, q_radius, dq_radius, energetic, parts, knots[energetic])
+        return march_box(setting, plant, q, dq, q_radius, dq_radius, energetic, parts, knots[energetic], regions[energetic])
 
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stopset.reach.stops.directed import PointSets
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Category = Literal["0", "1", "1 guaranteed", "2"]
 LAYERS = ("tube", "pieces", "energy", "ramp")  # one tube; several; one with the help of the kinetic energy; a ramp
 CATEGORIES: tuple[Category, ...] = ("0", "1", "1 guaranteed", "2")

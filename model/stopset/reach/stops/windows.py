@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from stopset.reach.stops.tube import Plant
-from stopset.robot.rigid import Array
+from stopset.types import Array
 
 WIDTH = 5e-3  # [s] of the common delay per window, at least; half of what the joints differ by anyway, if that is more
 TINY = 1e-12  # [s] an interval is not empty for rounding alone

@@ -16,13 +16,12 @@ from typing import Any
 import canopen
 import numpy as np
 from canopen.objectdictionary import ObjectDictionaryError, datatypes
-from numpy.typing import NDArray
 
 from stopset.errors import BusError
 from stopset.monitor.nodes import HEARTBEAT, OPERATIONAL, Nodes
 from stopset.monitor.profile import SIGNALS, Profile
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 FORMATS = {
     datatypes.INTEGER8: "b", datatypes.INTEGER16: "h", datatypes.INTEGER32: "i", datatypes.INTEGER64: "q",
     datatypes.UNSIGNED8: "B", datatypes.UNSIGNED16: "H", datatypes.UNSIGNED32: "I", datatypes.UNSIGNED64: "Q",

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.errors import StopsetError
 from stopset.offline.conform.program import STOP_TIME
 from stopset.reach.nonlinear import nominal
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 WINDOWS = 60
 TIE = 0.02  # relative difference below which the simpler model is taken
 

@@ -23,7 +23,7 @@ from stopset.artifact.polynomial import Polynomial, collected
 from stopset.ring.taylor import Algebra, Taylor
 from stopset.robot import Robot
 from stopset.robot.generic import mass_matrix
-from stopset.robot.rigid import Array
+from stopset.types import Array
 
 Matrix = list[list[Taylor]]
 # relative size of what is left where terms cancel exactly in real numbers

@@ -7,29 +7,30 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
+from stopset.effects.registry import get
 from stopset.offline.abstraction.choose import Candidate, best_first, prediction_error
 from stopset.offline.abstraction.models import build
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 HORIZON = 1.0  # [s] predictions are compared up to here
 ORDERS = {1: (1, 3), 2: (3, 5, 12), 3: (1, 3, 5)}  # tried where none is asked for; 12 is exact for six joints
-# power of dq and the effect's parameter; the other effects are taken off the input
-POWERS = {"viscous": (1, "F_v"), "cubic_viscous": (3, "v_3")}
 
 
 def friction_polynomial(joints: Sequence[str], effects: Sequence[Fitted]) -> Array:
-    """(n, 1 or 3) coefficients of ``dq, dq^2, dq^3`` [N m (s/rad)^k]; linear damping is kept from driving (>= 0)."""
+    """(n, 1 or 3) coefficients of ``dq, dq^2, dq^3`` [N m (s/rad)^k]; linear damping is kept from driving (>= 0).
+
+    The other effects are taken off the input.
+    """
     v: Array = np.zeros((len(joints), 3))
     for f in effects:
-        if f.effect in POWERS and f.joint is not None:
-            power, name = POWERS[f.effect]
-            v[list(joints).index(f.joint), power - 1] += f.values.get(name, 0.0)
+        effect = get(f.effect)
+        if effect.power and f.joint is not None:
+            v[list(joints).index(f.joint), effect.power - 1] += f.values.get(effect.terms[0].symbol, 0.0)
     v[:, 0] = np.maximum(v[:, 0], 0.0)
     return v if np.any(v[:, 1:]) else v[:, :1]
 

@@ -24,7 +24,8 @@ from stopset.errors import StopsetError
 from stopset.offline.abstraction.forms import Dynamics, Matrix, coriolis_degree, dynamics, inverse, terms
 from stopset.ring.taylor import MEMORY_LIMIT, Taylor, TaylorError, monomials
 from stopset.robot import Robot
-from stopset.robot.rigid import Array, mass_matrix
+from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
 ORDERS = (1, 3, 5, 7)  # of the paper's Table I
 # coefficients whose sum is below this fraction of the largest are rounding of the algebra and are dropped: on |sin|,

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
@@ -18,8 +17,8 @@ from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart, fit_nominal, pairs_of
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Held = Callable[[Recording], bool]
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.recording import SuiteKey
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 RISK = 0.005  # that the next stop's value lies outside, on either side
 TIMES = (0.0, 1.5)  # no delay or ramp is taken to last longer than this times the longest seen, however few the stops
 WIDEN, WIDENINGS = 1.15, 6  # of the sets per round, and rounds at most, until the training stops are enclosed

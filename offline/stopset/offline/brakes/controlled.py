@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
@@ -15,8 +14,8 @@ from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import STILL, Ramp
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KINDS = ("time", "deceleration")
 START = 0.005  # [s] delay to start the fit from
 SOFT = 0.01  # [rad/s] speeds farther than this from the ramp count less

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from stopset.artifact import Guarantee, Model
 from stopset.offline.conform.guarantee import CONFIDENCE, clopper_pearson
 from stopset.offline.stops.measured import trigger_of
-from stopset.reach.stops.plant import Setting, setting_of
 from stopset.reach.stops.ramp import Ramp, ramp_time, ramp_tube
+from stopset.reach.stops.setting import Setting, setting_of
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import Recording
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 BEFORE = 20  # samples before the request that tell how the speeds were changing
 SLOW = 0.2  # [rad/s] all joints together; slower, that is lost in the noise
 PIECES = 8  # tubes per stop and window of delays

@@ -13,18 +13,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Brakes, Model, UncertaintySets
 from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, Told, tell
-from stopset.reach.stops.plant import setting_of
+from stopset.reach.stops.setting import setting_of
 from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone

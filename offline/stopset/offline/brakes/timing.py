@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.offline.brakes.impulse import Impulse
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 GRID = 1e-3  # [s] of delays
 RISES = np.arange(2e-3, 41e-3, 3e-3)  # [s]
 TORQUE_PRIOR = 0.3  # relative standard deviation of a brake's torque around what is assumed of it

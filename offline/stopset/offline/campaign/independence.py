@@ -13,8 +13,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from stopset.offline.conform.noise import spread
 from stopset.recording import Recording, SuiteKey
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 OVERLAP = 0.4  # of the shorter recording must be shared at least

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import Ends, independent_motions
@@ -16,8 +15,8 @@ from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
 
 JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even

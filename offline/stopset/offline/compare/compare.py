@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import RecordingError
@@ -23,8 +22,7 @@ from stopset.offline.nominal.model import roller
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, read_meta, stream_recordings
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ from stopset.offline.campaign.survey import Survey
 from stopset.offline.compare.metrics import AVERAGING, torque_error
 from stopset.recording import Recording
 from stopset.robot.rigid import gravity_torques
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 BINS = 12
 ROUNDS = 20  # of backfitting: two overlapping variables have settled by then

@@ -12,8 +12,8 @@ from stopset.artifact import Model
 from stopset.offline.compare.metrics import AVERAGING
 from stopset.offline.nominal.model import shared_inertia
 from stopset.recording import Recording
-from stopset.recording.types import Array
 from stopset.robot.rigid import gravity_torques, torques
+from stopset.types import Array
 
 
 def left_over(model: Model, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None) -> Array:

@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.offline.nominal.open_loop import RollOut
 from stopset.reach.flowpipe import predict
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
 AVERAGING = (

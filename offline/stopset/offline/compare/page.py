@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.colors import sample_colorscale
 from plotly.subplots import make_subplots
 
@@ -21,8 +20,8 @@ from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 POINTS = 240  # per drawn line
 TRIALS = 24  # drawn per suite
 SUITES = 4

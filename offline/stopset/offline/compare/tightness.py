@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.offline.conform.corners import Trial
 from stopset.reach.flowpipe import Tube, predict
 from stopset.reach.nonlinear import predicted_tube
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 AGES = (0.0, 0.1, 1.0)  # [s] the first: one sample
 NAMES = ("one_sample", "0.1_s", "1_s")

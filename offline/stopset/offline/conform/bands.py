@@ -12,7 +12,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySets
 from stopset.errors import RecordingError
@@ -25,8 +24,8 @@ from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Recording
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 MOST = 20  # bands
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stopset.core.library import ffi, given, integers, lib, view
 from stopset.core.library import flags as flags_of
 from stopset.errors import NotConformant
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 

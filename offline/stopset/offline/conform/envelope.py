@@ -18,8 +18,8 @@ from stopset.errors import RecordingError
 from stopset.offline.conform.windows import update, update_decoupled
 from stopset.reach.flowpipe import discretise
 from stopset.recording import Recording
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.offline.campaign.map_reduce import Progress, Range, in_parts, within
 from stopset.offline.campaign.session import Session
@@ -19,8 +18,7 @@ from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart, pairs_of, roller
 from stopset.recording import Meta, Recording, SuiteKey
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import beta
 
@@ -21,8 +20,7 @@ from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.program import SOLVER_SLACK
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 CONFIDENCE = 0.95
 HELD_OUT_EVERY = 4

@@ -22,8 +22,8 @@ from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 AGES = 160  # of a zonotope's program, evenly in the logarithm: its rows couple all joints; what is checked is every age
 
 

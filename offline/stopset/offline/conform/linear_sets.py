@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
 from stopset.errors import NotConformant
@@ -23,8 +22,8 @@ from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses, responses
 from stopset.recording import Recording
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (motion, trial on the grid, its input u), anew per call
 

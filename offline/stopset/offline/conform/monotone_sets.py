@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import NotConformant
@@ -27,8 +26,7 @@ from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 ROUNDS = 60  # of cutting planes
 # what is still outside after the search, relative to the tube's size, is left to the scaling

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.offline.conform.reading_error import Apart, ReadingError, apart
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 WINDOW = 7  # samples of the local parabola: short against any motion, long enough to average
 COVERAGE = 4.0  # half-width in robust standard deviations of the local residual

@@ -30,8 +30,7 @@ from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 GRID = 0.02  # [s] finest step of the time-varying hull, whose cost is quadratic in the number of steps
 WINDOWS = 160  # of the check; the program sees every other one

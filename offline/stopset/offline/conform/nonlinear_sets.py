@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
 from stopset.offline.conform import guarantee as g
@@ -25,8 +24,8 @@ from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 KEEP = 400
 TOGETHER = 64  # trials in memory at a time in the check of all
 MOST_LEFT_OUT = 8  # motions: each that is left out costs a fit of its own

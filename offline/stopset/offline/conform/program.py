@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from stopset.errors import NotConformant
 from stopset.offline.conform.reading_error import ReadingError
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 # HiGHS keeps rows to 1e-7 at best (it was seen 9e-8 outside): rows start this much inside, and are re-checked
 SOLVER_SLACK = 2e-7

@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 SMOOTH = 0.15  # [s] over which the motion of a rigid arm is a cubic
 FEWEST = 5  # samples of that cubic where they come too slowly

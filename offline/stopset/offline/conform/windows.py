@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, integers, lib, view
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 

@@ -15,15 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction
 from stopset.offline.compare.metrics import AVERAGING
 from stopset.reach.flowpipe import along_joints
 from stopset.robot import Robot
 from stopset.robot.rigid import link_frames
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 
 POSES = 6  # at which the tool's directions are taken

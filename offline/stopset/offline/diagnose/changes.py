@@ -14,20 +14,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects.base import Effect, Part
+from stopset.effects.registry import get
+from stopset.effects.selection import of_part
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
-from stopset.recording.types import Array
 from stopset.robot.rigid import regressors, torques
+from stopset.types import Array
 
 LOWERED = 0.05  # share by which a change must lower the held-out error of one of its joints
 SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level: friction differs by some percent from day to day, with temperature and rest
 LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
 LEAST_MASS = 0.05  # [kg]
-FEWEST = 6  # blocks of time, below which their scatter tells nothing
+FEWEST = 6  # trials (of fewer ones: blocks of time), below which their scatter tells nothing
 MOST = 8  # changes told
+PARTS: dict[Part, str] = {
+    "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
+    "torque scale": "torque scale", "load": "load at the flange",
+}  # fmt: skip
+Told = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +58,16 @@ class Change:
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
-        what = {
-            "coulomb": "Coulomb friction", "viscous": "viscous friction", "asymmetric_coulomb": "constant torque",
-            "torque_gain": "torque scale", "payload": "load at the flange",
-        }[self.effect]  # fmt: skip
-        return f"The {what}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
+        return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Columns (rows, n, k) of a change, and what each says: ``effect, joint, symbol, unit, before``."""
+    """Columns (rows, n, k) of a change, and what each says."""
 
-    effect: str
     joint: int | None
     columns: Array
-    terms: tuple[tuple[str, str, str, float], ...]  # (effect, symbol, unit, before) of the columns that are told
+    terms: tuple[Told, ...]
     least: tuple[float, ...]
 
 
@@ -87,12 +90,12 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         told = [
             Change(
                 effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(std[k]), float(before[worst]), float(after[worst]),
+                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
             )
-            for k, (effect, symbol, unit, level) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(SURE * std[k], candidate.least[k])
+            for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
+            if abs(theta[k]) > max(SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
-        found.remove(candidate)
+        found = [c for c in found if c is not candidate]
         if not told:
             continue
         out += told
@@ -104,11 +107,10 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
-    number = 0
-    for r in recordings:
-        if r.phase == "static":
-            continue
-        for piece in blocks(r):
+    number, moving = 0, [r for r in recordings if r.phase != "static"]
+    whole = len(moving) >= FEWEST  # friction scatters from trial to trial: pieces of one err alike
+    for r in moving:
+        for piece in (r,) if whole else blocks(r):
             for m in motions(piece, Preprocessing()):
                 k = m.kept
                 q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
@@ -127,11 +129,17 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
 
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
     n, out = model.n, []
-    levels = {(f.effect, f.joint): f.values for f in model.effects}
+    dry_law, damping, offset, scale, body = map(of_part, PARTS)
+    fitted = {(f.effect, f.joint): f for f in model.effects}
+
+    def level(law: Effect, joint: str) -> tuple[float, float]:
+        """What the model says, and its error."""
+        f, symbol = fitted.get((law.name, joint)), law.terms[0].symbol
+        return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
+
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
     for j, joint in enumerate(model.joints):
-        dry = levels.get(("coulomb", joint), {}).get("F_c", 0.0)
-        wet = levels.get(("viscous", joint), {}).get("F_v", 0.0)
+        dry, wet = level(dry_law, joint), level(damping, joint)
 
         def at(*columns: Array, j: int = j) -> Array:
             block = np.zeros((len(q), n, len(columns)))
@@ -139,15 +147,18 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        terms = (("coulomb", "F_c", "N m", dry), ("viscous", "F_v", "N m s/rad", wet))
-        out.append(_Candidate("coulomb", j, friction, terms, (DAILY * dry, DAILY * wet)))
-        constant = (("asymmetric_coulomb", "c", "N m", 0.0),)
-        out.append(_Candidate("asymmetric_coulomb", j, at(np.ones(len(q))), constant, (DAILY * dry,)))
-        out.append(_Candidate("torque_gain", j, at(rigid[:, j]), (("torque_gain", "e", "1", 0.0),), (LEAST_GAIN,)))
+        out.append(_Candidate(j, friction, (_told(dry_law, *dry), _told(damping, *wet)), (DAILY * dry[0], DAILY * wet[0])))
+        out.append(_Candidate(j, at(np.ones(len(q))), (_told(offset),), (DAILY * dry[0],)))
+        out.append(_Candidate(j, at(rigid[:, j]), (_told(scale),), (LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = (("payload", "m", "kg", 0.0), *((("payload", s, "kg m", 0.0)) for s in ("mx", "my", "mz")))
-    out.append(_Candidate("payload", None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
+    load = tuple(_told(body, term=k) for k in range(4))
+    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
     return out
+
+
+def _told(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Told:
+    """What a column says."""
+    return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import compensated
@@ -22,19 +21,17 @@ from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import on_grid, survey
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.diagnose import Diagnosis, Parameter, Ranked
+from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
 from stopset.recording import Recording, Recordings
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders
 CONTENDERS = 3  # that are fitted to the end
-LEFT_OUT = frozenset({"torque_ripple", "asymmetric_coulomb"})  # too fast for this step; the offset is in every model
 CARRIED = frozenset({"q", "dq", "load", "temp", "warm", "t"})  # signals there are without acceleration and rigid body
 
 
@@ -93,9 +90,7 @@ def candidates(batch: JointBatch, names: Sequence[str] | None) -> list[EffectTer
             continue
         if names is not None and effect.name not in names:
             continue
-        if effect.name in LEFT_OUT:
-            continue
-        if _silent(effect, batch):
+        if _left_out(effect) or _silent(effect, batch):
             continue
         grids = {s.symbol: s.grid for s in effect.shapes}
         shapes = [{}] if not grids else [{k: g[i] for k, g in grids.items()} for i in range(min(map(len, grids.values())))]
@@ -109,7 +104,7 @@ def _blind(model: Model, batches: Sequence[JointBatch]) -> tuple[Blind, ...]:
     for effect in catalogue().values():
         if effect.base:
             continue
-        if effect.scope != "joint" or effect.states or not set(effect.needs) <= CARRIED or effect.name in LEFT_OUT:
+        if effect.scope != "joint" or effect.states or not set(effect.needs) <= CARRIED or _left_out(effect):
             out.append(Blind(effect.name, (), "compensated torque does not carry it", "Record the torque of the motors itself."))
             continue
         silent = tuple(j for j, batch in zip(model.joints, batches, strict=True) if _silent(effect, batch))
@@ -118,6 +113,11 @@ def _blind(model: Model, batches: Sequence[JointBatch]) -> tuple[Blind, ...]:
         elif silent and "warm" not in effect.needs:
             out.append(Blind(effect.name, silent, TRACELESS, effect.tell_apart))
     return tuple(out)
+
+
+def _left_out(effect: Effect) -> bool:
+    """What repeats within a turn is too fast for this step; a constant torque is in every model."""
+    return effect.periodic or effect.part == "constant torque"
 
 
 def _silent(effect: Effect, batch: JointBatch) -> bool:

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.effects.base import Fitted
-from stopset.offline.diagnose.diagnose import Examination, Ranked, examine, moves
+from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.search.held_out import judged_on
+from stopset.offline.diagnose.standing import moves
 from stopset.recording import Recordings
-from stopset.recording.types import Array
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.robot import rigid
 from stopset.robot.rigid import Chain
+from stopset.types import Array
 
 
 class Levers(NamedTuple):

@@ -8,9 +8,9 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.diagnose import Diagnosis
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.offline.diagnose.answer import Diagnosis
 from stopset.offline.report.page import COLOURS, Page, number
+from stopset.types import Array
 
 WORDS = {
     "missing": "These effects are missing from the model, best first.",

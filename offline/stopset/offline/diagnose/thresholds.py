@@ -103,15 +103,14 @@ TABLE = (
     Threshold("SENSORS", "leftover variance up to which only the sensors' noise is left", "",
               "0.7 to 1.0 where friction is smooth within a trial"),
     Threshold("QUIET", "leftover variance", "",
-              "friction wanders within a trial too, as real drives' does: 12 healthy simulated LWA-4P campaigns (seeds 901 to 912) reach "
-              "1.63 to 1.82, the 4 healthy labelled sets 0.92; a simulated UR10e, with heavier joints, 2.8 to 3.0 (seeds 905 to 908): "
-              "it is called unknown"),
+              "friction wanders within a trial too, as real drives' does: healthy simulated arms reach 1.09 (LWA-4P, 6 campaigns, seeds 901 "
+              "to 906) and 1.10 (UR10e, heavier joints, 4 campaigns, seeds 905 to 908), the 4 healthy labelled sets 0.92"),
     Threshold("WANDER", "leftover variance of half-second sums", "",
-              "33 healthy joints of 6 unseen sets (below): 0.62 to 1.04, mean 0.77; our own healthy arms to 1.6; a wander as large as "
+              "33 healthy joints of 6 unseen sets (below): 0.62 to 1.04, mean 0.77; our own healthy arms to 0.97; a wander as large as "
               "the noise 3, one that raises its joint's residual threefold 91; a test holds one that single rows do not show"),
     Threshold("PATTERN", "pattern left", "",
-              "gain of a step function of one variable on held-out motions; healthy, the same campaigns: LWA-4P to 7.5, labelled sets to 19.3, "
-              "UR10e to 44.7"),
+              "gain of a step function of one variable on held-out motions; healthy, the same campaigns: LWA-4P to 6.1, labelled sets to 19.3, "
+              "UR10e to 18.5"),
     Threshold("PATTERN_SHARE", "share of its joint's claims' score from which on a pattern left contradicts them", "%",
               "a true law leaves below 1 %, an impostor a quarter and more"),
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.inspect.tally import EVEN, LAGS, Tally
-from stopset.recording.types import Array, Meta
+from stopset.recording.types import Meta
+from stopset.types import Array
 
 Severity = Literal["error", "warning", "note"]
 NOTABLE_GAPS = 1e-4  # share of missing samples

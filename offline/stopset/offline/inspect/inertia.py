@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
 WINDOW = 0.2  # [s] long against noise of dq, short against a motion
 TOGETHER = 4.0  # windows whose errors count as one: what is not modelled lasts about a second

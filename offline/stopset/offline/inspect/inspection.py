@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings as detect
@@ -22,11 +23,9 @@ from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
-from stopset.recording.types import Array, Meta
+from stopset.recording.types import Meta
 from stopset.robot import Robot
-
-# friction that is left out of the model looks like delay
-FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ def _inspect(path: Path, robot: Robot | None) -> Inspection:
     try:
         stream = campaign.watch(stream_recordings(path, robot))
         if robot is not None:
-            data = accumulate(robot, stream, FRICTION, compensated=compensated)
+            data = accumulate(robot, stream, usual_friction(), compensated=compensated)
         else:
             for _ in stream:
                 pass

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from stopset.offline.conform.guarantee import FEWEST_MOTIONS, HELD_OUT_EVERY, split
 from stopset.offline.inspect.tally import MOVING
-from stopset.recording.types import Array
+from stopset.types import Array
 
 POSES = 20  # static poses from both sides: three times the gravity parameters of a usual arm
 SLOW, FAST = 0.15, 0.6  # of the speed limit: friction wants both ends of its curve

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
+from stopset.types import Array
 
 EVEN = 0.02  # relative spread of the period up to which stamps are even
 SURE = 3.0  # standard errors of the usual period by which stamps must run late for samples to be missing

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stopset.offline.inspect.findings import Finding
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
+from stopset.types import Array
 
 PER_TRIAL = 40  # rows taken of each trial
 MOST = 4000  # rows held; beyond, every other one is dropped

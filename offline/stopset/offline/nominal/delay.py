@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stopset.offline.nominal.normal_equations import DELAYS, TOGETHER, NormalEquations
 from stopset.offline.nominal.prior import Prior
-from stopset.recording.types import Array
+from stopset.types import Array
 
 LEAST_STD = 2e-4  # [s] no clock is known better
 BLUNT = 0.005  # [s] joints with a larger standard error do not say where the middle is

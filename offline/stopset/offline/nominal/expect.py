@@ -8,7 +8,7 @@ from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import assemble, problem_of
 from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
 from stopset.offline.nominal.prior import Prior
-from stopset.recording.types import Array
+from stopset.types import Array
 
 
 def expected_covariance(data: NormalEquations, prior: Prior, sigma: Array) -> Array:

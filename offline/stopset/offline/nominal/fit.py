@@ -15,7 +15,7 @@ from stopset.offline.nominal.normal_equations import TOGETHER, Layout, NormalEqu
 from stopset.offline.nominal.physical import consistent, solve_consistent
 from stopset.offline.nominal.prior import Prior
 from stopset.offline.nominal.qp import solve_qp
-from stopset.recording.types import Array
+from stopset.types import Array
 
 ROUNDS = 8  # of re-weighting: noise levels settle to 1 % within four
 FEW_GROUPS = 4  # with fewer groups of motions the correlation of errors cannot be seen

@@ -16,9 +16,9 @@ from stopset.offline.nominal.friction import Limits
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.preprocess import SLOWEST
 from stopset.offline.nominal.prior import Prior
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
+from stopset.types import Array
 
 FASTEST = 1000.0  # [rad/s^2] at full torque; light geared arms reach some hundred
 WEAK = 4.0  # standard errors of the inertia within which the floor may lie above what was fitted
@@ -65,7 +65,7 @@ def floor_of(robot: Robot, data: NormalEquations, prior: Prior) -> Floor:
             why.append(f"its {limit:g} N m would accelerate it by more than {FASTEST:g} rad/s^2")
         row = rotor.copy()
         for place, column in zip(layout.index(j)[10 * n + 1 :], layout.columns[j], strict=True):
-            if column.effect.name == "viscous":
+            if column.effect.power == 1:
                 row[place] = -settles
         rows.append(row)
         lower.append(-links[j])

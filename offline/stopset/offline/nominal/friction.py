@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from stopset.effects import Effect, Signals
 from stopset.offline.nominal.normal_equations import Layout
-from stopset.recording.types import Array
+from stopset.types import Array
 
 CREEP = 1e-9  # [rad/s] a column that has vanished here is viscous, one that has not is dry
 DRY = 1e-6  # of a unit coefficient, at creeping speed

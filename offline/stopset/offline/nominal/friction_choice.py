@@ -16,16 +16,16 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.effects.selection import base, usual
 from stopset.offline.campaign.hold_out import FOLDS, blocks
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import assemble, problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import GROUPS, NormalEquations, accumulate
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
-LAWS = ("load_coulomb", "cubic_viscous", "asymmetric_coulomb")  # tried beyond Coulomb and viscous friction
-BASE = ("coulomb", "viscous")
 GAINS = 0.02  # share by which a law must lower the held-out torque error, joints taken together
 LOADS = 2  # times that the load is computed anew
 NEVER = 1e12  # times a column's own weight: what is not part of a model stays zero
@@ -58,9 +58,9 @@ class Gain:
 def choose(
     robot: Robot, trials: Callable[[], Iterable[Recording]], motions: int, asked: Sequence[str] = (), barred: Sequence[str] = ()
 ) -> tuple[Gain, ...]:
-    """The laws that ``trials`` ask for beside `BASE` and those ``asked`` for, none of them ``barred`` (``effect:joint`` or
-    ``effect``); ``motions``: independent ones in the trials."""
-    laws = [x for x in LAWS if x not in asked and x not in barred]
+    """The laws that ``trials`` ask for beside `base` friction and those ``asked`` for, none of them ``barred`` (``effect:joint``
+    or ``effect``); ``motions``: independent ones in the trials."""
+    laws = [x for x in usual() if x not in asked and x not in barred]
     if not laws:
         return ()
     whole = motions >= FOLDS
@@ -70,9 +70,9 @@ def choose(
             yield from ([r] if whole or r.phase == "static" else _named(blocks(r)))
 
     # the load that friction may depend on is that of a fit that had all laws: friction left out would be taken for masses
-    reference = solve_nominal(robot, accumulate(robot, pieces(), (*BASE, *asked))).pi
+    reference = solve_nominal(robot, accumulate(robot, pieces(), (*base(), *asked))).pi
     for _ in range(LOADS):
-        data = accumulate(robot, pieces(), (*BASE, *asked, *laws), reference=reference)
+        data = accumulate(robot, pieces(), (*base(), *asked, *laws), reference=reference)
         richest = solve_nominal(robot, data)
         reference = richest.pi
     # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack
@@ -110,7 +110,7 @@ class _Ladder:
         self._systems = [self._system(total - G, self._rows - rows) for G, rows in held]
         self._parts = [problem_of(data.layout, G, still, rows, data.rows_still).moving for G, rows in held]
         self._solutions: dict[bytes, list[Array]] = {}
-        self._all = np.concatenate([self.places(j, x) for j in range(robot.n) for x in LAWS]).astype(np.intp)
+        self._all = np.concatenate([self.places(j, x) for j in range(robot.n) for x in usual()]).astype(np.intp)
 
     def places(self, joint: int, effect: str) -> NDArray[np.intp]:
         """Columns of a law at a joint, in the vector of all parameters."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact.inputs import effect_torques
-from stopset.effects.base import Fitted
+from stopset.effects.base import Fitted, Signals
 from stopset.effects.registry import get
 from stopset.recording import Recording
 from stopset.robot import Robot
@@ -25,9 +25,9 @@ def described(robot: Robot, known: Sequence[Fitted]) -> Robot:
         effect = get(f.effect)
         if effect.carried:
             pi[-1] += [f.values[t.symbol] for t in effect.terms]
-        elif f.effect == "rotor_inertia" and f.joint is not None:
-            j = robot.joints.index(f.joint)
-            drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + f.values["dJ"])
+        elif effect.enters == "inertia" and f.joint is not None:
+            j, more = robot.joints.index(f.joint), effect.torque(Signals(ddq=1.0), f.values)
+            drives[j] = replace(drives[j], rotor_inertia=float(robot.rotor[j]) + more)
     return replace(robot.with_parameters(pi), drives=tuple(drives))
 
 

@@ -6,19 +6,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Model
 from stopset.artifact.inputs import compensated, input_map
-from stopset.effects.base import Effect, Fitted
+from stopset.effects.base import Effect, Fitted, Signals
+from stopset.effects.registry import get
+from stopset.effects.selection import base, matches, of_part, parse_effect
 from stopset.errors import EffectError
 from stopset.offline.campaign.survey import Source, Survey, on_grid
 from stopset.offline.conform.linear_sets import Pairs
 from stopset.offline.conform.noise import TELLING
-from stopset.offline.effect_names import matches, parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
-from stopset.offline.nominal.friction_choice import BASE, Gain, choose
+from stopset.offline.nominal.friction_choice import Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
@@ -27,8 +27,7 @@ from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estimated; leave it out"
 
@@ -94,7 +93,7 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
     """Torque that already is ``u``: one lag per joint with its effects, by output error."""
     sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
     batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
-    wanted = [parse_effect(e, robot) for e in settings.effects if e not in ("coulomb", "viscous")]
+    wanted = [parse_effect(e, robot) for e in settings.effects if e not in base()]
     expected = np.diag(_mean_inertia(robot, robot.rotor, found))
     fits = []
     for joint, batch, J in zip(robot.joints, batches, expected, strict=True):
@@ -102,7 +101,8 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
         fits.append(fit_joint(batch, joint, terms, float(J)))
     inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
     abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
-    viscous = tuple(Fitted("viscous", j, {"F_v": f.damping}, {"F_v": f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
+    law, symbol = of_part("damping").name, of_part("damping").terms[0].symbol
+    viscous = tuple(Fitted(law, j, {symbol: f.damping}, {symbol: f.std[1]}) for j, f in zip(robot.joints, fits, strict=True))
     notes = (
         "compensated torque: inertia, damping and offset per joint by output error; Coulomb friction and gravity were taken "
         "off before recording and are not known to this model",
@@ -131,7 +131,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
         chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
-    nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*BASE, *asked, *(g.name for g in chosen)))))
+    nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen)))))
     strange = check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
@@ -140,7 +140,8 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
     inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
-    damping = np.array([nominal.value("viscous", j).get("F_v", 0.0) for j in robot.joints])
+    law = of_part("damping")
+    damping = np.array([nominal.value(law.name, j).get(law.terms[0].symbol, 0.0) for j in robot.joints])
     still = TELLING * found.readings.least.hi[robot.n :]
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
@@ -161,9 +162,10 @@ def shared_inertia(robot: Robot, effects: Sequence[Fitted]) -> Array:
     """(n, n) [kg m^2]: inertia of motors that turn with two joints, beside the diagonal."""
     out = np.zeros((robot.n, robot.n))
     for f in effects:
-        if f.effect == "coupled_wrist" and len(f.joints) == 2:
+        effect = get(f.effect)
+        if "ddq_other" in effect.needs and len(f.joints) == 2:
             i, j = map(robot.joints.index, f.joints)
-            out[i, j] = out[j, i] = f.values["J"]
+            out[i, j] = out[j, i] = effect.torque(Signals(ddq_other=1.0), f.values)
     return out
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.effects import Effect, Fitted
+from stopset.effects.selection import base
 from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
@@ -19,8 +20,9 @@ from stopset.offline.nominal.normal_equations import Column, NormalEquations, ac
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
 from stopset.offline.nominal.unidentifiable import base_count, undetermined
-from stopset.recording.types import Array, Recording, Recordings
+from stopset.recording.types import Recording, Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
 LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with
@@ -89,7 +91,7 @@ class Nominal:
 def identify_nominal(
     robot: Robot,
     recordings: Recordings | Iterable[Recording] | Callable[[], Iterable[Recording]],
-    effects: Sequence[str | Effect] = ("coulomb", "viscous"),
+    effects: Sequence[str | Effect] | None = None,
     *,
     effort: str | None = None,
     settings: Preprocessing | None = None,
@@ -98,7 +100,7 @@ def identify_nominal(
 ) -> Nominal:
     """Rigid body, rotors, friction and delay of an arm from raw recordings of any phases.
 
-    ``effects``: effects of single joints, ``"name"`` (all joints), ``"name:joint"``, or `Effect`.  ``effort``: kind of
+    ``effects``: effects of single joints, ``"name"`` (all joints), ``"name:joint"``, or `Effect`; left out: `base` friction.  ``effort``: kind of
     torque, taken from the recordings' metadata if they have one, else motor torque; currents arrive here already times
     their torque constant.  ``recordings``: an iterable is read once, a function is called for each pass.  ``tolerance``:
     how far the CAD may be off; ``delay`` [s]: known delay of torque against motion, else it is estimated first.
@@ -106,6 +108,7 @@ def identify_nominal(
     ``tau``).  With load-dependent effects the load is that of a first fit; where the recordings can be read only once, of the CAD.
     Raises `RecordingError` when no sample can be used; what the data leave open is kept at the CAD and listed.
     """
+    effects = base() if effects is None else effects
     if effort is None:
         effort = recordings.meta.effort if isinstance(recordings, Recordings) else "motor_torque"
     compensated = effort == "compensated_torque"

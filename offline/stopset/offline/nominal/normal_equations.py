@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.effects import Effect, get
+from stopset.effects.selection import base
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError, RecordingError
 from stopset.offline.nominal.preprocess import Motion, Pose, Preprocessing, motions, pose_of
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
+from stopset.types import Array
 
 GROUPS = 32
 TOGETHER = 10.0  # rows whose errors count as one where nothing tells it: half a second, at 20 rows per second
@@ -92,7 +94,7 @@ class Layout:
 def layout_of(robot: Robot, effects: Sequence[str | Effect], compensated: bool) -> Layout:
     """The parameters of ``effects`` (names, ``name:joint``, or effects) at every joint, in the order given.
 
-    Torque that is already compensated (eq. 11) holds no Coulomb friction: only what enters as viscous is kept.
+    Torque that is already compensated (eq. 11) holds no Coulomb friction: only what enters as damping is kept.
     Raises `EffectError` for effects of the whole arm or with memory: they are added to a model, not part of it.
     """
     columns: list[list[Column]] = [[] for _ in robot.joints]
@@ -106,7 +108,7 @@ def layout_of(robot: Robot, effects: Sequence[str | Effect], compensated: bool) 
             )
         if only and only not in robot.joints:
             raise EffectError(f"{item}: the robot has no joint {only}; expected one of {', '.join(robot.joints)}")
-        if compensated and effect.enters != "viscous":
+        if compensated and effect.enters != "damping":
             continue
         for j, joint in enumerate(robot.joints):
             if only in ("", joint):
@@ -192,16 +194,16 @@ def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Arra
 def accumulate(
     robot: Robot,
     recordings: Iterable[Recording],
-    effects: Sequence[str | Effect] = ("coulomb", "viscous"),
+    effects: Sequence[str | Effect] | None = None,
     settings: Preprocessing | None = None,
     reference: Array | None = None,
     compensated: bool = False,
 ) -> NormalEquations:
-    """One pass over the recordings; memory does not grow with their number.
+    """One pass over the recordings; memory does not grow with their number. ``effects`` left out: `base` friction.
 
     ``reference``: link parameters (n, 10) for the load of load-dependent effects, the robot's own if left out.
     """
-    layout = layout_of(robot, effects, compensated)
+    layout = layout_of(robot, base() if effects is None else effects, compensated)
     out = empty(robot, layout, settings or Preprocessing(), robot.pi if reference is None else reference, compensated)
     view = robot.with_parameters(out.reference)
     pending: list[Recording] = []  # the trials of the static pose being read

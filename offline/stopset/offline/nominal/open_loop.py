@@ -22,8 +22,7 @@ from stopset.errors import EffectError
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 # [rad/s] width of the change of direction: a sign would chatter within a step, a tenth of a degree per second does not
 DIRECTION_WIDTH = 0.01

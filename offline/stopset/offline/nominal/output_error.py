@@ -12,14 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from stopset.effects.base import Fitted
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, roll_out
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 # a velocity error counts as the way it goes in this time [s]: rad and rad/s are not addable (trap P11)
 VELOCITY_TIME = 0.3

@@ -7,42 +7,42 @@ looks like friction that depends on nothing of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
-from stopset.effects import Signals, get
+from stopset.effects import Effect, Signals, get
+from stopset.effects.selection import base, usual
 from stopset.offline.campaign.hold_out import blocks
-from stopset.offline.nominal.friction_choice import BASE, Gain
+from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.nominal import identify_nominal
 from stopset.offline.nominal.residual import Residual, residuals
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
-EFFECT = "coupled_wrist"
 TELLS = 0.2  # share by which the law must lower the held-out torque error of one of the joints
 LOOKED_AT = 16  # trials
 
 
 def coupled(robot: Robot, trials: Callable[[], Iterable[Recording]], sample: Sequence[Recording]) -> tuple[Gain, ...]:
-    """Pairs of neighbouring joints that ask for the law, worst error first; ``sample``: trials to judge on."""
-    nominal = identify_nominal(robot, trials, BASE)
+    """Pairs of neighbouring joints that ask for a law, worst error first; ``sample``: trials to judge on."""
+    nominal = identify_nominal(robot, trials, base())
     some = sample[:: max(1, len(sample) // LOOKED_AT)]
     parts = [x for r in some for b in blocks(r) for x in residuals(nominal, robot, b)]
     if len(parts) < 2:
         return ()
     out = []
-    for a, b in pairwise(range(robot.n)):
-        before, after = (_held_out(parts, (a, b), law) for law in (False, True))
+    for (a, b), name in product(pairwise(range(robot.n)), usual("pair")):
+        before, after = (_held_out(parts, (a, b), law) for law in (None, get(name)))
         gain = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
         if gain.max() > TELLS and gain.min() > 0:
             k = int(gain.argmax())
-            name = f"{robot.joints[a]}+{robot.joints[b]}"
-            out.append(Gain(EFFECT, name, float(np.sqrt(before[k])), float(np.sqrt(after[k]))))
+            out.append(Gain(name, f"{robot.joints[a]}+{robot.joints[b]}", float(np.sqrt(before[k])), float(np.sqrt(after[k]))))
     return tuple(out)
 
 
-def _held_out(parts: Sequence[Residual], pair: tuple[int, int], law: bool) -> Array:
+def _held_out(parts: Sequence[Residual], pair: tuple[int, int], law: Effect | None) -> Array:
     """(2,) mean square [N m] left at both joints of the parts that were left out in turn, every other one."""
     rows = [_rows(x, pair, law) for x in parts]
     squares, count = np.zeros(2), np.zeros(2)
@@ -57,15 +57,15 @@ def _held_out(parts: Sequence[Residual], pair: tuple[int, int], law: bool) -> Ar
     return squares / np.maximum(count, 1)
 
 
-def _rows(x: Residual, pair: tuple[int, int], law: bool) -> list[tuple[Array, Array]]:
+def _rows(x: Residual, pair: tuple[int, int], law: Effect | None) -> list[tuple[Array, Array]]:
     """Columns and leftover torque of both joints where they move: friction of their own again, and the shared motor's."""
     out = []
     for own, (i, k) in enumerate((pair, pair[::-1])):
         here = x.moving[:, i]
         mine = np.zeros((int(here.sum()), 6))
         mine[:, 3 * own : 3 * own + 3] = np.column_stack([np.sign(x.dq[here, i]), x.dq[here, i], x.ddq[here, i]])
-        if law:
+        if law is not None:
             s = Signals(dq=x.dq[here, i], dq_other=x.dq[here, k], ddq_other=x.ddq[here, k])
-            mine = np.column_stack([mine, *get(EFFECT).columns(s)])
+            mine = np.column_stack([mine, *law.columns(s)])
         out.append((mine, x.left[here, i]))
     return out

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import UncertaintySets
 from stopset.effects.signals import arm_signals
@@ -21,8 +20,7 @@ from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 from stopset.sets import Box
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 ERRORS = 2.0  # standard errors that a torque set holds at least
 SHARE = 0.95  # of the recombined states at which it does

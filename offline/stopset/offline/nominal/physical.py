@@ -14,7 +14,7 @@ import numpy as np
 
 from stopset.errors import NotConformant
 from stopset.offline.nominal.prior import tensor
-from stopset.recording.types import Array
+from stopset.types import Array
 
 MARGIN = 1e-7  # smallest eigenvalue kept, relative to the largest of the CAD's pseudo-inertia
 

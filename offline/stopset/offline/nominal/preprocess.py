@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
+from stopset.types import Array
 
 ORDER = 4  # of the Butterworth low-pass, run forwards and backwards: no phase, -6 dB at the cut-off
 IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of the period are resampled

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.recording.types import Array
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

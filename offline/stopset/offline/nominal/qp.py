@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.errors import NotConformant
-from stopset.recording.types import Array
+from stopset.types import Array
 
 TOLERANCE = 1e-9  # of the scaled rows: what may be left over after the exact active-set step
 

@@ -12,8 +12,9 @@ from stopset.offline.nominal.friction import dry
 from stopset.offline.nominal.nominal import Nominal
 from stopset.offline.nominal.normal_equations import friction_columns, moving_rows
 from stopset.offline.nominal.preprocess import Motion, motions
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
-from stopset.recording.types import Array
 from stopset.robot import Robot
+from stopset.types import Array
 
 SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
 

@@ -11,9 +11,9 @@ import numpy as np
 from stopset.offline.nominal.fit import Fit
 from stopset.offline.nominal.normal_equations import DELAYS, NormalEquations
 from stopset.offline.nominal.prior import Prior
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
+from stopset.types import Array
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OPEN = 0.9  # a parameter whose variance fell by less than a tenth was not told

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stopset.effects.selection import usual_friction
 from stopset.errors import StopsetError
 from stopset.offline.nominal.expect import expected_covariance
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
@@ -22,10 +23,10 @@ from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
+from stopset.types import Array
 
-FRICTION = ("coulomb", "viscous", "cubic_viscous", "load_coulomb")
 HALVED = 0.25  # of the variance: a parameter's error is at least halved
 STARTS = (0.1, 0.3, 0.5, 0.7)  # of a motion's duration: four start points per motion
 LONGEST = 5.0  # [s] of an open-loop trial
@@ -94,7 +95,7 @@ def design(
     """
     _check(wishes)
     rng = np.random.default_rng(wishes.seed)
-    data = None if recordings is None else accumulate(robot, recordings, FRICTION)
+    data = None if recordings is None else accumulate(robot, recordings, usual_friction())
     e = envelope(robot, wishes.speed, wishes.torque, wishes.floor)
     progress("static poses")
     poses = static_poses(robot, e, wishes.poses, rng)
@@ -202,9 +203,9 @@ def _outlook(
     out = []
     for part in parts:
         if part.name == "static":
-            mine = accumulate(robot, _poses_as_recordings(robot, poses), FRICTION)
+            mine = accumulate(robot, _poses_as_recordings(robot, poses), usual_friction())
         else:
-            mine = accumulate(robot, (m.recording(part.phase, k, 0, robot) for k, m in enumerate(part.motions)), FRICTION)
+            mine = accumulate(robot, (m.recording(part.phase, k, 0, robot) for k, m in enumerate(part.motions)), usual_friction())
         if part.motions or part.name == "static":
             total = mine if total is None else total + mine
             tells = _tells(robot, mine, prior, sigma)

@@ -15,9 +15,9 @@ import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
+from stopset.types import Array
 
 HARMONICS = 5
 SAMPLES = 80  # per candidate in the search

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.errors import RobotError
-from stopset.recording.types import Array, Recording
+from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import link_frames, torques
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ import numpy as np
 from stopset.errors import RobotError
 from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, heights
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, regressors
+from stopset.types import Array
 
 APPROACH = 0.05  # [rad] from below and from above: beyond the pre-sliding range of gears
 CANDIDATES = 1500

@@ -14,9 +14,9 @@ import numpy as np
 from stopset.errors import RobotError
 from stopset.offline.nominal.preprocess import derivative
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
-from stopset.recording.types import Array
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torque
+from stopset.types import Array
 
 GRID = 60
 SMOOTH = 0.08  # [s] length of the moving average

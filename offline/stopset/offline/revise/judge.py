@@ -15,12 +15,12 @@ from stopset.artifact import Model
 from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
+from stopset.effects.selection import parse_effect
 from stopset.offline.campaign.hold_out import HoldOut
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
-from stopset.offline.effect_names import parse_effect
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.recording import Recordings

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stopset.artifact import Model, Revision
+from stopset.effects.selection import parse_effect
 from stopset.errors import EffectError, ModelFileError, NotCovered
 from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
-from stopset.offline.effect_names import parse_effect
 from stopset.offline.identify.pipeline import Keep, Settings, identify
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
 from stopset.reach.stops import stop

@@ -9,8 +9,9 @@ import numpy as np
 
 from stopset.offline.stops.sampling import ANGLE_ERROR, DT, SPEED_ERROR, draw, inverse_inertia, start_of
 from stopset.reach.stops import Ramp, StopBound, StopBounds
-from stopset.robot.rigid import Array, Chain, link_frames
+from stopset.robot.rigid import Chain, link_frames
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 
 CHANGES = 6  # of a failing joint's speed before power is taken
 HORIZON = 0.6  # [s] simulated after power-off, at most

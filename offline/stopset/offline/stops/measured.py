@@ -6,13 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.errors import NotCovered
 from stopset.reach.stops import Category, StopBounds
 from stopset.recording import Recording
 
-Array = NDArray[np.float64]
 CATEGORY: dict[str, Category] = {"stop0": "0", "stop1": "1"}
 STILL = 4.0  # standstill: speeds within this many times the noise band
 

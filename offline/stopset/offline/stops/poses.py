@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from stopset.robot import Robot
 from stopset.robot.rigid import Chain, gravity_torques, link_frames
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SAMPLES = 6000
 SWEEPS = 40  # of coordinate ascent
 SLACK = 0.02  # of the full reach: poses this close to the wanted extension count

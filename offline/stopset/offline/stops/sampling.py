@@ -14,8 +14,9 @@ import numpy as np
 
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
-from stopset.robot.rigid import Array, link_frames, mass_matrix
+from stopset.robot.rigid import link_frames, mass_matrix
 from stopset.simulation.stop import simulate_stop
+from stopset.types import Array
 
 DT = 0.5e-3  # [s] between checks, and the step of the simulation
 PIECES = 8  # of the horizon, with a constant disturbance each

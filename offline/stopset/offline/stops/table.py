@@ -15,16 +15,15 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
-from stopset.reach.stops.plant import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
+from stopset.reach.stops.setting import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 SHARES = (33, 66, 100)
 PIECES = 64
 LIGHTEST = 1e-3  # [kg] of a rated payload

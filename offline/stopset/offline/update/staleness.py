@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
@@ -21,8 +20,7 @@ from stopset.offline.nominal import NormalEquations, accumulate, solve_nominal
 from stopset.offline.nominal.known_effects import described, plain
 from stopset.recording import Recording
 from stopset.robot import Robot
-
-Array = NDArray[np.float64]
+from stopset.types import Array
 
 SHARE = 0.3  # of the torque error: a new nominal model that differs by more takes five percent off it
 GROWN = 1.25  # times: a torque error on new recordings that is larger says that they are of another arm, or another day

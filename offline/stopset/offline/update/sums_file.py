@@ -38,8 +38,8 @@ from stopset.offline.revise.revise import description, settings_of
 from stopset.offline.update.signals_file import meta_of
 from stopset.recording import Recording, SuiteKey, counted
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
 SCHEMA = 5

@@ -172,7 +172,7 @@ void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, doubl
 
 double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
                               const double *v_hi) {
-    const StopsetParts all = {1.0, 1.0, 1.0, 1.0};
+    const StopsetParts all = {1.0, 1.0, 1.0, 1.0, 1.0};
     const double none[SN] = {0};
     Expansion E;
     Local at;

@@ -5,16 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.rows.rows import JointRows, joint_rows, pose_scatter
+from stopset.types import Array
 
 
 def all_rows(source: Source) -> list[JointRows]:
     d, Ys = source.data, source.regressor_still
     thin = slice(None, None, max(1, len(d.q) // 500))
-    typical = np.sqrt(np.mean(source.mass[thin] ** 2, axis=0)) + np.diag(source.robot.rotor)
+    square, phase = source.mass[thin] ** 2, d.phase[thin]
+    mean = np.mean(square, axis=0)
+    by_phase = [np.mean(square[phase == k], axis=0) if np.any(phase == k) else mean for k in range(len(d.torque_noise))]
+    typical = np.sqrt(by_phase) + np.diag(source.robot.rotor)
     scatter = [pose_scatter(Ys[:, j], d.tau_still[:, j]) if len(Ys) else float("inf") for j in range(d.n)]
-    return [joint_rows(d, j, typical[j], scatter[j]) for j in range(d.n)]
+    return [joint_rows(d, j, typical[:, j], scatter[j]) for j in range(d.n)]
 
 
 def base_columns(source: Source, rows: JointRows) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 
 def lagged(source: Source, joint: int, lag: float) -> Array:

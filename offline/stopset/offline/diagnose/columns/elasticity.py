@@ -11,9 +11,10 @@ import numpy as np
 
 from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.prepare import Mask
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.robot.rigid import bent_torques
+from stopset.types import Array
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
@@ -123,7 +124,7 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
     free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit * np.sqrt(K / M))]
     torques = [-K * x - filtered.D * dx for x, dx, _ in free]
     A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
-    noise = float(d.torque_noise[j] * np.linalg.norm(d.kernel.h))
+    noise = float(np.median(d.torque_noise[:, j]) * np.linalg.norm(d.kernel.h))
     for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
         rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
         if len(rows) > ROWS_TO_BEGIN:

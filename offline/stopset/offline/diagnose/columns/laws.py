@@ -12,7 +12,7 @@ from stopset.offline.diagnose.columns.delay import lagged
 from stopset.offline.diagnose.columns.elasticity import swing
 from stopset.offline.diagnose.columns.memory import memory
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
 
@@ -22,9 +22,9 @@ def columns(
 ) -> dict[int, tuple[Array, Array]]:
     """Columns of an effect by the joint whose row they stand in: moving rows (N, k) and poses (P, k)."""
     d = source.data
-    if effect.name == "elasticity":
+    if effect.role == "swing":
         return swing(source, joints[0], shapes)
-    if effect.name == "encoder_offset":
+    if effect.role == "reading" and effect.needs == ("stiff",):  # a joint turned for good: gravity differs at all of them
         j = joints[0]
         return {i: (source.stiff(j, False)[:, i, None], source.stiff(j, True)[:, i, None]) for i in range(d.n)}
     if effect.enters == "input_delay" and shapes.get("d0"):
@@ -42,7 +42,7 @@ def columns(
             if effect.states:
                 s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
             moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
-        gain = source.gain if effect.name == "payload" else 1.0
+        gain = source.gain if effect.carried else 1.0
         out[i] = (gain * moving, gain * _at_rest(source, effect, i, shapes))
     return out
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from stopset.effects import Effect, Signals
 from stopset.effects.memory import along
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.prepare import Mask
+from stopset.types import Array
 
 
 def memory(effect: Effect, s: Signals, shapes: Mapping[str, float], start: Mask, dt: float) -> tuple[Array, ...]:

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.core.library import ffi, flags, given, lib, view
+from stopset.core.library import flags, given, lib, view
 from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
-from stopset.offline.diagnose.rows.noise import whiten_adjoint
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.noise import Whitening
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.diagnose.search.wanted import Wanted
+from stopset.types import Array
 
 STEP = 0.5  # [cycles per turn]
 RIPPLES = np.arange(12.0, 161.0, STEP)  # [cycles per turn]
@@ -49,9 +49,9 @@ class Ripples:
             r = gram.residual(full[gram.index], hyper.sigma[j], hyper.kappa[j])[:k]
             q, fade = d.q[rows.take, j], 0.5 * (d.dq[rows.take, j] * spread) ** 2
             if j not in self._power or self._power[j][0] is not rows:
-                self._power[j] = rows, Power(*_power(q, fade, rows.start, rows.a, rows.sd, RIPPLES, STEP))
+                self._power[j] = rows, Power(*_power(q, fade, rows.whiten, RIPPLES, STEP))
             ss, cc, sc = self._power[j][1]
-            a, b = _products(q, fade, whiten_adjoint(r, rows.start, rows.a, rows.sd), RIPPLES, STEP)
+            a, b = _products(q, fade, rows.whiten.adjoint(r), RIPPLES, STEP)
             power = (cc * a * a - 2 * sc * a * b + ss * b * b) / np.maximum(ss * cc - sc * sc, 1e-9 * ss * cc + 1e-12)
             power = power / hyper.kappa[j]
             for _ in range(2):
@@ -72,12 +72,12 @@ def _products(q: Array, fade: Array, r: Array, n: Array, step: float) -> tuple[A
     return a, b
 
 
-def _power(q: Array, fade: Array, start: Mask, a: Array, sd: Array, n: Array, step: float) -> tuple[Array, Array, Array]:
+def _power(q: Array, fade: Array, whiten: Whitening, n: Array, step: float) -> tuple[Array, Array, Array]:
     """Sums of squares and products of the whitened sines and cosines."""
     ss, cc, sc = np.empty((3, len(n)))
-    work, predictor = np.empty((2 * len(sd) + 2, len(n))), ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+    work = np.empty((2 * whiten.sd.shape[1] + 2, len(n)))
     lib.stopset_ripple_power(
-        predictor, len(start), view(given(q)), view(given(fade)), flags(start), len(n), n[0], step, view(work), view(ss), view(cc),
+        whiten.struct(len(q)), len(q), view(given(q)), view(given(fade)), flags(whiten.start), len(n), n[0], step, view(work), view(ss), view(cc),
         view(sc),
     )  # fmt: skip
     return ss, cc, sc

@@ -9,11 +9,12 @@ import numpy as np
 
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
 from stopset.offline.diagnose.levers import Levers, levers
-from stopset.offline.diagnose.rows.prepare import CREEP, Array, Mask, Prepared
+from stopset.offline.diagnose.rows.prepare import CREEP, Mask, Prepared
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrices, regressors, torques
+from stopset.types import Array
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
+from stopset.effects.selection import of_part
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.thresholds import DRIVES
@@ -45,9 +46,9 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction = np.zeros((model.n, 2))
     for f in model.effects:
-        for column, (effect, symbol) in enumerate((("coulomb", "F_c"), ("viscous", "F_v"))):
-            if f.effect == effect and f.joint in model.joints:
-                friction[model.joints.index(f.joint), column] = f.values[symbol]
+        for column, law in enumerate((of_part("dry friction"), of_part("damping"))):
+            if f.effect == law.name and f.joint in model.joints:
+                friction[model.joints.index(f.joint), column] = f.values[law.terms[0].symbol]
     robot = replace(model.robot, drives=drives)
     gain, std, notes = drive_gain(described, robot, model.domain.q)
     return Baseline(robot, Known(friction, gain, std), "identified model", notes)

@@ -10,7 +10,8 @@ import numpy as np
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.evidence import gain
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Index
+from stopset.types import Array
 
 HELD = 1e12  # prior precision of a term held at zero
 MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
@@ -42,7 +43,7 @@ class Candidate:
         """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
         if self.given is not None:
             return (self.given / float(self.sd[0])) ** 2 + limit.LAG_PRICE
-        return limit.SWING_PRICE if self.effect.name == "elasticity" else 0.0
+        return limit.SWING_PRICE if self.effect.role == "swing" else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,12 @@ from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, Projection, project
 from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
-from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared, prepare
+from stopset.offline.diagnose.rows.prepare import Index, Mask, Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 
 __all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 
@@ -156,7 +157,7 @@ class Engine:
         sd = limit.PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])
         sd = np.where(np.isfinite(typical), typical, sd)
-        if effect.name == "rotor_inertia" and self.robot.rotor[joints[0]] > 0:
+        if effect.enters == "inertia" and effect.scope == "joint" and self.robot.rotor[joints[0]] > 0:
             sd = np.minimum(sd, limit.ROTOR_SHIFT * self.robot.rotor[joints[0]])
         span = np.array([t.hi - t.lo for t in effect.terms])
         sd = np.where(np.isfinite(span), np.minimum(sd, span / 2), sd)

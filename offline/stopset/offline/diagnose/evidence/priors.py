@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Index
+from stopset.types import Array
 
 
 class _Best:

@@ -21,7 +21,7 @@ def doubt(effect: Effect, values: Mapping[str, float], std: Mapping[str, float |
         v, s = sizes[t.symbol]
         if v < t.lo - SURE * s or v > t.hi + SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
-    if effect.name == "elasticity" and abs(values["share"] - 1.0) > WHOLE + SURE * (sizes["share"][1]):
+    if effect.role == "swing" and abs(values["share"] - 1.0) > WHOLE + SURE * (sizes["share"][1]):
         v, s = sizes["share"]
         return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {WHOLE:.0%} of it"
     for p in effect.shapes:

@@ -99,7 +99,7 @@ def _whole(engine: Engine, effect: Effect) -> str | None:
             return EVEN
     if effect.instead_of == "temp" and temp is not None:
         return ""  # the recorded temperature tells it better
-    if effect.name == "residual_gravity" and not engine.source.compensated:
+    if effect.effort == "compensated_torque" and not engine.source.compensated:
         return ""  # the whole rigid body is in the base model
     return None
 

@@ -11,7 +11,7 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, predicted, whitened
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)

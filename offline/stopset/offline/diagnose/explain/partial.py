@@ -13,8 +13,7 @@ import numpy as np
 
 from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
-from stopset.offline.diagnose.rows.noise import coloured
-from stopset.offline.diagnose.rows.prepare import Array
+from stopset.types import Array
 
 POINTS = 800  # drawn per effect
 
@@ -45,7 +44,7 @@ def partial(engine: Engine, hyper: Hyper, theta: Array, candidate: Candidate, jo
     gram = view.grams[joint]
     full = np.concatenate([[1.0], -theta])
     k = len(rows.take)
-    left = coloured(gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k], rows.start, rows.a, rows.sd)
+    left = rows.whiten.coloured(gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k])
     where = {column: at for at, column in enumerate(engine.nuisance.tolist())}
     value = theta[[where[c] for c in candidate.cols.tolist()]]
     phi = rows.plain(made[joint][0])

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Index
+from stopset.types import Array
 
 BINS = 24
 BLOCK = 25  # rows of half a second of motion: short against a wander of friction, long against what sensors and lags leave

@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
-from stopset.offline.diagnose.rows.prepare import Array, Index
+from stopset.offline.diagnose.rows.prepare import Index
+from stopset.types import Array
 
 FEW_TRIALS = 20  # below which parts of trials are taken as independent
 PART = 10.0  # [s] length of such a part: some motions
@@ -54,7 +55,7 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
     for c, told in zip(claims, out, strict=True):
-        if c.effect.name == "payload":  # a load is known no better than the torque it is weighed with
+        if c.effect.carried:  # a load is known no better than the torque it is weighed with
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 told[t.symbol] = float(np.hypot(told[t.symbol], engine.source.gain_std * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean

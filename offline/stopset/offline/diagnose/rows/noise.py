@@ -6,15 +6,17 @@ position's, which reaches the row through the acceleration times the inertia, ar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.core.library import ffi, flags, given, lib, view
+from stopset.core.library import ffi, flags, given, integers, lib, view
 from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 ORDER = 6  # rows the prediction looks back: the kernel's correlation is below 1e-4 after 5 rows
 
 
@@ -45,28 +47,47 @@ def predictor(c: Array) -> tuple[Array, Array]:
     return a, np.sqrt(var)
 
 
-def _struct(start: NDArray[np.bool_], a: Array, sd: Array, rows: int) -> Any:
-    if a.shape != (len(sd), len(sd) - 1) or len(start) != rows:
-        raise ValueError(f"a predictor of shapes {a.shape}, {sd.shape} for {rows} rows with {len(start)} beginnings")
-    return ffi.new("StopsetPredictor *", (len(sd) - 1, view(a), view(sd)))
+@dataclass(frozen=True, slots=True)
+class Whitening:
+    """Makes K rows independent: ``a`` (P, ORDER + 1, ORDER), ``sd`` (P, ORDER + 1) of `predictor` for each kind of row, ``kind``
+    (K,) of each row, ``start`` (K,): a new run of rows begins."""
 
+    start: NDArray[np.bool_]
+    kind: NDArray[np.int64]
+    a: Array
+    sd: Array
 
-def whiten(X: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
-    """Rows minus their prediction from the rows before, in units of its deviation; ``start``: a new run of rows begins."""
-    out = np.empty(X.shape)
-    lib.stopset_whiten(_struct(start, a, sd, len(X)), *X.shape, view(given(X)), flags(start), view(out))
-    return out
+    @staticmethod
+    def of(start: NDArray[np.bool_], kind: NDArray[np.int64], covariances: Sequence[Array]) -> Whitening:
+        """For rows of these `autocovariance`s, one for each kind."""
+        a, sd = zip(*map(predictor, covariances), strict=True)
+        return Whitening(start, np.ascontiguousarray(kind, np.int64), np.stack(a), np.stack(sd))
 
+    def __call__(self, X: Array) -> Array:
+        """Rows (K, k) minus their prediction from the rows before, in units of its deviation."""
+        out = np.empty(X.shape)
+        lib.stopset_whiten(self.struct(len(X)), *X.shape, view(given(X)), flags(self.start), view(out))
+        return out
 
-def coloured(e: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
-    """The rows again out of their whitened values: the inverse of `whiten` for one column."""
-    out = np.empty(e.shape)
-    lib.stopset_coloured(_struct(start, a, sd, len(e)), len(e), view(given(e)), flags(start), view(out))
-    return out
+    def coloured(self, e: Array) -> Array:
+        """The rows again out of their whitened values: the inverse for one column."""
+        out = np.empty(e.shape)
+        lib.stopset_coloured(self.struct(len(e)), len(e), view(given(e)), flags(self.start), view(out))
+        return out
 
+    def adjoint(self, r: Array) -> Array:
+        """The rows whose product with plain columns equals that of ``r`` with the whitened ones."""
+        out = np.empty(r.shape)
+        lib.stopset_whiten_adjoint(self.struct(len(r)), len(r), view(given(r)), flags(self.start), view(out))
+        return out
 
-def whiten_adjoint(r: Array, start: NDArray[np.bool_], a: Array, sd: Array) -> Array:
-    """The rows whose product with plain columns equals that of ``r`` with the whitened ones."""
-    out = np.empty(r.shape)
-    lib.stopset_whiten_adjoint(_struct(start, a, sd, len(r)), len(r), view(given(r)), flags(start), view(out))
-    return out
+    def struct(self, rows: int) -> Any:
+        """For the core, which reads as many rows."""
+        kinds, order = len(self.sd), self.sd.shape[1] - 1
+        if self.a.shape != (kinds, order + 1, order) or not len(self.start) == len(self.kind) == rows:
+            raise ValueError(
+                f"a predictor of shapes {self.a.shape}, {self.sd.shape} for {rows} rows with {len(self.start)} beginnings"
+            )
+        if rows and not 0 <= self.kind.min() <= self.kind.max() < kinds:
+            raise ValueError(f"rows of kinds {self.kind.min()} to {self.kind.max()} for {kinds} predictors")
+        return ffi.new("StopsetPredictor *", (order, view(self.a), view(self.sd), integers(self.kind)))

@@ -16,14 +16,15 @@ from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.recording import Recording, Recordings, SuiteKey
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
 CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
 
 
@@ -84,7 +85,8 @@ class Prepared:
     ``warm_fine, t_fine``.
     Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
     difference.
-    ``torque_noise, position_noise`` (n,): white noise of a sample [N m, rad].
+    ``torque_noise`` (P, n), ``position_noise`` (n,): white noise of a sample [N m, rad]; ``phase`` (N,): number of each row's phase, as
+    a controller's own jitter is in the torque of one phase and not in another's.
     """
 
     joints: tuple[str, ...]
@@ -114,6 +116,7 @@ class Prepared:
     tau_still: Array
     spread_still: Array
     torque_noise: Array
+    phase: Index
     position_noise: Array
 
     @property
@@ -193,16 +196,20 @@ def prepare(recordings: Recordings) -> Prepared:
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
-    noise = [(_white(g["tau"]), _white(g["q"])) for _, g in grids if len(g["t"]) > 20]
+    phases = list(dict.fromkeys(r.phase for r, _ in grids))
+    told = [(r.phase, _white(g["tau"]), _white(g["q"])) for r, g in grids if len(g["t"]) > 20]
+    noise = [[x for p, x, _ in told if p == phase] or [x for _, x, _ in told] for phase in phases]
+    which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
         tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
-        trial=np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials]), centre=centre,
+        trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
-        torque_noise=np.median([a for a, _ in noise], axis=0), position_noise=np.median([b for _, b in noise], axis=0),
+        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in told], axis=0),
+        phase=np.array([phases.index(r.phase) for r, _ in grids])[which],
     )  # fmt: skip
 
 
@@ -248,6 +255,18 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
 
 
 def _white(x: Array) -> Array:
-    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps."""
+    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps.
+
+    A reading comes in steps, and so does the median of its differences: a step too low or too high would make the noise half or
+    twice as large.  So every difference is spread evenly over the step it stands for, and the spread is taken off again.
+    """
+    step = np.array([_step(c) for c in x.T])
     d = np.diff(x, 4, axis=0)
-    return np.sqrt(np.median(d**2, axis=0) / 0.4549 / 70.0)  # 0.4549: median of chi2_1; 70: sum of squared binomials
+    even = np.mod(np.arange(len(d)) * GOLDEN, 1.0) - 0.5
+    square = np.median((d + np.outer(even, step)) ** 2, axis=0) / 0.4549  # the median of chi2_1
+    return np.sqrt(np.maximum((square - step**2 / 12) / 70.0, step**2 / 12))  # 70: sum of squared binomials
+
+
+def _step(x: Array) -> float:
+    """The step of a reading; next to nothing where it has none."""
+    return float(np.min(np.diff(np.unique(x)))) if np.ptp(x) > 0 else 0.0

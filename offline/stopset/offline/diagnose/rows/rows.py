@@ -6,22 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.diagnose.rows.noise import autocovariance, predictor, whiten
-from stopset.offline.diagnose.rows.prepare import Array, Index, Mask, Prepared
+from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
+from stopset.offline.diagnose.rows.prepare import Index, Prepared
+from stopset.types import Array
 
 FEW_POSES = 12  # below this the poses' own scatter can't be told
 
 
 @dataclass(frozen=True, slots=True)
 class JointRows:
-    """Rows of joint ``j``: ``take`` (K,) rows of `Prepared`; ``trial`` (K + P,) its trial, -1 for poses; noise filter."""
+    """Rows of joint ``j``: ``take`` (K,) rows of `Prepared`; ``trial`` (K + P,) its trial, -1 for poses; ``whiten``: their noise."""
 
     joint: int
     take: Index
-    start: Mask
     trial: Index
-    a: Array
-    sd: Array
+    whiten: Whitening
     still: int
     still_sd: float
 
@@ -32,7 +31,7 @@ class JointRows:
     def column(self, moving: Array, still: Array | None = None) -> Array:
         """Whitened columns (K + P, k) from row values (N, k) of the whole of `Prepared` and pose values (P, k)."""
         x = np.ascontiguousarray(moving[self.take].reshape(len(self.take), -1))
-        w = whiten(x, self.start, self.a, self.sd)
+        w = self.whiten(x)
         if not self.still:
             return w
         rest = np.zeros((self.still, w.shape[1])) if still is None else still.reshape(self.still, -1)
@@ -44,17 +43,15 @@ class JointRows:
 
 
 def joint_rows(data: Prepared, joint: int, inertia: Array, still_sd: float) -> JointRows:
-    """Rows of a joint; ``inertia`` (n,) typical row of the mass matrix with rotor [kg m^2], for the position's noise."""
+    """Rows of a joint; ``inertia`` (P, n) typical row of the mass matrix with rotor [kg m^2] by phase, for the position's noise."""
     take = np.flatnonzero(data.ok[:, joint])
     jump = np.diff(take, prepend=-9) != 1
     jump |= np.diff(data.trial[take], prepend=-1) != 0
-    c = autocovariance(
-        data.kernel, data.step, float(data.torque_noise[joint]), float(np.linalg.norm(inertia * data.position_noise))
-    )
-    a, sd = predictor(c)
+    noises = zip(data.torque_noise[:, joint], np.linalg.norm(inertia * data.position_noise, axis=1), strict=True)
+    whiten = Whitening.of(jump, data.phase[take], [autocovariance(data.kernel, data.step, *map(float, n)) for n in noises])
     poses = len(data.q_still) if np.isfinite(still_sd) else 0
     trial = np.concatenate([data.trial[take], np.full(poses, -1)]).astype(np.intp)
-    return JointRows(joint, take, jump, trial, a, sd, poses, still_sd)
+    return JointRows(joint, take, trial, whiten, poses, still_sd)
 
 
 def pose_scatter(Y: Array, tau: Array) -> float:

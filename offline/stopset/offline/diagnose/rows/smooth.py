@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.core.library import flags, given, lib, view
-from stopset.offline.diagnose.rows.prepare import Array, Mask
+from stopset.offline.diagnose.rows.prepare import Mask
+from stopset.types import Array
 
 
 def calm(x: Array, first: Mask) -> Array:

@@ -28,18 +28,18 @@ def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scor
 def possible(engine: Engine, s: Scored) -> bool:
     """Within its range; friction that builds up after a reversal is part of its joint's own."""
     c = s.candidate
-    return s.admissible and (c.effect.name != "hysteresis" or s.theta[0] < limit.BUILT_UP * engine.friction[c.joints[0], 0])
+    return s.admissible and (not c.effect.within_friction or s.theta[0] < limit.BUILT_UP * engine.friction[c.joints[0], 0])
 
 
 def _out_of_step(s: Scored) -> bool:
     """An elasticity between two stiffnesses of the grid: out of step with the true swing its own explains a part only."""
-    return s.candidate.effect.name == "elasticity" and not s.admissible and float(s.theta[0]) > 0
+    return s.candidate.effect.role == "swing" and not s.admissible and float(s.theta[0]) > 0
 
 
 def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Candidate:
     """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
     c = scored.candidate
-    return c if c.effect.name != "elasticity" or "exact" in c.shapes else _climbed(engine, c, "exact", 0.4, hyper)
+    return c if c.effect.role != "swing" or "exact" in c.shapes else _climbed(engine, c, "exact", 0.4, hyper)
 
 
 def begun(engine: Engine, elasticity: Candidate, hyper: Hyper) -> Candidate:
@@ -107,13 +107,13 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
             return replace(scored, score=0.0)
     elif effect.shapes:
         best_value = value(shapes)
-        steps = {p.symbol: (0.35 if effect.name == "torque_ripple" else 0.6) for p in effect.shapes}
+        steps = {p.symbol: (0.35 if effect.periodic else 0.6) for p in effect.shapes}
         finest = 0.06 if "exact" in shapes else 0.02  # an exact swing costs a rigid-body pass per trial value
         while best_value is not None and max(steps.values()) > finest:
             for p in effect.shapes:
                 for side in (1.0, -1.0):
                     x, h = shapes[p.symbol], side * steps[p.symbol]
-                    moved = x + h if effect.name == "torque_ripple" else x * float(np.exp(h))
+                    moved = x + h if effect.periodic else x * float(np.exp(h))
                     trial = {**shapes, p.symbol: float(np.clip(moved, p.lo, p.hi))}
                     s = value(trial)
                     if s is not None and s.score > best_value.score:

@@ -13,13 +13,12 @@ from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.scores import score_new, scores
-from stopset.offline.diagnose.rows.prepare import Array
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined, sharpened
 from stopset.offline.diagnose.search.wanted import exact, wanted
+from stopset.types import Array
 
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
-SHIFTS = frozenset({"payload", "rotor_inertia", "torque_gain", "base_tilt", "encoder_offset"})  # taken up by the free base model
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class Found:
 def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD) -> Found:
     """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless."""
     candidates = engine.add_all(wanted(engine, names))
-    ripple = catalogue().get("torque_ripple") if names is None or "torque_ripple" in names else None
+    ripple = next((e for e in catalogue().values() if e.periodic and (names is None or e.name in names)), None)
     ripples = Ripples(engine, ripple) if ripple else None
     hyper, p = engine.fit()
     candidates += engine.add_all(exact(engine, hyper, names))
@@ -75,7 +74,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         top, candidate, hyper, p = _settle(engine, near, hyper)
         earlier = list(engine.active)
         engine.active.append(candidate)
-        if candidate.effect.name == "elasticity":
+        if candidate.effect.role == "swing":
             hyper, p = _with_swings(engine, hyper, p)
         error = held_out(engine, hyper)
         if not foretells(candidate, _unexcused(engine, candidate, before, hyper), error):
@@ -83,7 +82,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
             hyper, p = engine.fit(hyper)
             refused.add(top.candidate.key)
             continue
-        if candidate.effect.name != "elasticity" and any(c.effect.name == "elasticity" for c in earlier):
+        if candidate.effect.role != "swing" and any(c.effect.role == "swing" for c in earlier):
             hyper, p = _with_swings(engine, hyper, p)
             error = held_out(engine, hyper)
         before = error
@@ -100,7 +99,7 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
 def _with_swings(engine: Engine, hyper: Hyper, p: Projection) -> tuple[Hyper, Projection]:
     """Claimed elasticities estimated again, with all that is known by now, and the whole model with them."""
     for k, c in enumerate(engine.active):
-        if c.effect.name == "elasticity":
+        if c.effect.role == "swing":
             engine.tell_source(p.theta)
             engine.active.pop(k)
             engine.active.insert(k, _added(engine, begun(engine, c, hyper)))
@@ -158,7 +157,7 @@ def _form_error(claim: Claim, excess: Sequence[float]) -> float:
 def foretells(candidate: Candidate, before: Array, after: Array) -> bool:
     """Whether a law foretells motions that it was not fitted to; what a free base model takes up can't show there."""
     where = list(candidate.joints) or list(range(len(before)))
-    return candidate.effect.name in SHIFTS or bool(np.max(1.0 - after[where] / before[where]) > limit.LOWERED)
+    return candidate.effect.absorbed or bool(np.max(1.0 - after[where] / before[where]) > limit.LOWERED)
 
 
 Settled = tuple[float, Scored, Candidate, Hyper, Projection]
@@ -183,7 +182,7 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
 
 def _settled_again(engine: Engine, claim: Claim, hyper: Hyper) -> Claim:
     """A narrow decision between contenders taken again, now that all the other causes are known."""
-    if not claim.rivals or claim.scored.candidate.effect.name == "elasticity":
+    if not claim.rivals or claim.scored.candidate.effect.role == "swing":
         return claim
     mine = next(k for k, c in enumerate(engine.active) if c.key == claim.scored.candidate.key)
     here = engine.active.pop(mine)

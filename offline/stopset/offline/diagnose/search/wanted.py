@@ -13,8 +13,6 @@ from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 
 LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
 
-NEIGHBOURS = "coupled_wrist"  # a shaft through a joint drives the next one
-
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 
@@ -23,9 +21,9 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     n, d = engine.data.n, engine.data
     out: list[Wanted] = []
     for effect in catalogue().values():
-        if effect.base or (names is not None and effect.name not in names) or effect.name == "torque_ripple":
+        if effect.base or (names is not None and effect.name not in names) or effect.periodic:
             continue
-        if effect.name == "residual_gravity" and not engine.source.compensated:
+        if effect.effort == "compensated_torque" and not engine.source.compensated:
             continue  # the whole rigid body is in the base model
         if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):
             continue
@@ -34,7 +32,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             places = [()]
         elif effect.scope == "pair":
             places = [(a[0], b[0]) for a, b in itertools.combinations(places, 2)]
-            if effect.name == NEIGHBOURS:
+            if effect.adjacent:
                 places = [(a, b) for a, b in places if b == a + 1]
         grids = [s.grid for s in effect.shapes]
         for place in places:
@@ -43,7 +41,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
                 continue
             for values in itertools.product(*grids):
                 shapes = dict(zip([s.symbol for s in effect.shapes], values, strict=True))
-                if effect.name != "elasticity" or _swings(engine, place[0], shapes["K"]):
+                if effect.role != "swing" or _swings(engine, place[0], shapes["K"]):
                     out.append((effect, place, shapes))
     return out
 
@@ -59,7 +57,7 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
         if names is not None and effect.name not in names:
             continue
         for j in loudest:
-            if effect.name == "elasticity":
+            if effect.role == "swing":
                 M = float(np.median(engine.source.mass[:, j, j]))
                 grid = [K for K in effect.shapes[0].grid if _swings(engine, j, K)]
                 out.extend((effect, (j,), {"K": K, "D": 0.1 * float(np.sqrt(K * M)), "exact": 1.0}) for K in grid)

@@ -1,5 +1,4 @@
-"""``stopset import``: CAN logs to recordings. (Only ever imported by name, so the keyword as a file name does no harm.)"""
-# ruff: noqa: N999
+"""``stopset import``: CAN logs to recordings."""
 
 from __future__ import annotations
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.friction import FRICTION_TOLERANCE, Torques, described, misreadings, torques_of
+from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, Torques, described, misreadings, torques_of
 from stopset.reach.stops.payload import bodies, weighed
 from stopset.reach.stops.tube import Plant
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
+from stopset.types import Array
 
-Array = NDArray[np.float64]
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
 HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 
@@ -64,9 +63,10 @@ class Setting:
 
     def near(self, plant: Plant, q: Box, speed: Array) -> Plant:
         """``plant`` with what the effects give at angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]."""
-        if self.torques.settled:
-            return plant
-        f = self.torques.over(q, speed)
+        return plant if self.torques.settled else self.with_friction(plant, self.torques.over(q, speed))
+
+    def with_friction(self, plant: Plant, f: Friction) -> Plant:
+        """``plant`` with the effects ``f`` in place of its own."""
         return plant._replace(
             coulomb_lo=f.dry.lo, coulomb_hi=f.dry.hi, viscous_lo=f.viscous.lo, viscous_hi=f.viscous.hi,
             u_lo=self.free.lo + f.push.lo, u_hi=self.free.hi + f.push.hi,

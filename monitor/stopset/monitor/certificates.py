@@ -1,0 +1,94 @@
+"""Stop bounds that hold for a box of measured states, kept: an arm that comes by again finds its bound without asking.
+
+What a certificate rests on, the model and the payload, does not change while a daemon uses them; so it does not grow old.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.library import lib, view
+from stopset.types import Array
+
+KEPT = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
+
+_ANY = np.zeros(1)  # the cost of one box is not looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """One category's bound: per joint (n,) time [s], forward and back [rad], and the flange's travel [m]; inf = not provable."""
+
+    time: Array
+    forward: Array
+    back: Array
+    tcp: float
+    provable: NDArray[np.bool_]
+    why: str = ""
+    margin: float = float("-inf")  # least holding margin [N m]
+    proven: bool = field(init=False)  # every joint is
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "proven", bool(self.provable.all()))
+
+    @classmethod
+    def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:
+        inf = np.full(n, np.inf)
+        return cls(inf, inf, inf, float("inf"), np.zeros(n, bool), why, margin)
+
+    @classmethod
+    def fallback(cls, n: int, time: float, angle: float, tcp: float, why: str) -> Numbers:
+        a = np.full(n, angle)
+        return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool), why)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make."""
+
+    category: str
+    lo: Array
+    hi: Array
+    numbers: Numbers
+    took: float
+
+    def covers(self, x: Array, slack: Array) -> bool:
+        """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
+        return bool(lib.stopset_tightest(1, len(x), view(self.lo), view(self.hi), view(_ANY), view(x), view(slack)) == 0)
+
+
+@dataclass(slots=True)
+class Shelf:
+    """The certificates of one category for an arm of ``n`` joints."""
+
+    n: int
+    kept: int = KEPT
+    answers: list[Answer] = field(default_factory=list)
+    _lo: Array = field(init=False)  # (kept, 2n) so are the upper ends; rows beyond `answers` are not looked at
+    _hi: Array = field(init=False)
+    _cost: Array = field(init=False)  # (kept,) the tightest is taken where several hold
+    _oldest: int = 0
+
+    def __post_init__(self) -> None:
+        self._lo, self._hi = np.empty((self.kept, 2 * self.n)), np.empty((self.kept, 2 * self.n))
+        self._cost = np.empty(self.kept)
+
+    def put(self, answer: Answer) -> None:
+        """Keep a certified answer, in the place of the oldest where there is none left."""
+        row = self._oldest
+        if len(self.answers) < self.kept:
+            self.answers.append(answer)
+        else:
+            self.answers[row] = answer
+        self._lo[row], self._hi[row] = answer.lo, answer.hi
+        self._cost[row] = float(np.sum(answer.numbers.forward + answer.numbers.back))
+        self._oldest = (row + 1) % self.kept
+
+    def best(self, x: Array, slack: Array) -> Answer | None:
+        """The tightest that holds for the reading ``x`` (2n,) with ``slack`` (2n,) either way."""
+        count = len(self.answers)
+        row = lib.stopset_tightest(count, 2 * self.n, view(self._lo), view(self._hi), view(self._cost), view(x), view(slack))
+        return None if row < 0 else self.answers[row]

@@ -1,0 +1,111 @@
+"""The other process of a stop desk: certifies boxes of states, each category in a thread of its own.
+
+The proofs run in the compiled core, which lets the other threads go on meanwhile: a category that takes long keeps none waiting.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import sys
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from stopset.artifact import load_model
+from stopset.errors import StopsetError
+from stopset.monitor.certificates import Answer, Numbers
+from stopset.monitor.config import Stops
+from stopset.types import Array
+
+if TYPE_CHECKING:
+    from stopset.reach.stops import StopBounds
+
+SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
+PARENT_S = 0.5  # [s] between looks whether the daemon still lives
+
+
+def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
+    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready."""
+    from stopset.reach.stops import StopBounds
+    from stopset.reach.stops.ramp import Ramp
+
+    parent = os.getppid()
+    model = load_model(model_path)
+    ramp = None
+    if stops.ramp_time_s or stops.ramp_deceleration:
+        ramp = Ramp.stated(
+            model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
+            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
+        )  # fmt: skip
+    prepared, refusal = None, ""
+    try:
+        prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
+    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
+        refusal = str(e)
+    sending = threading.Lock()
+    requests: dict[str, queue.SimpleQueue[tuple[Array, Array]]] = {c: queue.SimpleQueue() for c in categories}
+
+    def certify(category: str) -> None:
+        while True:
+            lo, hi = requests[category].get()
+            refused = Answer(category, lo, hi, Numbers.none(model.n, refusal), 0.0)
+            answer = refused if prepared is None else answer_for(prepared, category, lo, hi)
+            with sending, contextlib.suppress(OSError):  # the daemon is gone: the main thread sees it too
+                pipe.send(answer)
+
+    sys.setswitchinterval(SWITCH_S)
+    for c in categories:
+        threading.Thread(target=certify, args=(c,), daemon=True, name=f"stop-{c}").start()
+    pipe.send(None)
+    while True:
+        while not pipe.poll(PARENT_S):
+            if os.getppid() != parent:
+                return
+        try:
+            request = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if request is None:
+            return
+        category, lo, hi = request
+        requests[category].put((lo, hi))
+
+
+def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Answer:
+    """The bound for every measured state ``lo <= (q, dq) <= hi``, (2n,) each; whatever goes wrong is its reason to have none."""
+    begin, n = time.monotonic(), len(lo) // 2
+    lo, hi = _covered(prepared, lo, hi)
+    middle = 0.5 * (lo + hi)
+    # the halves round: what they leave out of the box is put back
+    radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
+    try:
+        numbers = numbers_of(prepared.bound(middle[:n], middle[n:], cast(Any, category), radius[:n], radius[n:]), n)
+    except StopsetError as e:
+        numbers = Numbers.none(n, str(e))
+    except Exception as e:  # noqa: BLE001 - a thread that died would leave its category without a word for ever
+        numbers = Numbers.none(n, f"the bound failed: {type(e).__name__}: {e}")
+    return Answer(category, lo, hi, numbers, time.monotonic() - begin)
+
+
+def _covered(prepared: StopBounds, lo: Array, hi: Array) -> tuple[Array, Array]:
+    """The part of a box that the robot's limits and the model's domain leave of it; the box where they leave none."""
+    domain, limit = prepared.model.domain, prepared.model.robot.q_limit
+    least = np.concatenate([np.maximum(domain.q.lo, limit[:, 0]), domain.dq.lo])
+    most = np.concatenate([np.minimum(domain.q.hi, limit[:, 1]), domain.dq.hi])
+    inner_lo, inner_hi = np.maximum(lo, least), np.minimum(hi, most)
+    apart = inner_lo > inner_hi
+    return np.where(apart, lo, inner_lo), np.where(apart, hi, inner_hi)
+
+
+def numbers_of(bound: Any, n: int) -> Numbers:
+    """A `StopBound` in the monitor's form."""
+    margin = -np.inf if bound.holding_margin is None else float(np.min(bound.holding_margin))
+    if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
+        return Numbers.none(n, bound.why, margin)
+    tcp = np.inf if bound.tcp is None else float(bound.tcp)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)

@@ -1,0 +1,128 @@
+"""The answer of a diagnosis: which effects, how sure, what is left, and its JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from stopset.effects import Fitted
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.changes import Change
+from stopset.offline.diagnose.explain.identifiable import Blind
+from stopset.offline.diagnose.explain.partial import Partial
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value with unit and standard deviation (None where the recordings do not tell it)."""
+
+    value: float
+    unit: str
+    std: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One missing effect: where, how sure, how large, what it changes."""
+
+    effect: str
+    joints: tuple[str, ...]
+    score: float
+    error_before: float  # [N m] held-out torque error of its joint (of the worst joint for the whole arm)
+    error_after: float
+    parameters: dict[str, Parameter]
+    look_at: str
+    says: str
+    unit: str = "N m"  # of the errors: rad where a simulation is judged
+    points: Partial | None = None  # to draw what it explains; None where a simulation is judged
+    change: Change | None = None  # of a level that the model had
+    doubt: str = ""  # why it is no finding after all
+    in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
+
+    @property
+    def label(self) -> str:
+        return self.effect if not self.joints else f"{self.effect}:{'+'.join(self.joints)}"
+
+    @property
+    def fitted(self) -> Fitted:
+        """As the model file holds it."""
+        values = {k: p.value for k, p in self.parameters.items()}
+        std = {k: p.std for k, p in self.parameters.items() if p.std is not None}
+        return Fitted(self.effect, "+".join(self.joints) or None, values, std)
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are in
+    doubt, with the reason of each."""
+
+    joint: str
+    size: float
+    depends_on: tuple[str, ...]
+    resembles: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json."""
+
+    verdict: str
+    ranked: tuple[Ranked, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    depends_on: tuple[str, ...]
+    not_identifiable: tuple[Blind, ...]
+    next_experiment: str | None
+    excess: dict[str, float] = field(default_factory=dict)  # leftover variance over sensor noise, per joint
+    friction_scatter: dict[str, float] = field(default_factory=dict)  # from trial to trial, relative
+    trials: int = 0
+    rows: int = 0
+    claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
+    notes: tuple[str, ...] = ()  # on what the recordings were measured against
+    changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
+    unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data of the answer's fixed shape."""
+        return {
+            "verdict": self.verdict,
+            "ranked_effects": [
+                {
+                    "effect": r.effect,
+                    "joint": None if not r.joints else r.joints[0] if len(r.joints) == 1 else list(r.joints),
+                    "score": round(r.score, 2),
+                    "error_before": r.error_before,
+                    "error_after": r.error_after,
+                    "unit": r.unit,
+                    "parameters": {k: {"value": p.value, "unit": p.unit, "std": p.std} for k, p in r.parameters.items()},
+                    "look_at": r.look_at,
+                    "says": r.says,
+                    "in_model": r.in_model,
+                }
+                | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std")}})
+                for r in self.ranked
+            ],
+            "rivals": [list(group) for group in self.rivals],
+            "depends_on": list(self.depends_on),
+            "not_identifiable": [
+                {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}
+                for b in self.not_identifiable
+            ],
+            "unexplained": [
+                {
+                    "joint": u.joint,
+                    "size": u.size,
+                    "unit": "N m",
+                    "depends_on": list(u.depends_on),
+                    "resembles": list(u.resembles),
+                }
+                for u in self.unexplained
+            ],
+            "changed": [c.says for c in self.changed],
+            "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
+            "excess": self.excess,
+            "friction_scatter": self.friction_scatter,
+            "threshold": limit.THRESHOLD,
+            "trials": self.trials,
+            "rows": self.rows,
+        }

@@ -1,0 +1,144 @@
+"""The search over recordings that move, and its claims with numbers, errors and doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from stopset.effects import Effect, Fitted, get
+from stopset.errors import EffectError
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.answer import Parameter, Ranked
+from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Known, Scored
+from stopset.offline.diagnose.explain.doubt import doubt, within
+from stopset.offline.diagnose.explain.partial import partial
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
+from stopset.offline.diagnose.remainder import Left, left_of
+from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.nominal.prior import Tolerance
+from stopset.recording import Recordings
+from stopset.robot import Robot
+from stopset.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """The search over recordings that move, and what it left: all that answers, judgements and estimates are taken from."""
+
+    engine: Engine
+    found: Found
+    already: tuple[Candidate, ...]  # effects that the model has
+    left: Left
+    ranked: tuple[Ranked, ...]
+
+    def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
+        """Which claims are of an effect, at these joints (None: wherever it acts)."""
+        wanted = None if joints is None else set(joints)
+        return tuple(
+            k
+            for k, r in enumerate(self.ranked)
+            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+        )
+
+    def errors(self, claims: Sequence[int]) -> list[Array]:
+        """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
+        return _errors(self.engine, self.found, self.already, [self.found.claims[k] for k in claims])
+
+
+def examine(
+    robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
+    names: Sequence[str] | None = None, known: Known | None = None,
+) -> Examination:  # fmt: skip
+    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its."""
+    engine = Engine.build(robot, recordings, tolerance, known)
+    _include(engine, fitted)
+    already = tuple(engine.active)
+    found = search(engine, names)
+    left = left_of(found, engine)
+    return Examination(engine, found, already, left, _ranked(engine, found, already, left))
+
+
+def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
+    """The model's own effects become part of the base."""
+    for f in fitted:
+        effect = get(f.effect)
+        if effect.base:
+            continue
+        unknown = set(f.joints) - set(engine.data.joints)
+        if unknown:
+            raise EffectError(f"effect {f.label}: no joint {', '.join(unknown)}; expected {', '.join(engine.data.joints)}")
+        place = tuple(engine.data.joints.index(j) for j in f.joints)
+        shapes: dict[str, float] = {p.symbol: f.values[p.symbol] for p in effect.shapes if p.symbol in f.values}
+        if effect.enters == "input_delay":
+            lag = f.values.get(effect.terms[0].symbol, 0.0)
+            shapes = {"d0": lag} if lag else {}
+        elif effect.role == "swing":
+            shapes |= {"exact": 1.0, "begun": 1.0}
+        candidate = engine.add(effect, place, shapes)
+        if candidate is not None:
+            engine.active.append(candidate)
+
+
+def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: Sequence[Claim]) -> list[Array]:
+    """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
+    if not claims:
+        return [found.before]
+    active, out = list(engine.active), [found.before]
+    for k in range(len(claims)):
+        engine.active = [*already, *(c.scored.candidate for c in claims[: k + 1])]
+        out.append(held_out(engine, found.hyper))
+    engine.active = active
+    return out
+
+
+def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: Left) -> tuple[Ranked, ...]:
+    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+    joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
+    deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    doubts = []
+    for claim, mine in zip(found.claims, numbers, strict=True):
+        values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
+        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
+    errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
+    out, before = [], errors[-1]
+    for k, claim in enumerate(found.claims):
+        c, after = claim.scored.candidate, errors.get(k, before)
+        where = list(c.joints) or list(range(len(joints)))
+        worst = max(where, key=lambda j: before[j] - after[j])
+        given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        out.append(
+            Ranked(
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
+                c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
+            )
+        )  # fmt: skip
+        before = after
+    return tuple(out)
+
+
+def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
+    """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
+    m = told["m"] if effect.carried else None
+    if m is None or m.std is None:
+        return effect.says
+    half = TWO_SIDES * m.std
+    text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
+    if abs(m.value) < half:
+        return f"{text}."
+    centre = ", ".join(f"{told[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
+    return f"{text}, centre at ({centre}) m in the last link's frame."
+
+
+def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:
+    """Terms, then shapes, each with its standard ``deviation``."""
+    c = scored.candidate
+    values = {t.symbol: (float(v), t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
+    values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
+    if c.effect.enters == "input_delay" and "d0" in c.shapes:
+        symbol = c.effect.terms[0].symbol
+        values[symbol] = (float(c.shapes["d0"]), values[symbol][1])
+    return {symbol: Parameter(v, unit, deviation.get(symbol)) for symbol, (v, unit) in values.items()}

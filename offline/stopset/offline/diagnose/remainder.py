@@ -1,0 +1,74 @@
+"""What the claims leave: variables that the rest depends on, joints whose variance is more than their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
+from stopset.offline.diagnose.search.search import Claim, Found
+from stopset.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly.
+
+    ``hyper``, ``theta``: the whole model refitted with the claims; ``ranking``: all variables by joint.
+    """
+
+    hyper: Hyper
+    theta: Array
+    ranking: dict[int, list[Dependence]]
+    depends: dict[int, list[Dependence]]
+    loud: tuple[int, ...]
+    contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
+    restless: tuple[int, ...]
+
+    @property
+    def worst(self) -> int | None:
+        if self.depends:
+            return max(self.depends, key=lambda j: self.depends[j][0].gain)
+        return next(iter((*self.loud, *self.restless)), None)
+
+
+def left_of(found: Found, engine: Engine) -> Left:
+    hyper, p = engine.fit(found.hyper)
+    depends, contradicted, wandering = {}, [], []
+    ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
+    for j in range(engine.data.n):
+        if len(engine.rows[j].take) < 100:
+            continue
+        ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
+        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
+            wandering.append(j)
+        claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
+        if ranked[0].gain > limit.PATTERN:
+            depends[j] = ranked
+            if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
+                contradicted.append(j)
+    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
+    return Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
+
+
+def verdict_of(found: Found, left: Left) -> str:
+    """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
+    if left.contradicted:
+        return "unknown"
+    if (left.depends or left.loud) and not _telling(found.claims):
+        return "unknown"
+    if found.claims:
+        return "missing"
+    return "unknown" if left.restless else "none"
+
+
+def _telling(claims: Sequence[Claim]) -> bool:
+    """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
+    for c in claims:
+        for before, after in zip(c.excess_before, c.excess_after, strict=True):
+            if before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0):
+                return True
+    return False

@@ -1,0 +1,85 @@
+"""An arm identified while it was healthy and recorded again weeks later: what changed, where, by how much, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from stopset.artifact import Model
+from stopset.offline.campaign.source import Campaign
+from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.identify.pipeline import Settings, identified
+from stopset.recording import Recordings
+from stopset.robot.arm import robot_from_text
+from stopset.simulation import Scenario, prepare
+from stopset.simulation.plant import Plant
+from test_hidden_effects import ARM
+
+LATER = 103  # other motions, other noise, other scatter of friction
+WORN, DRAGGING = (0, 2), 1  # joints whose friction rises, and one whose brake does not open wholly
+RISE, DRAG = 1.3, 3.0  # times, [N m]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A cell and the model of its arm as it was."""
+
+    scenario: Scenario
+    model: Model
+
+    def weeks_later(self, change: Callable[[Plant], Plant]) -> Diagnosis:
+        s = self.scenario
+        truth = replace(s.cell.truth, plant=change(s.cell.truth.plant))
+        found, against = diagnose_model(self.model, recorded(replace(s, cell=replace(s.cell, truth=truth, seed=LATER))))
+        assert against == "identified model"
+        return found
+
+
+def recorded(s: Scenario) -> Recordings:
+    return Recordings(replace(s.meta, sources=((f"{s.cell.seed}.parquet", f"{s.cell.seed}"),)), tuple(s.recordings()))
+
+
+@pytest.fixture(scope="module")
+def pair() -> Pair:
+    healthy = prepare(robot_from_text(ARM), ["none"], 3, "short", cad="wrong")
+    recordings = recorded(healthy)
+    campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
+    return Pair(healthy, identified(healthy.robot, campaign, Settings(), lambda _: None, None, (), None).model)
+
+
+def test_of_a_healthy_arm_nothing_is_said(pair: Pair) -> None:
+    found = pair.weeks_later(lambda plant: plant)
+    assert found.verdict == "none" and not found.ranked and not found.changed
+
+
+@pytest.mark.parametrize("wet", [False, True], ids=["dry", "dry and viscous"])
+def test_more_friction_and_a_dragging_brake_are_changes_with_their_joints_and_sizes(pair: Pair, wet: bool) -> None:
+    more = np.ones(3)
+    more[list(WORN)] = RISE
+    drag = DRAG * (np.arange(3) == DRAGGING)
+
+    def worn(plant: Plant) -> Plant:
+        return plant._replace(fc=plant.fc * more + drag, fv=plant.fv * (more if wet else 1.0))
+
+    found = pair.weeks_later(worn)
+    assert found.verdict == "changed"
+    before, joints = pair.scenario.cell.truth.plant, pair.model.joints
+    after = worn(before)
+    wanted = {("coulomb", joints[j]): (before.fc[j], after.fc[j]) for j in range(3)}
+    wanted |= {("viscous", joints[j]): (before.fv[j], after.fv[j]) for j in WORN if wet}
+    assert {(c.effect, c.joint) for c in found.changed} == set(wanted)
+    for c in found.changed:
+        true = wanted[c.effect, c.joint]
+        assert c.after - c.before == pytest.approx(true[1] - true[0], abs=4 * c.std)  # of five numbers each, two cases
+        assert c.after == pytest.approx(true[1], rel=0.05) and c.std < 0.03 * c.after
+        assert c.error_after < 0.8 * c.error_before
+    shown = found.as_json()["ranked_effects"]
+    assert all({"before", "after", "std"} == set(r["change"]) for r in shown) and len(shown) == len(wanted)
+
+
+def test_a_load_and_a_drives_gain_are_named_with_what_the_model_said_of_them(pair: Pair) -> None:
+    found = pair.weeks_later(lambda plant: plant._replace(gain=np.array([1.0, 1.06, 1.0])))
+    assert found.verdict == "missing" and [r.label for r in found.ranked] == ["torque_gain:lift"]
