@@ -13,12 +13,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, Truth, arm, moving
+from stopset.artifact import SCHEMA_VERSION, load_model
 from stopset.cli.main import main
 from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
 from stopset.offline.campaign.survey import survey
+from stopset.offline.compare.known import left_over
 from stopset.offline.diagnose.explain.doubt import doubt
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import identify_nominal
@@ -29,6 +31,7 @@ from stopset.offline.revise.revise import WIDER, widened
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot import load_robot
 from stopset.robot.arm import robot_from_text
+from stopset.robot.rigid import gravity_torques, torques
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 META = Meta(joints=JOINTS, robot="three", rate_hz=250.0)
@@ -143,6 +146,31 @@ def test_a_load_nobody_described_is_the_last_link_s_and_the_description_stays_go
     assert found.rms == pytest.approx(identify_nominal(carried.with_parameters(more), trials).rms, rel=0.1)
     bare = identify_nominal(cad, [moving(Truth(carried), k, 16.0, 1.2, seed=8) for k in range(4)])
     assert not any("carries" in note for note in bare.notes)
+
+
+def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:
+    """Fast motions of all joints: U need not hold the Coriolis torque.  A slow arm keeps the plainer input and the older schema."""
+    (tmp_path / "robot.urdf").write_text(arm().urdf)
+    (tmp_path / "robot.json").write_text(json.dumps(dict(arm().datasheet)))
+    found = {}
+    for name, speed in (("fast", 2.5), ("slow", 0.1)):
+        data, path = tmp_path / f"{name}.parquet", tmp_path / f"{name}.model.json"
+        write_recordings(data, META, [moving(Truth(arm()), 0, 16.0, speed, seed=9)])
+        words = ["--robot", str(tmp_path / "robot.urdf"), "--data", str(data), "--friction", "plain", "--accept-wide"]
+        assert main(["identify", *words, "--out", str(path)]) == 0
+        found[name] = load_model(path)
+    fast, slow = found["fast"], found["slow"]
+    assert fast.abstraction.swift and any(note.startswith("Coriolis and centrifugal torque is taken off") for note in fast.notes)
+    assert not slow.abstraction.swift and json.loads((tmp_path / "slow.model.json").read_text())["schema"] < SCHEMA_VERSION
+    plain = replace(fast, abstraction=replace(fast.abstraction, swift=False))
+    r = read_recordings(tmp_path / "fast.parquet").trials[0]
+    u, swift = plain.input(r.q, r.dq, r.tau), fast.input(r.q, r.dq, r.tau)
+    c = torques(fast.robot.chain, fast.robot.pi, r.q, r.dq, 0 * r.q) - gravity_torques(fast.robot.chain, fast.robot.pi, r.q)
+    moves = np.all(np.abs(r.dq) > fast.abstraction.standstill, axis=1)  # at rest friction balances what it can
+    assert (u - swift)[moves] == pytest.approx(c[moves], abs=1e-9) and np.abs(c).max() > 1.0
+    # what nobody explained is the same torque, whichever way it was written
+    left = (left_over(m, r, x, 0.004, window=1)[moves] for m, x in ((plain, u), (fast, swift)))
+    assert next(left) == pytest.approx(next(left), abs=1e-9)
 
 
 def test_a_rotor_that_nothing_tells_stands_at_a_physical_floor() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from stopset.effects import base, bound, get, selection, signals
 from stopset.effects.registry import catalogue
-from stopset.offline.abstraction import choose, forms, identified, models
+from stopset.offline.abstraction import choose, forms, identified, models, swift
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
 from stopset.offline.campaign import hold_out, independence, session, survey
@@ -106,6 +106,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("scale", scale, "SHARE"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
     ("abstraction choice", choose, "WINDOWS TIE"),
+    ("swift inputs", swift, "LOWERS"),
     ("abstraction forms", forms, "ROUNDING"),
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),
