@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -146,6 +147,22 @@ def test_a_load_nobody_described_is_the_last_link_s_and_the_description_stays_go
     assert found.rms == pytest.approx(identify_nominal(carried.with_parameters(more), trials).rms, rel=0.1)
     bare = identify_nominal(cad, [moving(Truth(carried), k, 16.0, 1.2, seed=8) for k in range(4)])
     assert not any("carries" in note for note in bare.notes)
+
+
+def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: Path) -> None:
+    """One with 2.8 kg beyond the last link among two without; another day's friction is no contradiction."""
+    heavy = arm().pi.copy()
+    heavy[-1] += 2.8 * np.array([1.0, 0.05, 0.0, 0.3, 0.0925, 0.0, 0.0925, -0.015, 0.0, 0.0025])
+    other = Truth(arm(), lambda dq, load: 1.15 * F_C * np.sign(dq) + 0.9 * F_V * dq)
+    made = {"free": Truth(arm()), "free_2": other, "loaded": Truth(arm().with_parameters(heavy))}
+    paths = []
+    for k, (name, truth) in enumerate(made.items()):
+        paths.append(tmp_path / f"{name}.parquet")
+        write_recordings(paths[-1], META, [moving(truth, k, 24.0 - k, 1.0, seed=11)])
+    told = [[f for f in i.findings if f.kind == "contradiction"] for i in inspect_recordings(paths, arm())]
+    assert told[0] == told[1] == [] and len(told[2]) == 1
+    found = re.search(r"as if about ([\d.]+) kg more", told[2][0].says)
+    assert found and 1.5 < float(found[1]) < 4.0, told[2][0].says
 
 
 def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:
