@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
@@ -29,7 +30,7 @@ class _File:
     """A file's sums without lags, and what they say by themselves: ``own``, ``torque`` (n,) root mean squares [N m]."""
 
     parts: list[Array]
-    places: list[Array]
+    places: list[NDArray[np.intp]]
     rows: Array
     nominal: Nominal
     own: Array
@@ -45,7 +46,7 @@ class _File:
         total = np.array([G[-1, -1] for G in p.moving])
         own = np.array([residual(G, nominal.theta[at]) for G, at in zip(p.moving, p.index, strict=True)])
         count = np.maximum(rows, 1.0)
-        return cls(p.moving, list(p.index), rows, nominal, np.sqrt(own / count), np.sqrt(total / count))
+        return cls(p.moving, p.index, rows, nominal, np.sqrt(own / count), np.sqrt(total / count))
 
     def error(self, theta: Array) -> Array:
         """(n,) root mean square [N m] that parameters of another file leave of this one."""
