@@ -154,7 +154,6 @@ def judge(folder: Path, work: Path) -> dict[str, Any]:
     compared = json.loads(answer.read_text()) if answer.exists() else {}
     out["held-out inside"] = code == 0
     out["left"] = f"{compared.get('violations')} of {compared.get('recordings')}"
-    known = load_model(model)
     out["U"] = float(load_model(model).powered.U.width.sum())
     out["tightness"] = median(text)
     answer = work / "diagnose.json"
