@@ -135,6 +135,14 @@ class Fallback:
 
 
 @dataclass(frozen=True, slots=True)
+class Signed:
+    """Whose models are taken: files of public keys (none: unsigned ones too), and the least revision, so that none comes back."""
+
+    keys: tuple[str, ...] = ()
+    least_revision: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
@@ -158,6 +166,7 @@ class Config:
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
+    signed: Signed = field(default_factory=Signed)
     record: Records = field(default_factory=Records)
     limits: Limits = field(default_factory=Limits)
     sha256: str = ""
@@ -196,20 +205,9 @@ def _build(kind: Any, x: Any, where: str) -> Any:
     return x
 
 
-def load_config(path: str | Path) -> Config:
-    """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
-    p = Path(path)
-    try:
-        text = p.read_text(encoding="utf-8")
-        raw = tomllib.loads(text)
-    except FileNotFoundError as e:
-        raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
-        raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
-    config: Config = _build(Config, raw, "")
-    if (config.bus is None) == (config.joint_states is None):
-        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
-    limits = (
+def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
+    """Every number with its name, least and largest value."""
+    return (
         ("bus.time_scale", config.bus.time_scale if config.bus else 1.0, 1e-3, 1e3),
         ("joint_states.cycle_s", config.joint_states.cycle_s if config.joint_states else 1.0, 1e-4, 1.0),
         ("publish.json_hz", config.publish.json_hz, 0.1, 50.0),
@@ -227,6 +225,7 @@ def load_config(path: str | Path) -> Config:
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),
+        ("signed.least_revision", config.signed.least_revision, 0, 10**6),
         ("record.before_s", config.record.before_s, 0.1, 10.0),
         ("record.file_s", config.record.file_s, 1.0, 86400.0),
         ("record.keep_mb", config.record.keep_mb, 1.0, 1e6),
@@ -240,7 +239,22 @@ def load_config(path: str | Path) -> Config:
         ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
         ("fallback.tcp_m", config.fallback.tcp_m, 1e-6, math.inf),
     )
-    for name, value, lo, hi in limits:
+
+
+def load_config(path: str | Path) -> Config:
+    """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
+    p = Path(path)
+    try:
+        text = p.read_text(encoding="utf-8")
+        raw = tomllib.loads(text)
+    except FileNotFoundError as e:
+        raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
+        raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
+    config: Config = _build(Config, raw, "")
+    if (config.bus is None) == (config.joint_states is None):
+        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
+    for name, value, lo, hi in _ranges(config):
         if not lo <= value <= hi:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}: mend it")
     if not (len(config.warm) == 2 and 0.0 <= config.warm[0] <= config.warm[1] <= 1.0):
@@ -273,7 +287,9 @@ def load_config(path: str | Path) -> Config:
     journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
     record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
     return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
         limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
         journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),

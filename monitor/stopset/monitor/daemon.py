@@ -87,7 +87,7 @@ class Daemon:
         self.publisher = Publisher(outlet, self.clock, self._identity(), signer)
         self.margins: dict[str, Any] | None = None
         self.override: dict[str, Any] | None = None
-        self.advisor = Advisor(config) if config.limits.override else None
+        self.advisor = Advisor(config, model.sha256) if config.limits.override else None
         self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
@@ -107,7 +107,7 @@ class Daemon:
         watch = watch_for(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]), self.cycle_s)
         if desk is None:
             fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
-            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock)
+            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:
@@ -157,6 +157,9 @@ class Daemon:
         self.publisher.identity = self._identity()
         self.publisher.event("reloaded", model_sha256=self.model.sha256, before=before)
         threading.Thread(target=old.close, daemon=True, name="old-desk").start()  # waits for its process
+        if self.advisor is not None:
+            threading.Thread(target=self.advisor.close, daemon=True, name="old-advisor").start()
+            self.advisor = Advisor(self.config, self.model.sha256)
 
     # ---- one turn -----------------------------------------------------------------------------------------------
 

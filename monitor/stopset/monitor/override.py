@@ -46,12 +46,12 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: Limits) -> float
     return 1.0
 
 
-def _advise(model_path: str, payload: float, stops: Stops, limits: Limits, pipe: Connection) -> None:
+def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: Limits, pipe: Connection) -> None:
     """The other process: takes a state, gives its override."""
     from stopset.monitor.stopworker import answer_for, prepare
 
     parent = os.getppid()
-    prepared, refusal = prepare(model_path, payload, stops)
+    prepared, refusal = prepare(model_path, payload, stops, sha256)
     while True:
         while not pipe.poll(0.5):
             if os.getppid() != parent:
@@ -78,6 +78,7 @@ class Advisor:
     """Asks every ``limits.override_every_s``; ``said``: stamp of the state [s] and the part of its speed, None before the first."""
 
     config: Config
+    sha256: str  # of the model that is watched
     said: tuple[float, float] | None = None
     _pipe: Connection = field(init=False)
     _process: Any = field(init=False)
@@ -88,7 +89,7 @@ class Advisor:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         c = self.config
-        args = (c.model, c.payload_kg, c.stops, c.limits, theirs)
+        args = (c.model, self.sha256, c.payload_kg, c.stops, c.limits, theirs)
         self._process = context.Process(target=_advise, args=args, daemon=True, name="override")
         self._process.start()
         theirs.close()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from stopset.artifact import load_model
-from stopset.errors import StopsetError
+from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Stops
 from stopset.types import Array
@@ -26,13 +26,19 @@ if TYPE_CHECKING:
     from stopset.reach.stops import StopBounds
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
+MOST_CAPSULES = 400  # of a bound that are kept for pictures; one in more pieces has none, rather than a part
 PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
-def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
-    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready."""
+def work(
+    model_path: str, sha256: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection
+) -> None:  # fmt: skip
+    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready.
+
+    ``sha256``: of the model that is watched; a file that holds another one by now bounds nothing.
+    """
     parent = os.getppid()
-    prepared, refusal = prepare(model_path, payload, stops)
+    prepared, refusal = prepare(model_path, payload, stops, sha256)
     sending = threading.Lock()
     requests: dict[str, queue.SimpleQueue[tuple[Array, Array]]] = {c: queue.SimpleQueue() for c in categories}
 
@@ -62,8 +68,8 @@ def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, .
         requests[category].put((lo, hi))
 
 
-def prepare(model_path: str, payload: float, stops: Stops) -> tuple[StopBounds | None, str]:
-    """The bounds of a model with the ramp that is stated, or None and why there are none."""
+def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
+    """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
     from stopset.reach.stops import StopBounds
     from stopset.reach.stops.ramp import Ramp
 
@@ -75,6 +81,11 @@ def prepare(model_path: str, payload: float, stops: Stops) -> tuple[StopBounds |
             off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
         )  # fmt: skip
     try:
+        if sha256 and model.sha256 != sha256:
+            raise ModelFileError(
+                f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
+                "have the monitor read it anew (SIGHUP), or restore it"
+            )
         return StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True), ""
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         return None, str(e)
@@ -112,4 +123,5 @@ def numbers_of(bound: Any, n: int) -> Numbers:
     if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
         return Numbers.none(n, bound.why, margin)
     tcp = np.inf if bound.tcp is None else float(bound.tcp)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+    swept = None if bound.capsules is None or bound.capsules.size > 7 * MOST_CAPSULES else bound.capsules.reshape(-1, 7)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept)

@@ -356,6 +356,19 @@ class Watch:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
         return Verdict(result, why, live, float(self.ages[oldest]), deviations, outside, room)
 
+    def tube(self, sample: Sample) -> tuple[Array, Array] | None:
+        """Between which values (2n,) all predictions in force put the sample last taken; None where nothing is predicted.
+
+        Where they contradict each other the lower end is above the upper one.
+        """
+        rows = np.flatnonzero(self._age > 0)
+        if not len(rows):
+            return None
+        age = self._age[rows]
+        nominal = np.concatenate([sample.q, sample.dq]) - self._e[rows]
+        lo, hi = nominal + self._lo[age] - self._w[rows], nominal + self._hi[age] + self._w[rows]
+        return lo.max(axis=0), hi.min(axis=0)
+
     def _deviation(self, x: Array, i: int, side: int) -> Deviation:
         """State ``i`` against the prediction that it contradicts worst, above (0) or below (1)."""
         n, row = self.model.n, int(self._row[side, i])
