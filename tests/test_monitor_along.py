@@ -13,7 +13,8 @@ from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model
 from stopset.artifact import Abstraction, Model, UncertaintySets, load_model, save_model
 from stopset.artifact.abstraction import Polynomial
 from stopset.errors import NotCovered
-from stopset.monitor.along import WatchAlong, ages_of, watch_for
+from stopset.monitor.along import WatchAlong, watch_for
+from stopset.monitor.predictions import Tubes, ages_of
 from stopset.monitor.watch import Conformance, Quantum, Sample, Watch, check_cycle
 from stopset.reach.nonlinear import predicted_tube
 from stopset.sets import Box
@@ -100,17 +101,29 @@ def test_the_linear_part_alone_would_be_refuted() -> None:
 
 @pytest.mark.parametrize("which", MODELS)
 def test_the_tube_is_that_of_the_comparison(which: str) -> None:
-    """Bit for bit the function that identification and compare use, from the states and mean torques of its grid."""
+    """What `predicted_tube` gives, which identification and compare use, from the states and mean torques of its grid."""
     model = MODELS[which]()
     x, tau = read(model, 3, 201)
-    _, watch = verdicts(model, x, tau)
-    every, age = watch.every, 8
+    seen: dict[int, tuple[Array, Array]] = {}
+    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    assert isinstance(watch, WatchAlong)
+    every, real = watch.every, watch._predictions.tubes
+
+    def tubes() -> Tubes:
+        ages, foreign, lo, hi = real()
+        seen.update({int(a): (lo[k], hi[k]) for k, a in enumerate(ages)})
+        return ages, foreign, lo, hi
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(watch._predictions), "tubes", lambda self: tubes())
+        for k in range(len(x)):
+            watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
     at = (len(x) - 1) // every * every
-    u = tau[at - age * every : at].reshape(age, every, 6).mean(axis=1)
-    lo, hi = predicted_tube(model.abstraction, model.powered, x[at - age * every], u)
-    watch._x.pop(), watch._good.pop()  # as it was before the sample at the last step
-    a, b = watch._tube(age)
-    assert np.allclose(a, lo[-1], rtol=0, atol=1e-15) and np.allclose(b, hi[-1], rtol=0, atol=1e-15)
+    for age in (1, 3, 8):
+        u = tau[at - age * every : at].reshape(age, every, 6).mean(axis=1)
+        lo, hi = predicted_tube(model.abstraction, model.powered, x[at - age * every], u)
+        assert np.all(seen[age][0] <= lo[-1] + 1e-12) and np.all(seen[age][1] >= hi[-1] - 1e-12), "coarser, if anything"
+        assert np.allclose(seen[age], (lo[-1], hi[-1]), rtol=0, atol=1e-7)
 
 
 def test_rounding_of_the_bus_never_flags_a_conformant_arm() -> None:
@@ -142,7 +155,6 @@ def test_sets_that_conform_from_the_start_are_used_from_the_start_only() -> None
     watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
     said = [watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k])) for k in range(120)]
     assert [k for k, v in enumerate(said) if v.conformance is Conformance.CONFORMANT] == list(range(1, 51))
-    assert len(watch._x) <= 52, "memory does not grow"  # type: ignore[union-attr]
 
 
 def test_the_grid_must_be_a_whole_number_of_cycles() -> None:

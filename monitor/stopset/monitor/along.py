@@ -1,9 +1,7 @@
-"""The check for nonlinear models: their tube is another one along every motion, so it is computed anew, from some ages.
+"""The check for nonlinear models, whose tube is another one along every motion.
 
-The same function as in identification and comparison gives it (trap P18), on the sets' own grid: for models 2 and 3 that is coarser
-than the samples, and inputs are means over its steps. A friction curve on decoupled joints takes two simulations per prediction and
-joint; models 2 and 3 a linearisation along the nominal motion, whose cost grows with the square of the age, so of the old ones
-one is looked at per step, in turn.
+The sets' own grid counts: for models 2 and 3 it is coarser than the samples, and inputs are means over its steps. What is predicted,
+and how, stands in `stopset.monitor.predictions`.
 
 Source: Liu & Althoff (2018), Sec. IV-C.
 """
@@ -13,15 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stopset.artifact import Model, UncertaintySets
+from stopset.artifact import Model
 from stopset.monitor.inputs import Inputs
+from stopset.monitor.predictions import FAR, Corners, Index, Paths
 from stopset.monitor.watch import LARGEST, Conformance, Deviation, Quantum, Sample, Verdict, Watch
-from stopset.reach.nonlinear import predicted_tube
-from stopset.sets import Box
 from stopset.types import Array
-
-OLD = 24  # steps from which a linearised prediction is dear
 
 
 def watch_for(model: Model, quantum: Quantum, payload: float, warm: tuple[float, float], cycle_s: float) -> Watch | WatchAlong:
@@ -29,12 +25,6 @@ def watch_for(model: Model, quantum: Quantum, payload: float, warm: tuple[float,
     if model.abstraction.linear:
         return Watch(model, quantum, payload, warm)
     return WatchAlong(model, quantum, payload, warm, max(1, round(model.powered.dt / cycle_s)))
-
-
-def ages_of(steps: int) -> list[int]:
-    """1, 2, 3, 4, 6, 8, 12, ... up to ``steps``: near ones closely, far ones seldom."""
-    out = {min(steps, a << k) for k in range(steps.bit_length()) for a in (1, 3)} | {2}
-    return sorted(a for a in out if a <= steps)
 
 
 @dataclass(slots=True)
@@ -50,21 +40,20 @@ class WatchAlong:
     warm: tuple[float, float] = (0.0, 1.0)
     every: int = 1
     ages: Array = field(init=False)
-    _steps: list[int] = field(init=False)
     _inputs: Inputs = field(init=False)
-    _x: list[Array] = field(default_factory=list)  # states at the grid's steps, newest last
-    _means: list[tuple[Array, Array]] = field(default_factory=list)  # u, du from each to the next
-    _good: list[bool] = field(default_factory=list)  # whether a prediction may start there
-    _foreign: list[bool] = field(default_factory=list)  # outside the domain there
+    _predictions: Corners | Paths = field(init=False)
     _since: list[tuple[Array, Array]] = field(default_factory=list)  # u, du of the samples since the last step
     _last: Sample | None = None
     _said: Verdict | None = None
-    _turn: int = 0
+    _between: tuple[Array, Array] | None = None  # (2n,) each, what all predictions of the last step leave
 
     def __post_init__(self) -> None:
         sets = self.model.powered
         steps = round(sets.horizon / sets.dt)
-        self._steps, self.ages = ages_of(steps), np.asarray(sets.dt * np.arange(steps + 1))
+        if not self.model.abstraction.decoupled:
+            steps = min(steps, FAR)
+        self.ages = np.asarray(sets.dt * np.arange(steps + 1))
+        self._predictions = (Corners if self.model.abstraction.decoupled else Paths)(self.model, self.quantum, steps)
         self._inputs = Inputs.of(self.model, self.quantum, self.warm)
 
     @property
@@ -77,11 +66,15 @@ class WatchAlong:
         """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
         return self._since[-1] if self._since else None
 
+    def tube(self, _: Sample) -> tuple[Array, Array] | None:
+        """Between which states (2n,) the predictions of the last step put it; None where there were none."""
+        return self._between
+
     def restart(self) -> None:
         """The next sample belongs to no earlier one."""
-        for kept in (self._x, self._means, self._good, self._foreign, self._since):
-            kept.clear()
-        self._last = self._said = None
+        self._predictions.forget()
+        self._since.clear()
+        self._last = self._said = self._between = None
         self._inputs.forget()
 
     def step(self, sample: Sample) -> Verdict:
@@ -104,8 +97,8 @@ class WatchAlong:
         self._last = s
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         outside = self._outside(s, u, du)
-        if self._x and len(self._since) < self.every:
-            said = self._said or Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet")
+        if self._said is not None and len(self._since) < self.every:
+            said = self._said
             self._since.append((u, du))
             return said if not outside and said.conformance is Conformance.CONFORMANT else self._doubtful(outside)
         verdict = self._at_step(np.concatenate([s.q, s.dq]), outside)
@@ -123,76 +116,46 @@ class WatchAlong:
         return Verdict(Conformance.UNKNOWN, why, outside=outside)
 
     def _at_step(self, x: Array, outside: tuple[str, ...]) -> Verdict:
-        """A sample at a step of the grid: held against predictions of some earlier steps, and kept for later ones."""
+        """A sample at a step of the grid: held against predictions of earlier steps, and kept for later ones."""
         if self._since:
             us, dus = zip(*self._since, strict=True)
-            self._means.append((np.mean(us, axis=0), np.max(dus, axis=0)))
+            self._predictions.advance(np.mean(us, axis=0), np.max(dus, axis=0), bool(outside))
             self._since.clear()
-        found: dict[tuple[int, int], Deviation] = {}
-        room, oldest, compared = np.full(2 * self.model.n, np.inf), 0, 0
-        for age in self._due():
-            lo, hi = self._tube(age)
-            width = np.maximum(hi - lo, 1e-300)
-            room = np.minimum(room, np.where(np.isfinite(width), 2.0 * np.minimum(x - lo, hi - x) / width, np.inf))
-            oldest, compared = max(oldest, age), compared + 1
-            for i in np.flatnonzero(~((x >= lo) & (x <= hi))).tolist():
-                d = self._deviation(x, i, age, lo, hi)
-                key = (i, int(d.side == "above"))
-                if key not in found or d.fraction > found[key].fraction:
-                    found[key] = d
-        self._keep(x, bool(outside), not found)
-        if not compared:
+        ages, foreign, lo, hi = self._predictions.tubes()
+        verdict = self._held(x, ages, foreign, lo, hi, outside)
+        self._predictions.launch(x, bool(outside), not verdict.deviations)  # what is refuted itself predicts nothing
+        return verdict
+
+    def _held(self, x: Array, ages: Index, foreign: NDArray[np.bool_], lo: Array, hi: Array, outside: tuple[str, ...]) -> Verdict:
+        if not len(ages):
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
+        self._between = lo.max(axis=0), hi.min(axis=0)
+        width = np.maximum(hi - lo, 1e-300)
+        bounded = np.isfinite(width)
+        room = np.where(bounded, 2.0 * np.minimum(x - lo, hi - x) / np.where(bounded, width, 1.0), 1.0).min(axis=0)
+        found = []
+        for above, out in ((True, (x - hi) / width), (False, (lo - x) / width)):
+            # written so that what is not a number is outside
+            bad = ~(x <= hi) if above else ~(x >= lo)
+            for i in np.flatnonzero(bad.any(axis=0)).tolist():
+                row = int(np.argmax(np.where(bad[:, i], out[:, i], -np.inf)))
+                found.append(self._deviation(x, i, above, row, int(ages[row]), bool(foreign[row]), lo, hi))
         result, why = Conformance.CONFORMANT, "inside every prediction"
         if found:
-            worst = max(found.values(), key=lambda d: d.fraction)
+            worst = max(found, key=lambda d: d.fraction)
             result = Conformance.VIOLATION
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
         elif outside:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
-        room = np.where(np.isfinite(room), room, 1.0)
-        return Verdict(result, why, compared, float(self.ages[oldest]), tuple(found.values()), outside, room)
+        return Verdict(result, why, len(ages), float(self.ages[ages.max()]), tuple(found), outside, room)
 
-    def _due(self) -> list[int]:
-        """Ages, in steps, that are looked at now."""
-        passed, sets = len(self._means), self.model.powered
-        if sets.windows != "sliding":  # predicted from the start only
-            return [passed] if 0 < passed < len(self.ages) and self._good[0] else []
-        due = [a for a in self._steps if a <= passed and self._good[-a]]
-        if self.model.abstraction.decoupled:
-            return due
-        old = [a for a in due if a > OLD]
-        self._turn += 1
-        return [a for a in due if a <= OLD] + ([old[self._turn % len(old)]] if old else [])
-
-    def _tube(self, age: int) -> tuple[Array, Array]:
-        """(2n,) where a reading may be now, by the prediction of ``age`` steps ago."""
-        u = np.array([m[0] for m in self._means[-age:]])
-        du = np.max([m[1] for m in self._means[-age:]], axis=0)
-        lo, hi = predicted_tube(self.model.abstraction, self._widened(du), self._x[-age], u)
-        return lo[-1], hi[-1]
-
-    def _widened(self, du: Array) -> UncertaintySets:
-        """The sets with what the bus rounds and what is not known of the input."""
-        sets, here = self.model.powered, Box.symmetric(np.concatenate([self.quantum.q, self.quantum.dq]))
-        return replace(sets, X0=sets.X0 + here, V=sets.V + here, U=sets.U + Box.symmetric(du))
-
-    def _keep(self, x: Array, foreign: bool, good: bool) -> None:
-        self._x.append(x)
-        self._good.append(good)
-        self._foreign.append(foreign)
-        if len(self._x) > len(self.ages):
-            del self._x[0], self._means[0], self._good[0], self._foreign[0]
-            if self.model.powered.windows != "sliding":
-                self._good[0] = False  # the start has gone, and only it predicts
-
-    def _deviation(self, x: Array, i: int, age: int, lo: Array, hi: Array) -> Deviation:
-        n, above = self.model.n, bool(x[i] > hi[i])
-        excess = float(x[i] - hi[i] if above else lo[i] - x[i])
+    def _deviation(self, x: Array, i: int, above: bool, row: int, age: int, foreign: bool, lo: Array, hi: Array) -> Deviation:
+        n, bound = self.model.n, float(hi[row, i] if above else lo[row, i])
+        excess = float(x[i] - bound if above else bound - x[i])
         return Deviation(
             joint=self.model.joints[i % n], state="q" if i < n else "dq", side="above" if above else "below",
-            age=float(self.ages[age]), excess=excess, fraction=excess / max(float(hi[i] - lo[i]), 1e-300), measured=float(x[i]),
-            bound=float(hi[i] if above else lo[i]), in_domain=not any(self._foreign[-age:]),
+            age=float(self.ages[age]), excess=excess, fraction=excess / max(float(hi[row, i] - lo[row, i]), 1e-300),
+            measured=float(x[i]), bound=bound, in_domain=not foreign,
         )  # fmt: skip
 
     def _no_verdict(self, s: Sample) -> str:
