@@ -139,7 +139,8 @@ class WatchAlong:
             bad = ~(x <= hi) if above else ~(x >= lo)
             for i in np.flatnonzero(bad.any(axis=0)).tolist():
                 row = int(np.argmax(np.where(bad[:, i], out[:, i], -np.inf)))
-                found.append(self._deviation(x, i, above, row, int(ages[row]), bool(foreign[row]), lo, hi))
+                d = self._deviation(x, i, above, int(ages[row]), (float(lo[row, i]), float(hi[row, i])))
+                found.append(replace(d, in_domain=not foreign[row]))
         result, why = Conformance.CONFORMANT, "inside every prediction"
         if found:
             worst = max(found, key=lambda d: d.fraction)
@@ -149,13 +150,13 @@ class WatchAlong:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
         return Verdict(result, why, len(ages), float(self.ages[ages.max()]), tuple(found), outside, room)
 
-    def _deviation(self, x: Array, i: int, above: bool, row: int, age: int, foreign: bool, lo: Array, hi: Array) -> Deviation:
-        n, bound = self.model.n, float(hi[row, i] if above else lo[row, i])
-        excess = float(x[i] - bound if above else bound - x[i])
+    def _deviation(self, x: Array, i: int, above: bool, age: int, bounds: tuple[float, float]) -> Deviation:
+        n, bound = self.model.n, bounds[above]
+        excess = float(x[i]) - bound if above else bound - float(x[i])
         return Deviation(
             joint=self.model.joints[i % n], state="q" if i < n else "dq", side="above" if above else "below",
-            age=float(self.ages[age]), excess=excess, fraction=excess / max(float(hi[row, i] - lo[row, i]), 1e-300),
-            measured=float(x[i]), bound=bound, in_domain=not foreign,
+            age=float(self.ages[age]), excess=excess, fraction=excess / max(bounds[1] - bounds[0], 1e-300),
+            measured=float(x[i]), bound=bound, in_domain=True,
         )  # fmt: skip
 
     def _no_verdict(self, s: Sample) -> str:
