@@ -108,10 +108,10 @@ def test_an_arm_that_is_not_where_it_was_left_is_said(tmp_path: Path) -> None:
     """An encoder homed wrongly by 0.05 rad shows to nobody else."""
     r = motion(1, 120)
     back = replace(r, q=r.q[::-1].copy(), dq=-r.dq[::-1], tau=-r.tau[::-1])
-    assert not record(tmp_path, known_model(), Records(violations=False), r).notes
-    assert not [n for n in record(tmp_path, known_model(), Records(violations=False), back).notes if "home" in n]
+    assert not record(tmp_path, known_model(), Records(), r).notes
+    assert not [n for n in record(tmp_path, known_model(), Records(), back).notes if "home" in n]
     off = replace(r, q=r.q + np.array([0.0, 0.05, 0, 0, 0, 0]))
-    (words,) = [n for n in record(tmp_path, known_model(), Records(violations=False), off).notes if "home" in n]
+    (words,) = [n for n in record(tmp_path, known_model(), Records(), off).notes if "home" in n]
     assert "arm_2_joint by +0.05" in words and "arm_3" not in words
 
 

@@ -154,17 +154,21 @@ class Recorder:
         )
         if not len(w) or self._model is None:
             return
-        q = w.q[-1]
+        if self.settings.violations:  # else nothing is written, and the next life knows of none before
+            self._place(w.q[-1], self._model[0].joints, begun)
+        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
+            self._late_said = True
+            self.notes.append(plausible.late_words(late))
+
+    def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
+        """Where the arm is, against where it was left; kept for the next life."""
         if not begun and (before := plausible.kept_position(self.folder)) is not None:
             self._position = before
-            if words := plausible.moved_words(before, q, self._model[0].joints):
+            if words := plausible.moved_words(before, q, joints):
                 self.notes.append(words)
         if self._position is None or len(self._position) != len(q) or np.any(np.abs(q - self._position) > plausible.MOVED / 5):
             plausible.keep_position(self.folder, q)
             self._position = q
-        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
-            self._late_said = True
-            self.notes.append(plausible.late_words(late))
 
     def _write(self, incident: Incident, whole: bool) -> None:
         """The bundle: at once with what there is, and once more with what came after."""
