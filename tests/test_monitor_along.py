@@ -14,11 +14,17 @@ from stopset.artifact import Abstraction, Model, UncertaintySets, load_model, sa
 from stopset.artifact.abstraction import Polynomial
 from stopset.errors import NotCovered
 from stopset.monitor.along import WatchAlong, watch_for
+from stopset.monitor.config import Bus, Config, Publish, Records, Stops
+from stopset.monitor.daemon import Daemon
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.evidence.trace import Trace
+from stopset.monitor.layout import State
 from stopset.monitor.predictions import Tubes, ages_of
 from stopset.monitor.watch import Conformance, Quantum, Sample, Watch, check_cycle
 from stopset.reach.nonlinear import predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
+from test_monitor_daemon import Arm, Script, Wire
 
 NONE = Quantum.none(6)
 CURVED = np.column_stack([VISCOUS, np.zeros(6), 0.8 * VISCOUS])  # friction that grows with the cube of the speed
@@ -173,3 +179,26 @@ def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
     save_model(curved(), tmp_path / "m.model.json")
     model = load_model(tmp_path / "m.model.json")
     assert isinstance(watch_for(model, NONE, 0.0, (0.0, 1.0), DT), WatchAlong)
+
+
+@pytest.mark.parametrize("which", MODELS)
+def test_the_daemon_runs_and_records_with_it(which: str, tmp_path: Path) -> None:
+    """Real loop, recorder and stop bounds: verdicts are given, a violation is latched and written, no fault comes out."""
+    model = save_model(MODELS[which](), tmp_path / "arm.model.json")
+    x, tau = read(model, 1, 200)
+    tau[100:, 2] *= 1.8
+    script: Script = [Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k]) for k in range(200)]
+    arm, wire = Arm(script), Wire()
+    config = Config(
+        str(tmp_path / "arm.model.json"), Bus("hub:1"), data_id=7, stops=Stops(("0",)), sha256="ab" * 32,
+        publish=Publish(valid_for_ms=5000, stale_ms=1000, json_hz=1e9, recover_s=0.0, evidence_min_s=0.0),
+    )  # fmt: skip
+    recorder = Recorder(Trace(6), Records(), tmp_path / "record", DT, pause=lambda: None)
+    daemon = Daemon(config, model, arm, wire, DT, recorder=recorder)
+    arm.daemon = daemon
+    assert daemon.run(lambda: arm) == 0
+    daemon.close()
+    assert daemon.tally.faults == 0 and daemon.tally.verdicts["CONFORMANT"] > 90
+    assert State.VIOLATION in wire.words and daemon.latch.joints[0] == "arm_3_joint"
+    (event,) = [e for e in wire.slow["event"] if e["kind"] == "bundle"]
+    assert event["cause"]["kind"] == "unclassed" and Path(event["file"]).is_file()

@@ -93,11 +93,9 @@ class Recorder:
         self.trace.take(s, v, code, inputs)
 
     def incident(self, first: Deviation, t: float) -> None:
-        """The sample taken last was outside its prediction."""
-        if len(self._incidents) >= WAITING:
-            self.dropped += 1
-            return
-        self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
+        """The sample taken last was outside its prediction; while one waits for what comes after it, its file holds this too."""
+        if not self._incidents:
+            self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
 
     def overhear(self, name: str, data: bytes) -> None:
         """What is said on the slow keys."""
