@@ -437,6 +437,40 @@ STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, c
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
                                    const double *e_lo, const double *e_hi, const double *t, int64_t count, double *border, double *work,
                                    double *out_dl, double *out_dh, double *out_vl, double *out_vh);
+/* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
+
+#define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
+#define STOPSET_STOP_ENERGY_KNOTS 25
+#define STOPSET_STOP_PATIENCE 6      /* times the expected stop before a tube is called endless, in each case */
+#define STOPSET_STOP_MORE_PATIENCE 30
+#define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
+#define STOPSET_STOP_SLICES 10       /* stretches of time that the tool's way is told for */
+
+/* Where friction and u, (n,) each, hold: no angle outside q_lo, q_hi [rad], no joint faster than speed [rad/s]. */
+typedef struct {
+    const double *coulomb_lo, *coulomb_hi, *viscous_lo, *viscous_hi, *u_lo, *u_hi, *q_lo, *q_hi, *speed;
+} StopsetRegion;
+
+typedef struct {
+    StopsetPlant plant;          /* its friction and u are those of a region */
+    const double *lag;           /* (n,) [s] by which a joint's brake is always later; may be 0 */
+    double apart;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
+    const double *tool;          /* (3,) [m] in the last link's frame */
+    int32_t regions;
+    const StopsetRegion *region; /* each one in the next */
+} StopsetStops;
+
+typedef struct {
+    double *time, *forward, *back, *speed; /* (n,) [s], [rad] both >= 0, [rad/s] largest on the way */
+    double *tool;                          /* (2,) displacement [m], speed [m/s] */
+} StopsetBound;
+
+/* Numbers that `work` below has to hold. */
+STOPSET_API int64_t stopset_stop_room(int n);
+/* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, or it may leave the
+ * largest region, then `out` holds nothing of use; negative: a code. */
+STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
+                                  const double *dq_radius, double *work, const StopsetBound *out);
 /* cffi end */
 
 

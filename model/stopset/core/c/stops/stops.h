@@ -59,6 +59,8 @@ typedef struct {
 enum { RATES = 10 };
 static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 || row == 7 || row == 9; }
 
+extern const StopsetParts stops_whole; /* nothing left out */
+
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E);
 void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
                      const double *w_hi, const StopsetParts *parts, Local *out);
