@@ -169,7 +169,7 @@ MANY_ARGUMENTS = {
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
     "offline.abstraction.identified.best_order": 9,
-    "offline.compare.page._band": 8,
+    "offline.compare.tubes._band": 8,
     "offline.conform.bands.band_sets": 12,
     "offline.conform.gather.sums_of": 10,
     "offline.conform.linear_program.fit_sets": 8,
