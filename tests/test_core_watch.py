@@ -160,6 +160,27 @@ def test_checksums_and_rounding() -> None:
         assert np.array_equal(bits.view(np.float32).astype(float), [outward(v, "up" if side > 0 else "down") for v in x])
 
 
+def test_the_nearest_float_and_what_is_no_number() -> None:
+    x = np.array([0.1, -0.1, 1e-60, 1e300, -math.inf, math.nan, 0.5])
+    bits = np.empty(len(x), np.uint32)
+    lib.stopset_outward(
+        len(x), view(x), ffi.from_buffer("int8_t[]", np.zeros(len(x), np.int8)), ffi.from_buffer("uint32_t[]", bits)
+    )
+    with np.errstate(over="ignore"):
+        assert np.array_equal(bits.view(np.float32), x.astype(np.float32), equal_nan=True)
+
+
+def test_a_law_of_no_steps_gives_nothing_and_a_speed_that_is_none_stays_visible() -> None:
+    out = np.ones(3)
+    empty = ffi.new("StopsetProgram *", (0, ffi.NULL, ffi.NULL))
+    lib.stopset_law(empty, 3, view(np.zeros(3 * lib.STOPSET_SIGNALS)), view(out))
+    assert not out.any()
+    dq = DQ.copy()
+    dq[5, 2] = math.nan
+    u = with_effect("coulomb", "motor_torque")(Q, dq, TAU)
+    assert np.isnan(u[5, 2]) and np.isfinite(np.delete(u, 5, axis=0)).all()
+
+
 def test_what_counts_bounds_passed_and_finds_a_certificate() -> None:
     """Against numpy, edges and numbers that are none among them."""
     for _ in range(200):
