@@ -19,7 +19,7 @@ from fmu_models import arm_model
 from stopset.artifact import save_model
 from stopset.cli.main import main
 from stopset.errors import EffectError, NotCovered, OutputError
-from stopset.fmu import PLATFORMS, archive, build, export
+from stopset.fmu import PLATFORMS, Contents, archive, build, export
 from stopset.fmu.description import base_unit
 from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
@@ -37,7 +37,7 @@ STEPS = 1000
 def everywhere(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     """One model for all platforms, FMI 2 and 3 (the libraries are the same and compiled once)."""
     folder = tmp_path_factory.mktemp("all")
-    return {fmi: export(arm_model(), folder / f"F{fmi}.fmu", fmi) for fmi in (3, 2)}
+    return {fmi: export(arm_model(), folder / f"F{fmi}.fmu", Contents(fmi)) for fmi in (3, 2)}
 
 
 def torque(k: int, n: int) -> NDArray[np.float64]:
@@ -185,11 +185,11 @@ def test_units_in_base_units(unit: str, expected: dict[str, float] | None) -> No
 def test_what_an_fmu_cannot_carry_is_said(own_effect: object) -> None:
     model = arm_model(3)
     with pytest.raises(NotCovered, match="model 1"):
-        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), 3, [str(HERE)])
+        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), Contents(3, (str(HERE),)))
     with pytest.raises(EffectError, match=r"looks at t, which .* without it"):
-        archive(replace(model, effects=(friction("relaxing_hose", "axis_1", k=1.0, T=1.0),)), 3, [str(HERE)])
+        archive(replace(model, effects=(friction("relaxing_hose", "axis_1", k=1.0, T=1.0),)), Contents(3, (str(HERE),)))
     with pytest.raises(OutputError, match="expected x86_64-linux"):
-        archive(model, 3, ["pdp11"])
+        archive(model, Contents(3, ("pdp11",)))
 
 
 def test_the_command_writes_all_or_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -197,7 +197,7 @@ def test_the_command_writes_all_or_nothing(tmp_path: Path, capsys: pytest.Captur
     save_model(arm_model(2, horizon=0.5), path)
     arguments = ["export-fmu", str(path), "--platform", str(HERE)]
     assert main([*arguments, "--out", str(tmp_path / "F.fmu"), "--json", str(tmp_path / "a.json")]) == 0
-    made = {"F.fmu", "F_in.csv", "F_ref.csv", "F_ref.opt", "a.json", "m.model.json"}
+    made = {"F.fmu", "a.json", "m.model.json"}
     assert {p.name for p in tmp_path.iterdir()} == made
     bad: list[tuple[list[Any], str]] = [
         ([*arguments, "--out", tmp_path], "is a directory"),

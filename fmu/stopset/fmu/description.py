@@ -61,6 +61,7 @@ def _capabilities(identifier: str, fmi: int, cs: bool) -> dict[str, str]:
     out |= dict.fromkeys(state, "true")
     if fmi == 2:
         out["canNotUseMemoryManagementFunctions"] = "true"
+    out["providesDirectionalDerivative" if fmi == 2 else "providesDirectionalDerivatives"] = "true"
     if cs:
         out["canHandleVariableCommunicationStepSize"] = "true"
     return out

@@ -329,7 +329,7 @@ void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate) 
         measured_rates(s, &s->r[VR_MEMORY], rate);
         for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
     } else {
-        if (s->modes_by_events)
+        if (s->modes_by_events || s->modes_held)
             memcpy(mode, s->mode, sizeof mode);
         else if (directional(s))
             settle(s, t, y, mode);
