@@ -216,8 +216,12 @@ static const char *moved(const Saved *from, const unsigned known[], size_t m, co
 
 static int may_be_known(const Instance *c, unsigned vr) {
     if (vr >= N_REAL) return 0;
-    const int kind = stopset_model.kind[vr], state = vr >= VR_Q && vr < VR_DQ + NJ, memory = N_MEMORY > 0 && vr >= VR_MEMORY && vr < VR_MEMORY + N_MEMORY;
-    return kind == KIND_INPUT || state || memory || ((kind == KIND_FIXED || kind == KIND_TUNABLE) && c->now.phase <= PHASE_INITIALIZATION);
+    const int kind = stopset_model.kind[vr];
+#if N_MEMORY
+    if (vr >= VR_MEMORY && vr < VR_MEMORY + N_MEMORY) return 1;
+#endif
+    if (kind == KIND_INPUT || (vr >= VR_Q && vr < VR_DQ + NJ)) return 1;
+    return (kind == KIND_FIXED || kind == KIND_TUNABLE) && c->now.phase <= PHASE_INITIALIZATION;
 }
 
 Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[], double out[]) {
