@@ -57,6 +57,30 @@ def test_a_wrong_torque_names_its_joint_and_no_other(joint: int) -> None:
     assert named == {known_model().joints[joint]}
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_the_tube_that_is_shown_is_the_one_that_is_judged_by(factor: float) -> None:
+    """A sample is between its ends exactly where the verdict says so, in every state."""
+    watch = Watch(known_model())
+    flagged = 0
+    for s in samples(with_torque_scaled(motion(1), 3, factor)):
+        v = watch.step(s)
+        ends = watch.tube(s)
+        if v.room is None:
+            assert ends is None
+            continue
+        assert ends is not None
+        x, bad = np.concatenate([s.q, s.dq]), {(d.state, d.joint, d.side) for d in v.deviations}
+        names = [(state, j) for state in ("q", "dq") for j in known_model().joints]
+        assert bad == {
+            (*names[i], side)
+            for i in range(12)
+            for side, out in (("above", x[i] > ends[1][i]), ("below", x[i] < ends[0][i]))
+            if out
+        }
+        flagged += bool(bad)
+    assert bool(flagged) == (factor != 1.0)
+
+
 @pytest.mark.parametrize("shrink", [0.8])
 def test_mutant_with_a_smaller_set_is_refuted(shrink: float) -> None:
     """The test above has teeth: with U a fifth smaller the same motions do leave the tube."""

@@ -27,8 +27,10 @@ from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Answer, Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, Signer, State
+from stopset.monitor.margins import exceeded, margins
 from stopset.monitor.notify import Notifier
 from stopset.monitor.orders import Orders
+from stopset.monitor.override import Advisor
 from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.source import NoSource, Source
@@ -82,6 +84,9 @@ class Daemon:
         self._reloads: queue.SimpleQueue[Loaded | str] = queue.SimpleQueue()
         self._reloading = self.reload_asked = False
         self.publisher = Publisher(outlet, self.clock, self._identity(), signer)
+        self.margins: dict[str, Any] | None = None
+        self.override: dict[str, Any] | None = None
+        self.advisor = Advisor(config, model.sha256) if config.limits.override else None
         self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
@@ -101,7 +106,7 @@ class Daemon:
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
         if desk is None:
             fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
-            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock)
+            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:
@@ -151,6 +156,9 @@ class Daemon:
         self.publisher.identity = self._identity()
         self.publisher.event("reloaded", model_sha256=self.model.sha256, before=before)
         threading.Thread(target=old.close, daemon=True, name="old-desk").start()  # waits for its process
+        if self.advisor is not None:
+            threading.Thread(target=self.advisor.close, daemon=True, name="old-advisor").start()
+            self.advisor = Advisor(self.config, self.model.sha256)
 
     # ---- one turn -----------------------------------------------------------------------------------------------
 
@@ -280,8 +288,28 @@ class Daemon:
             model_sha256=self.model.sha256, config_sha256=self.config.sha256,
         )  # fmt: skip
 
+    def _measure(self, now: float, turn: Turn) -> None:
+        """What is left to the limits, if a stop began now."""
+        s, limits = self.sample, self.config.limits
+        numbers = turn.numbers.get(limits.category)
+        if s is None or numbers is None:
+            return
+        slack = (
+            self.source.quantum.q + np.maximum(np.abs(self.model.powered.V.lo), np.abs(self.model.powered.V.hi))[: self.model.n]
+        )
+        self.margins = margins(self.model.robot, limits, s.q, numbers, slack)
+        if over := exceeded(self.margins):
+            self.publisher.seldom("margin", why=f"a stop now would not keep: {', '.join(over)}", margins=self.margins)
+        if self.advisor is not None:
+            self.advisor.offer(now, s.t, s.q, s.dq)
+            said = self.advisor.said
+            self.override = (
+                None if said is None else {"percent": 100.0 * said[1], "category": limits.category, "t_ns": round(said[0] * 1e9)}
+            )
+
     def _slow_messages(self, now: float, turn: Turn) -> None:
         if now >= self._next_json:
+            self._measure(now, turn)
             self._next_json = now + 1.0 / self.config.publish.json_hz
             self.publisher.words("state/json", twin(self, turn))
         if now >= self._next_health:
@@ -373,5 +401,7 @@ class Daemon:
                 self._classed(self.recorder.answers.popleft(), self.clock.monotonic())
         self.publisher.event("stopped")
         self.latch.close()
+        if self.advisor is not None:
+            self.advisor.close()
         self.desk.close()
         self.source.close()

@@ -55,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": x.proven, "why": x.why,
+            "certified": x.proven, "why": x.why, "capsules": _capsules(x),
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
@@ -63,6 +63,23 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
         }
         for c, x in numbers.items()
     }  # fmt: skip
+
+
+def _capsules(x: Numbers) -> list[list[float]] | None:
+    """What the links' axes sweep, for pictures: to a tenth of a millimetre, the radius taking up what rounding moves."""
+    if x.capsules is None:
+        return None
+    out = np.round(x.capsules, 4)
+    out[:, 6] = np.round(x.capsules[:, 6] + 2e-4, 4)
+    rows: list[list[float]] = out.tolist()
+    return rows
+
+
+def _tube(d: Daemon) -> dict[str, list[float | None]] | None:
+    """Between which joint positions [rad] the predictions in force put the last sample."""
+    found = None if d.sample is None or d.verdict is None or d.verdict.room is None else d.watch.tube(d.sample)
+    n = d.model.n
+    return None if found is None else {k: [finite(v) for v in x[:n]] for k, x in zip(("lo", "hi"), found, strict=True)}
 
 
 def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
@@ -78,8 +95,10 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "outside_domain": list(v.outside) if v else [],
         "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
+        "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
+        "margins": d.margins, "override": d.override,
         "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,

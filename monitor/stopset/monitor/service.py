@@ -6,10 +6,12 @@ import ctypes
 import gc
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stopset.artifact import Model, load_model
+from stopset.artifact import Model
+from stopset.artifact.signature import Accepted, load_trusted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.config import Config
@@ -32,7 +34,8 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
 
     SIGHUP reads the model anew.
     """
-    model = load_model(config.model)
+    load = trusted(config)
+    model = load()
     profile = load_profile(config.bus.profile) if config.bus else None
     cycle_s = _cycle(config, model, profile)
     signer = load_keys(config.keys).first if config.keys else None
@@ -61,7 +64,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     try:
         daemon = Daemon(
             config, model, first_source(), Overheard(link, recorder), cycle_s, latch=latch, signer=signer,
-            load=lambda: load_model(config.model), recorder=recorder,
+            load=load, recorder=recorder,
         )  # fmt: skip
     except BaseException:
         link.close()
@@ -80,6 +83,12 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     finally:
         daemon.close()
         link.close()
+
+
+def trusted(config: Config) -> Callable[[], Model]:
+    """What reads the configuration's model, now and on every reload: only what an accepted key has signed, where keys are named."""
+    accepted = Accepted.of(config.signed.keys, config.signed.least_revision)
+    return lambda: load_trusted(config.model, accepted)
 
 
 def _cycle(config: Config, model: Model, profile: Profile | None) -> float:

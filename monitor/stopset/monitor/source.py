@@ -12,6 +12,7 @@ import numpy as np
 
 from stopset.errors import BusError
 from stopset.monitor.clock import Clock, SystemClock
+from stopset.monitor.grid import Cycles
 from stopset.monitor.jointstate import MAX_BYTES, JointState
 from stopset.monitor.jointstate import decode as decode_joint_state
 from stopset.monitor.links.bus import Listener
@@ -204,7 +205,7 @@ class NoSource:
 
 @dataclass(slots=True)
 class JointStateSource:
-    """Samples of ``joint_states``; give its `take` to a subscription. The stamp is the sampling instant.
+    """Samples of ``joint_states``; give its `take` to a subscription. Stamps may jitter about their cycles, see `Cycles`.
 
     ``backlog``: messages that may wait for their turn; when more do, the oldest are dropped and counted.
     """
@@ -223,9 +224,10 @@ class JointStateSource:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _k: int = 0
     _stamp: int | None = None
+    _cycles: Cycles = field(init=False)
 
     def __post_init__(self) -> None:
-        self.quantum = Quantum.none(len(self.joints))
+        self.quantum, self._cycles = Quantum.none(len(self.joints)), Cycles(self.cycle_s)
         self._waiting = deque(maxlen=self.backlog)
 
     def take(self, _key: str, data: bytes) -> None:
@@ -264,11 +266,8 @@ class JointStateSource:
         later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
         if -SWAPPED < later <= 0.0:
             raise BusError("joint_states came twice or out of order; the later one counts: look at the sender")
-        step = later / self.cycle_s
-        whole = round(step)
-        # a stamp off the grid by more than a tenth of a cycle is not the grid the model was identified on
-        if whole < 1 or abs(step - whole) > 0.1:
-            whole = GAP
+        whole, off = self._cycles.step(s.stamp_ns)
+        whole = whole or GAP
         self.missed += max(whole - 1, 0) if whole != GAP else 1
         self._k += whole
         self._stamp = s.stamp_ns
@@ -276,7 +275,8 @@ class JointStateSource:
         def row(x: tuple[float, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
             return np.array([x[i] for i in index])
 
-        return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), row(s.effort) if s.effort else None)
+        tau = row(s.effort) if s.effort else None  # without it there is no verdict, but there are stop bounds
+        return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), tau, off=off)
 
     def counters(self) -> dict[str, int]:
         return {

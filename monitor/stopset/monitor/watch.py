@@ -19,6 +19,7 @@ from stopset.artifact import Model
 from stopset.artifact.taped import Kept
 from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
+from stopset.monitor.grid import Motion
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
 from stopset.types import Array
@@ -42,8 +43,9 @@ class Sample:
     """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
 
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
-    ``t``: sampling instant [s]; ``powered``: the drives hold torque (else no verdict: another regime); ``doubt``: what the
-    drives themselves say against it, empty if nothing, and ``bad_nodes``: bit i set = joint i's.
+    ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s]; ``powered``: the drives
+    hold torque (else no verdict: another regime); ``doubt``: what the drives themselves say against it, empty if nothing,
+    and ``bad_nodes``: bit i set = joint i's.
     """
 
     k: int
@@ -55,6 +57,7 @@ class Sample:
     powered: bool = True
     doubt: str = ""
     bad_nodes: int = 0
+    off: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +141,15 @@ class Watch:
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
+    _x: Array = field(init=False)  # (2n,) the last state, at its cycle
+    _slack: Array = field(init=False)  # (2n,) what its place in time leaves unknown of it; stands in the tube's limits
+    _motion: Motion = field(init=False)
     _since: int = 0
 
     def __post_init__(self) -> None:
         m, sets = self.model, self.model.powered
         n = m.n
+        self._x, self._slack, self._motion = np.zeros(2 * n), np.zeros(2 * n), Motion.of(m)
         if self.quantum is None:
             self.quantum = Quantum.none(n)
         self._inputs = Inputs.of(m, self.quantum, self.warm)
@@ -218,7 +225,8 @@ class Watch:
         reason = self._no_verdict(s, x)
         gap = self._last is not None and s.k != self._last.k + 1
         before, self._last = self._last, s
-        led = gap and not reason and self._lead_across(s.k - before.k)  # type: ignore[union-attr]
+        even = s.off == 0.0 and not self._slack.any()
+        led = gap and even and not reason and self._lead_across(s.k - before.k)  # type: ignore[union-attr]
         if reason or before is None or (gap and not led):
             self._forget()
         if reason:
@@ -227,14 +235,31 @@ class Watch:
         assert s.tau is not None
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         outside = self._outside(s, u, du)
+        known = self._u is not None and not gap
+        slack = self._slack * 0.0 if self._slack.any() else self._slack
+        if s.off != 0.0:
+            x, slack, more = self._motion.onto_grid(s.q, s.dq, u, self._u[0] if known else u, s.off)  # type: ignore[index]
+            du = du + more
+        self._loosen(slack)
         if gap and before is not None:
             verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         else:
             verdict = self._compare(x, before, outside)
-        if not verdict.deviations:  # what is refuted itself predicts nothing: one bad sample counts once
+        # what is refuted itself predicts nothing: one bad sample counts once; nor does what cannot be placed in its cycle
+        if not verdict.deviations and (known or s.off == 0.0):
             self._launch(bool(outside))
-        self._u = (u, du)
+        self._u, self._x = (u, du), x
         return verdict
+
+    def _loosen(self, slack: Array) -> None:
+        """The tube for a reading that may be wrong by ``slack`` (2n,) more than the model knows."""
+        if slack is self._slack:
+            return
+        change = slack - self._slack
+        self._lo -= change
+        self._hi += change
+        self._slack = slack
+        self._widen |= bool(slack.any())
 
     def _lead_across(self, steps: int) -> bool:
         """Take every prediction over ``steps`` cycles whose readings were lost; False if that is not possible.
@@ -307,11 +332,12 @@ class Watch:
         if self._u is None or before is None:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
-        n2 = len(x)
+        n2, quantum = len(x), self.quantum
+        assert quantum is not None
         # what rounding of the torque adds stands in the tube's limits already where inputs are plain
-        added = self._none if self._inputs.plain else du
+        added = du - quantum.tau if self._inputs.plain and self._widen else self._none if self._inputs.plain else du
         live = lib.stopset_advance(
-            self._predictions, view(x), view(np.concatenate([before.q, before.dq])), view(u), view(added), bool(outside),
+            self._predictions, view(x), view(self._x), view(u), view(added), bool(outside),
             self._widen, self._seen,
         )  # fmt: skip
         oldest, passed = self._seen
@@ -328,6 +354,19 @@ class Watch:
         elif outside:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
         return Verdict(result, why, live, float(self.ages[oldest]), deviations, outside, room)
+
+    def tube(self, sample: Sample) -> tuple[Array, Array] | None:
+        """Between which values (2n,) all predictions in force put the sample last taken; None where nothing is predicted.
+
+        Where they contradict each other the lower end is above the upper one.
+        """
+        rows = np.flatnonzero(self._age > 0)
+        if not len(rows):
+            return None
+        age = self._age[rows]
+        nominal = np.concatenate([sample.q, sample.dq]) - self._e[rows]
+        lo, hi = nominal + self._lo[age] - self._w[rows], nominal + self._hi[age] + self._w[rows]
+        return lo.max(axis=0), hi.min(axis=0)
 
     def _deviation(self, x: Array, i: int, side: int) -> Deviation:
         """State ``i`` against the prediction that it contradicts worst, above (0) or below (1)."""
@@ -358,7 +397,7 @@ class Watch:
         assert q is not None
         row, self._next = self._next, (self._next + 1) % len(self._age)
         self._e[row] = 0.0
-        self._w[row] = 0.0 if self._inputs.plain else np.concatenate([q.q, q.dq])
+        self._w[row] = self._slack if self._inputs.plain else np.concatenate([q.q, q.dq]) + self._slack
         self._age[row] = 0
         self._foreign[row] = foreign
 
