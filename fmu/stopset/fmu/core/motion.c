@@ -15,6 +15,7 @@ enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects reme
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
 static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
+static const int STEPS = 200000;       /* of the integrator within one communication step */
 
 /* Whether friction depends on the direction of motion now. */
 static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
@@ -274,7 +275,8 @@ const char *stopset_integrate(StopsetState *s, double h) {
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (directional(s)) settle(s, t, y, mode);
     derivative(s, t, y, mode, first);
-    while (left > 0.0) {
+    for (int count = 0; left > 0.0; count++) {
+        if (count == STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
         double now = step >= left ? left : 2.0 * step > left ? 0.5 * left : step; /* no short one at the end */
         double error = dormand_prince(s, t, y, mode, now, first, next, last);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
