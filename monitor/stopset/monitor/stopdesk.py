@@ -194,6 +194,7 @@ class StopDesk:
     _inbox: deque[Answer | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
+    _turn: int = 0
 
     def __post_init__(self) -> None:
         self.counters = {c: Counter.of(self.n) for c in self.categories}
@@ -236,14 +237,16 @@ class StopDesk:
         self._motion.see(t, q, dq)
         self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
-        if not self._ready or now - self._looked < period:
+        if not self._ready or now - self._looked < period / len(self.counters):
             return
-        self._looked = now
+        # one category at a time, so that no cycle has to look for all of them
+        self._looked, self._turn = now, (self._turn + 1) % len(self.counters)
+        category, c = list(self.counters.items())[self._turn]
+        if c.waiting is not None or self._pipe is None:
+            return
         self._motion.settle()
-        for category, c in self.counters.items():
-            wanted = c.lacks(self._motion, self._slack, period) if c.waiting is None else None
-            if wanted is None or self._pipe is None:
-                continue
+        wanted = c.lacks(self._motion, self._slack, period)
+        if wanted is not None:
             try:
                 self._pipe.send((category, *self._motion.box(*wanted)))
                 c.waiting = wanted[1]
