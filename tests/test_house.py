@@ -299,6 +299,7 @@ OTHER_MEANINGS = (
     ("stopset.offline.brakes.power_off", "delay", "the brakes'"),
     ("stopset.offline.identify.constants", "delay", "a stage of the identification"),
     ("stopset.fmu.variables", "viscous", "the damping of the abstraction"),
+    ("stopset.monitor.rtde", "payload", "a column of the controller"),
 )
 
 

@@ -93,11 +93,9 @@ class Recorder:
         self.trace.take(s, v, code, inputs)
 
     def incident(self, first: Deviation, t: float) -> None:
-        """The sample taken last was outside its prediction."""
-        if len(self._incidents) >= WAITING:
-            self.dropped += 1
-            return
-        self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
+        """The sample taken last was outside its prediction; while one waits for what comes after it, its file holds this too."""
+        if not self._incidents:
+            self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
 
     def overhear(self, name: str, data: bytes) -> None:
         """What is said on the slow keys."""
@@ -154,17 +152,21 @@ class Recorder:
         )
         if not len(w) or self._model is None:
             return
-        q = w.q[-1]
+        if self.settings.violations:  # else nothing is written, and the next life knows of none before
+            self._place(w.q[-1], self._model[0].joints, begun)
+        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
+            self._late_said = True
+            self.notes.append(plausible.late_words(late))
+
+    def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
+        """Where the arm is, against where it was left; kept for the next life."""
         if not begun and (before := plausible.kept_position(self.folder)) is not None:
             self._position = before
-            if words := plausible.moved_words(before, q, self._model[0].joints):
+            if words := plausible.moved_words(before, q, joints):
                 self.notes.append(words)
         if self._position is None or len(self._position) != len(q) or np.any(np.abs(q - self._position) > plausible.MOVED / 5):
             plausible.keep_position(self.folder, q)
             self._position = q
-        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
-            self._late_said = True
-            self.notes.append(plausible.late_words(late))
 
     def _write(self, incident: Incident, whole: bool) -> None:
         """The bundle: at once with what there is, and once more with what came after."""

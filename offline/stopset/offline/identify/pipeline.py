@@ -13,6 +13,7 @@ from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.abstraction.swift import swift
 from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
@@ -87,7 +88,7 @@ def identified(
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
     numbers = known_effects(robot, meta, learning, asked, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
-    nominal = abstracted(robot, meta, learning, learnt, chosen, numbers, nominal)
+    nominal = swift(abstracted(robot, meta, learning, learnt, chosen, numbers, nominal), learnt, meta.effort)
     nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
