@@ -103,6 +103,11 @@ def joint_inputs(model: Model, stem: str, values: Array) -> dict[str, Array]:
     return {f"{stem}_{j}": values[:, k] for k, j in enumerate(model.joints)}
 
 
+def swift(model: Model) -> Model:
+    """The same with Coriolis torque taken off its input."""
+    return replace(model, abstraction=replace(model.abstraction, swift=True))
+
+
 def names(model: Model, *stems: str) -> list[str]:
     return [f"{s}_{j}" for s in stems for j in model.joints]
 
@@ -191,6 +196,7 @@ def test_model_exchange_follows_co_simulation(exported: Any, fmi: int) -> None:
     ("name", "model"),
     [
         ("effects", arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True)),
+        ("swift", swift(arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True))),
         ("cubic", arm_model(3, cubic=0.2)),
         ("arm_coupled", arm_model(coupled=True, offset=True)),
     ],

@@ -34,17 +34,27 @@ static void gravity_at(const StopsetState *s, const double q[NJ], int asked, dou
     stopset_gravity_torque(pi, stopset_model.gravity, q, load);
 }
 
+/* What is taken off the torque beside effects: gravity, and Coriolis and centrifugal torque where the model says so. */
+static void rigid_at(const StopsetState *s, const double q[NJ], const double dq[NJ], const double load[NJ], double out[NJ]) {
+    double pi[NJ][10];
+    memcpy(out, load, NJ * sizeof *out);
+    if (!stopset_model.swift) return;
+    stopset_loaded_links(s, pi);
+    stopset_bias_torque(pi, stopset_model.gravity, q, dq, out);
+}
+
 /* u of eq. (11) at the state (q, dq): torque without gravity and without the effects that the model compensates. */
 static void input_at(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const double *memory,
                      const double way[NJ], double u[NJ]) {
     const int off = s->stopping == 1; /* drives without power: gravity and brakes are left */
-    double load[NJ], effect[NJ];
+    double load[NJ], rigid[NJ], effect[NJ];
     memset(effect, 0, sizeof effect);
     gravity_at(s, q, stopset_model.motor_torque || HAS_LOAD || off, load);
+    rigid_at(s, q, dq, load, rigid);
     if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, memory, effect);
     for (int i = 0; i < NJ; i++) {
         u[i] = (off ? 0.0 : s->r[VR_TAU + i]) - s->r[VR_OFFSET + i] - effect[i];
-        if (stopset_model.motor_torque || off) u[i] -= load[i];
+        if (stopset_model.motor_torque || off) u[i] -= rigid[i];
         if (off) {
             double since = t - s->stop_start - stopset_model.brake_delay[i], rise = stopset_model.brake_rise[i];
             double share = since <= 0.0 ? 0.0 : since >= rise ? 1.0 : since / rise;
@@ -61,16 +71,17 @@ void stopset_input(const StopsetState *s, double u[NJ]) {
     input_at(s, s->r[VR_TIME], q, dq, memory, way, u);
 #if HAS_EFFECTS
     if (!stopset_model.motor_torque) return;
-    double rest[NJ], load[NJ], ahead[NJ], back[NJ];
+    double rest[NJ], load[NJ], rigid[NJ], ahead[NJ], back[NJ];
     memset(rest, 0, sizeof rest);
     gravity_at(s, q, 1, load);
+    rigid_at(s, q, dq, load, rigid);
     for (int i = 0; i < NJ; i++) way[i] = 1.0;
     stopset_effects(s, q, rest, way, load, memory, ahead);
     for (int i = 0; i < NJ; i++) way[i] = -1.0;
     stopset_effects(s, q, rest, way, load, memory, back);
     for (int i = 0; i < NJ; i++) {
         if (fabs(dq[i]) > stopset_model.standstill[i]) continue;
-        double whole = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - load[i];
+        double whole = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - rigid[i];
         u[i] = whole - fmin(fmax(whole, fmin(ahead[i], back[i])), fmax(ahead[i], back[i]));
     }
 #endif

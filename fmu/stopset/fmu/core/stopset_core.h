@@ -36,7 +36,7 @@ typedef struct {
     double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], noise_lo[NX], noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
-    int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
+    int decoupled, signed_response, position_only, motor_torque, swift, has_domain_temp, has_brakes;
     double start_real[N_REAL];
     int32_t start_int[N_INT];
     uint8_t start_bool[N_BOOL];
