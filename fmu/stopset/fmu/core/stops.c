@@ -17,17 +17,11 @@ static const double *state_of(const StopsetState *s, int speeds) {
     return &s->r[speeds ? VR_DQ : VR_Q];
 }
 
-/* A load is counted where the proof has it: its mass within the range (as_identified), its centre there. */
-static int load_is_counted(const StopsetState *s) {
-    const double *com = &s->r[VR_PAYLOAD_COM], *tool = stopset_stops.tool;
-    return s->r[VR_PAYLOAD_MASS] == 0.0 || (com[0] == tool[0] && com[1] == tool[1] && com[2] == tool[2]);
-}
-
 /* Whether the model speaks of this state at all: domain, load, parameters, and nothing has refuted it. */
 static int believed(const StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
-    if (!m->has_brakes || !s->as_identified || s->violated || !load_is_counted(s)) return 0;
+    if (!m->has_brakes || !s->as_identified || s->violated) return 0;
     if (!(s->r[VR_WARM] >= 0.0 && s->r[VR_WARM] <= 1.0)) return 0;
     for (int i = 0; i < NJ; i++) {
         const double temp = s->r[VR_TEMP + i];
