@@ -138,12 +138,15 @@ def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
     told = json.loads(daemon.words)
     stop = {"time_s": 0.0800001, "forward_rad": 0.00001, "back_rad": 0.0}
     told["stops"] = {"0": {"time_s": 0.0800001, "tcp_m": 0.0120001, "why": "", "joints": dict.fromkeys(told["joints"], stop)}}
+    told["margins"] = {"certified": True, "time_s": 0.0429, "tcp_m": -0.0001, "planes_m": {"fence": 0.1239}}
     daemon.words = json.dumps(told).encode()
     daemon.speak()
     console = Console(width=150, record=True, file=io.StringIO())
     console.print(terminal(daemon.view))
     with shown(daemon.view, browser, "OK"):
         page = browser.find_element("id", "stops").text + browser.find_element("id", "joints").text
+        left = browser.find_element("id", "margins").text
+    assert "42 ms" in left and "✕ -1 mm" in left and "plane fence 123 mm" in left, "and what is left to a limit is rounded down"
     for text in (page, console.export_text()):
         assert "81 ms" in text and "13 mm" in text and "0.0001 rad" in text
         assert "80 ms" not in text and "12 mm" not in text and "0.0000 rad" not in text

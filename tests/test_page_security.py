@@ -27,7 +27,8 @@ def twin(text: str, samples: Any = 3) -> dict[str, Any]:
     return {
         "state": "VIOLATION", "why": text, "data_id": 1, "joints": [text, "b"], "gaps": 0, "room": {text: 0.1}, "verdicts": {text: 3},
         "violations": [{"joint": text, "samples": samples, "state": text, "side": text, "unit": text, "kind": text, "excess": 0.1}],
-        "oldest_prediction_s": 0.4, "notice": text, "model_sha256": text, "config_sha256": text, "guarantee": text,
+        "margins": {"certified": True, "joint_limits_rad": {text: 0.1}, "planes_m": {text: 0.2}}, "violation_class": text,
+        "violation_cause": {"says": text}, "oldest_prediction_s": 0.4, "notice": text, "model_sha256": text, "config_sha256": text, "guarantee": text,
         "stops": {text: {"time_s": None, "tcp_m": None, "why": text, "joints": {text: {"time_s": 1, "forward_rad": 1, "back_rad": 1}}}},
     }  # fmt: skip
 
@@ -250,7 +251,7 @@ def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: Page, browser
     time.sleep(0.3)
     assert browser.execute_script("return document.body.id") == ""
     assert browser.execute_script("return document.querySelectorAll('img, main script, iframe').length") == 0
-    for part in ("why", "stops", "joints", "violations", "events", "counts", "notice"):
+    for part in ("why", "stops", "margins", "joints", "cause", "violations", "events", "counts", "notice"):
         assert "<img src=x" in browser.find_element("id", part).text.replace("\u00a0", " "), part
     assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
     browser.get("about:blank")

@@ -25,7 +25,8 @@ function show(s) {
   if (s.twin) shownTwin = s.twin;
   if (!shownTwin) return;
   stops(stale ? {} : shownTwin.stops, stale);
-  joints(shownTwin, stale, s.limits);
+  margins(shownTwin, stale);
+  joints(shownTwin, stale);
   violations(shownTwin);
   drawArm(s, stale);
   if (!stale && shownTwin.room) past.push([Date.now(), shownTwin.joints.map((j, k) => within(shownTwin, j, k))]);
@@ -48,28 +49,35 @@ function stops(all, stale) {
   if (!told.length) told.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
   fill('stops', heads('', 'time', 'flange'), ...told);
 }
-// how far a joint stays from its end stops if it is stopped now [rad]
-function left(t, k, a, limits) {
-  if (!limits || !t.q || !number(a.forward_rad) || !limits[k] || !limits[k].every(number)) return null;
-  return Math.min(limits[k][1] - t.q[k] - a.forward_rad, t.q[k] - a.back_rad - limits[k][0]);
+// what is left to the limits of the configuration if the arm is stopped now; rounded down, for it must not promise more
+const rest = (x, f, u, d) => { const v = Math.floor(x * f * 10 ** d + 1e-9) / 10 ** d; return el('span', {className: v < 0 ? 'bad' : ''}, `${v < 0 ? '✕ ' : ''}${v.toFixed(d)} ${u}`); };
+function margins(t, stale) {
+  const m = stale ? null : t.margins, rows = [];
+  const row = (name, ...x) => { if (number(x[0])) rows.push(el('tr', null, el('td', null, name), figure(rest(...x)))); };
+  if (m && m.certified) {
+    row('time', m.time_s, 1e3, 'ms', 0); row('angle', m.angle_rad, 1, 'rad', 3); row('flange', m.tcp_m, 1e3, 'mm', 0);
+    Object.entries(m.planes_m).forEach(([name, x]) => row('plane ' + name, x, 1e3, 'mm', 0));
+  }
+  fill('margins', ...(rows.length ? [heads('left to the limit of', ''), ...rows] : []));
 }
-function joints(t, stale, limits) {
+function joints(t, stale) {
   const s0 = stale ? {} : (t.stops['0'] || {}).joints || {}, bad = {};
   t.violations.forEach(v => { bad[v.joint] = (bad[v.joint] || 0) + v.samples; });
-  fill('joints', heads('joint', 'room', 'STOP 0', 'to its limit'), ...t.joints.map((j, k) => {
+  fill('joints', heads('joint', 'room', 'STOP 0', 'to its limit'), ...t.joints.map(j => {
     const r = stale || !t.room ? null : t.room[j], a = s0[j] || {};
     const travel = number(a.forward_rad) && number(a.back_rad) ? Math.max(a.forward_rad, a.back_rad) : null;
-    const margin = stale ? null : left(t, k, a, limits);
+    const margin = stale || !t.margins || !t.margins.certified ? null : t.margins.joint_limits_rad[j];
     const bar = el('meter', {min: 0, max: 1, low: 0.1, high: 0.3, optimum: 0.9, value: number(r) ? Math.max(0, Math.min(1, r)) : 0});
     bar.setAttribute('aria-label', `room of ${j}`);
     return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
       figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
       stale || (!number(a.time_s) && travel == null) ? figure(stale ? '–' : 'no number') : figure(num(a.time_s, 1e3, 'ms', 0), el('small', null, num(travel, 1, 'rad', 4))),
-      figure(margin == null ? '–' : el('span', {className: margin < 0 ? 'bad' : ''}, `${margin < 0 ? '✕ ' : ''}${(Math.floor(margin * 100) / 100).toFixed(2)} rad`)));
+      figure(number(margin) ? rest(margin, 1, 'rad', 2) : '–'));
   }));
 }
 function violations(t) {
   $('violated').hidden = !t.violations.length;
+  $('cause').textContent = t.violation_class ? t.violation_class.replaceAll('_', ' ') + (t.violation_cause && t.violation_cause.says ? ': ' + t.violation_cause.says : '') : '';
   fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
     el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind.replaceAll('_', ' ')}${v.in_domain ? '' : ', outside the domain'}`),
     figure(number(v.excess) ? `${v.excess.toPrecision(3)} ${v.unit}` : ''), figure(String(v.samples)))));

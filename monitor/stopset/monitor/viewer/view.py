@@ -58,6 +58,20 @@ class _Tube(msgspec.Struct):
     hi: list[float | None]
 
 
+class _Margins(msgspec.Struct):
+    certified: bool
+    why: str = ""
+    joint_limits_rad: dict[str, float | None] = {}
+    time_s: float | None = None
+    angle_rad: float | None = None
+    tcp_m: float | None = None
+    planes_m: dict[str, float | None] = {}
+
+
+class _Cause(msgspec.Struct):
+    says: str = ""
+
+
 class Twin(msgspec.Struct):
     """What the displays need of ``state/json``; a message without it is not shown, and nothing else of it reaches them."""
 
@@ -74,6 +88,9 @@ class Twin(msgspec.Struct):
     stops: dict[str, _Stop]
     q: list[float] | None = None
     tube: _Tube | None = None
+    margins: _Margins | None = None
+    violation_class: str = ""
+    violation_cause: _Cause | None = None
     model_sha256: str = ""
     config_sha256: str = ""
     guarantee: str = ""
@@ -215,7 +232,6 @@ class View:
                 "health": self.health,
                 "events": self.events.last(12),
                 "arm": self._arm(),
-                "limits": None if self.model is None else self.model.robot.q_limit.tolist(),
                 "lost": lost,
                 "rejected": rejected,
             }

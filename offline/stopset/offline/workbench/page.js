@@ -131,6 +131,7 @@ function waterfall(f, revisions, floor) {
   const of = x => joint && x[`${f.key}:${joint}`] != null ? x[`${f.key}:${joint}`] : joint ? null : x[f.key];
   revisions.forEach(r => { if (!chain.length && of(r.before) != null) chain.push(['before', of(r.before)]); if (of(r.after) != null) chain.push([r.added || 'first', of(r.after)]); });
   const caption = el('figcaption', null, f.title + (joint ? `, at ${joint}` : ''));
+  const stands = revisions.length > 0 && of(revisions[revisions.length - 1].after) != null;
   if (!chain.length) return el('figure', null, caption, small('nothing added yet, so nothing to compare'));
   const level = !joint ? floor && floor.arm : floor && floor.joints && floor.joints[joint];
   const c = el('canvas', {width: 460, height: 230}), g = c.getContext('2d'), top = 1.15 * Math.max(...chain.map(x => x[1]), level || 0) || 1, step = 440 / chain.length, Y = v => 190 - 180 * v / top;
@@ -138,12 +139,12 @@ function waterfall(f, revisions, floor) {
   g.font = '17px system-ui,sans-serif'; g.textAlign = 'center';
   chain.forEach(([name, v], k) => {
     const x = 10 + k * step, b = Math.min(90, step * 0.7);
-    g.fillStyle = k === chain.length - 1 ? '#2a6f97' : '#b8c4ce'; g.fillRect(x + (step - b) / 2, Y(v), b, 190 - Y(v));
+    g.fillStyle = stands && k === chain.length - 1 ? '#2a6f97' : '#b8c4ce'; g.fillRect(x + (step - b) / 2, Y(v), b, 190 - Y(v));
     g.fillStyle = '#1d2733'; g.fillText(num(v), x + step / 2, Y(v) - 5);
     const short = name.length * 9 > step ? name.slice(0, Math.max(3, Math.floor(step / 9) - 1)) + '…' : name; g.fillText(short, x + step / 2, 214);
   });
   if (level) { g.strokeStyle = '#b3261e'; g.setLineDash([6, 5]); g.beginPath(); g.moveTo(0, Y(level)); g.lineTo(460, Y(level)); g.stroke(); g.setLineDash([]); g.textAlign = 'left'; g.fillStyle = '#b3261e'; g.fillText('repeatability floor', 6, Y(level) - 5); }
-  return el('figure', null, caption, c);
+  return el('figure', null, caption, c, stands ? null : small('not known of the model at hand: not everything it needs is proved'));
 }
 // ---- the arm over a recording
 let scene = null, sceneOf = '', playing = 0;
@@ -184,7 +185,7 @@ function tube(c, j, now, cross) {
   for (let k = 0; k <= 4; k++) {
     const y = y0 + k * (y1 - y0) / 4, x = k * x1 / 4;
     g.strokeStyle = '#e4e9ee'; g.beginPath(); g.moveTo(L, Y(y)); g.lineTo(w - 16, Y(y)); g.stroke();
-    g.textAlign = 'right'; g.fillText(num(y), L - 8, Y(y) + 6); g.textAlign = 'center'; g.fillText(num(x) + ' s', X(x), h - 10);
+    g.textAlign = 'right'; g.fillText(num(y), L - 8, Y(y) + 6); g.textAlign = k === 4 ? 'right' : 'center'; g.fillText(num(x) + ' s', X(x), h - 10);
   }
   if (j.band_t.length) { g.fillStyle = 'rgba(120,130,140,.35)'; g.beginPath(); path(j.band_t, j.hi); [...j.band_t].reverse().forEach((t, k) => g.lineTo(X(t), Y(j.lo[j.lo.length - 1 - k]))); g.fill(); }
   g.strokeStyle = '#0072b2'; g.lineWidth = 3; g.beginPath(); path(j.t, j.y); g.stroke();
