@@ -292,11 +292,17 @@ def test_outside_what_was_identified_there_is_no_number(exported: Any) -> None:
         u.step(0.01)  # the measured state is far from the prediction: refuted, and so it stays
         assert u.get("verdict") == 2
         assert silent(u, model)
-    for other in ({"payload_mass": 3.0}, {"viscous_axis_1": 1.0}, {"inertia_axis_2": 20.0}):
+    elsewhere = {"payload_mass": 1.0, "payload_com_x": 0.3}  # the proof has a load at the flange
+    for other in ({"payload_mass": 3.0}, {"viscous_axis_1": 1.0}, {"inertia_axis_2": 20.0}, {"warm": 1.5}, elsewhere):
         with unit(fmu) as u:
             u.set(other)
             u.begin()
             assert silent(u, model)
+    with unit(fmu) as u:  # within the range that every bound holds for
+        u.set({"payload_mass": 1.0})
+        u.begin()
+        u.state(model, q, dq)
+        assert equals(u, model, bounds.bound(q, dq))
 
 
 def test_a_stop_0_runs_down_inside_its_bounds(exported: Any) -> None:

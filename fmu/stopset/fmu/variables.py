@@ -17,6 +17,7 @@ from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters, remembered
 from stopset.reach.stops.brakes import brakes_of
+from stopset.reach.stops.payload import weighed
 
 Kind = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["independent", "input", "output", "parameter", "local"]
@@ -154,7 +155,7 @@ def _conditions(m: Model) -> list[Variable]:
     what = "{} of the load's centre of mass in the last link's frame"
     com = [
         Variable(f"payload_com_{a}", "PAYLOAD_COM", "Real", "parameter", "m", what.format(a), float(x), "fixed")
-        for a, x in zip("xyz", m.robot.tip, strict=True)
+        for a, x in zip("xyz", weighed(m, None)[1], strict=True)
     ]
     ramp = "length of the controller's STOP 1 ramp, all joints alike; set yours"
     session = "place in the session, 0 cold to 1 warm"

@@ -16,6 +16,8 @@ static int as_identified(const StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     for (int v = VR_FIRST_PHYSICAL; v < VR_FIRST_PHYSICAL + N_PHYSICAL; v++)
         if (s->r[v] != m->start_real[v]) return 0;
+    for (int r = 0; r < 3; r++) /* a load counts where the proofs have it */
+        if (s->r[VR_PAYLOAD_MASS] != 0.0 && s->r[VR_PAYLOAD_COM + r] != m->start_real[VR_PAYLOAD_COM + r]) return 0;
     return s->r[VR_PAYLOAD_MASS] >= m->payload_lo && s->r[VR_PAYLOAD_MASS] <= m->payload_hi;
 }
 
@@ -179,6 +181,7 @@ static int inside_domain(const StopsetState *s) {
     const double *qs = &s->r[s->b[IX_MEASURED] ? VR_Q_MEASURED : VR_Q], *dqs = &s->r[s->b[IX_MEASURED] ? VR_DQ_MEASURED : VR_DQ];
     for (int i = 0; i < NJ; i++) {
         double q = qs[i], dq = dqs[i], temp = s->r[VR_TEMP + i];
+        if (!stopset_finite(s->r[VR_Q + i]) || !stopset_finite(s->r[VR_DQ + i])) return 0; /* no prediction, no bound */
         if (!(q >= m->q_lo[i] && q <= m->q_hi[i] && dq >= m->dq_lo[i] && dq <= m->dq_hi[i])) return 0;
         if (m->has_domain_temp && !(temp >= m->temp_lo[i] && temp <= m->temp_hi[i])) return 0;
     }

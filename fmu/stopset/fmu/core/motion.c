@@ -15,7 +15,7 @@ enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects reme
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
 static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
-static const int STEPS = 200000;       /* of the integrator within one communication step */
+static const int STEPS = 20000;       /* of the integrator within one communication step */
 
 /* Whether friction depends on the direction of motion now. */
 static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
