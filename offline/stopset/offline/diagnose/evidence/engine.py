@@ -193,6 +193,10 @@ class Engine:
             self._level[joint] = float(self.friction[joint, 0] + self.friction[joint, 1] * speed) or 1.0
         return self._level[joint]
 
+    def loaded(self, joints: Sequence[int]) -> bool:
+        """Whether gravity loads one of ``joints`` in these motions."""
+        return any(float(np.ptp(self.source.gravity[:, j])) >= limit.FLAT * self.level(j) for j in joints)
+
     # -- the current model ------------------------------------------------------------------------------------------
 
     @property
