@@ -54,7 +54,7 @@ LEFT_OUT = (
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
-    ("stopset.offline.diagnose.diagnose", "SINCE", WORDS),
+    ("stopset.offline.diagnose.diagnose", "SINCE SINGLE", WORDS),
     ("stopset.offline.diagnose.standing", "MOVE", WORDS),
     ("stopset.offline.diagnose.evidence.engine", "KEPT", BUDGET),
     ("stopset.offline.diagnose.explain.identifiable",

@@ -149,5 +149,6 @@ def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalP
         "session_trials": found.places,
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
+        "taken_out": list(nominal.taken_out),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

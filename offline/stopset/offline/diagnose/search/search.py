@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from stopset.offline.diagnose.search.refine import begun, refined, sharpened
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.types import Array
 
+Tell = Callable[[str], None]
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
 
 
@@ -47,8 +48,13 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD) -> Found:
-    """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless."""
+def search(
+    engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = lambda _: None
+) -> Found:
+    """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless.
+
+    ``tell`` is told each claim as it is made.
+    """
     candidates = engine.add_all(wanted(engine, names))
     ripple = next((e for e in catalogue().values() if e.periodic and (names is None or e.name in names)), None)
     ripples = Ripples(engine, ripple) if ripple else None
@@ -89,6 +95,8 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
         after = _excess(engine, p.theta, hyper)
         rivals = tuple(r for r in near if r.candidate.key != candidate.key)
         claims.append(Claim(top, top.score, rivals, excess, after))
+        where = "+".join(engine.data.joints[j] for j in top.candidate.joints) or "the whole arm"
+        tell(f"so far: {top.candidate.effect.name} at {where}, score {top.score:.0f}; asking every other again")
         excess = after
     kept = _needed(engine, _as_fitted(engine, claims, p.theta), hyper, threshold)
     kept = [_settled_again(engine, claim, hyper) for claim in kept]
