@@ -9,6 +9,7 @@ import argparse
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from stopset.artifact import Model, load_model
 from stopset.fmu import PLATFORMS, export
 from stopset.fmu.build import native
 from stopset.fmu.reference import reference
-from stopset.fmu.stops import fmu_stop
+from stopset.fmu.stops import bounds_of
 from stopset.reach.stops.bounds import StopBounds
 
 
@@ -35,60 +36,87 @@ def main() -> None:
         every = export(model, Path(folder) / "G.fmu", 3)
         print(f"export, {len(PLATFORMS)} platforms: {time.perf_counter() - start:.2f} s, {every.stat().st_size / 1024:.0f} KiB")
         run(model, fmu)
-    stops(model, args.states)
+        stops(model, fmu, args.states)
 
 
-def run(model: Model, fmu: Path) -> None:
-    """Agreement on the reference run, and time per step without an importer's overhead."""
+def opened(fmu: Path) -> tuple[Any, dict[str, int]]:
+    """An instance after initialization, and its value references by name."""
     import fmpy
     from fmpy.fmi3 import FMU3Slave
 
-    r, J = reference(model), model.joints
     description = fmpy.read_model_description(str(fmu))
-    vr = {v.name: v.valueReference for v in description.modelVariables}
-    folder = fmpy.extract(str(fmu))
     slave = FMU3Slave(
-        guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier, instanceName="a"
+        guid=description.guid, unzipDirectory=fmpy.extract(str(fmu)), instanceName="a",
+        modelIdentifier=description.coSimulation.modelIdentifier,
     )  # fmt: skip
     slave.instantiate()
     slave.enterInitializationMode()
     slave.exitInitializationMode()
-    given = [vr[f"{s}_{j}"] for s in ("tau", "temp", "q_measured", "dq_measured") for j in J]
-    asked = [vr[f"{s}_{j}"] for s in ("q", "dq", "q_lo", "dq_lo", "q_hi", "dq_hi") for j in J]
+    return slave, {v.name: v.valueReference for v in description.modelVariables}
+
+
+def run(model: Model, fmu: Path) -> None:
+    """Agreement on the reference run, and CPU time per step with the measured state connected and without."""
+    r, J, dt = reference(model), model.joints, model.powered.dt
+    for measured in (True, False):
+        slave, vr = opened(fmu)
+        given = [vr[f"{s}_{j}"] for s in ("tau", "temp", "q_measured", "dq_measured") for j in J]
+        asked = [vr[f"{s}_{j}"] for s in ("q", "dq", "q_lo", "dq_lo", "q_hi", "dq_hi") for j in J]
+        slave.setBoolean([vr["measured"]], [measured])
+        worst, stepping, getting = 0.0, 0.0, 0.0
+        for k in range(len(r.t) - 1):
+            slave.setFloat64(given, np.concatenate([r.tau[k], r.temp[k], r.x[k]]).tolist())
+            a = time.process_time()
+            slave.doStep(k * dt, dt)
+            b = time.process_time()
+            out = np.array(slave.getFloat64(asked))
+            stepping, getting = stepping + b - a, getting + time.process_time() - b
+            wanted = np.concatenate([r.x[k + 1], r.lo[k + 1], r.hi[k + 1]])
+            worst = max(worst, float(np.abs(out - wanted)[np.isfinite(wanted)].max()))
+        rows = len(r.t) - 1
+        if measured:
+            print(f"largest difference from Python over {r.t[-1]:.2f} s, state and bounds: {worst:.1e}")
+        how = "measured state connected" if measured else "free running"
+        print(
+            f"{how}: doStep {1e6 * stepping / rows:.0f} us CPU, {len(asked)} outputs {1e6 * getting / rows:.0f} us (with fmpy's calls)"
+        )
+        slave.terminate()
+        slave.freeInstance()
+
+
+def stops(model: Model, fmu: Path, states: int) -> None:
+    """The FMU's bounds at random states of the domain: equal to the monitor's, how long they take, how they compare to a table's."""
+    monitor, table, rng, d, J = (
+        bounds_of(model),
+        StopBounds.of(model, pieces=64),
+        np.random.default_rng(0),
+        model.domain,
+        model.joints,
+    )
+    slave, vr = opened(fmu)
+    given = [vr[f"{s}_{j}"] for s in ("q_measured", "dq_measured") for j in J]
+    asked = [[vr[f"{s}_{j}"] for j in J] for s in ("stop_time", "stop_angle")] + [[vr["tcp_stop_distance"]]]
     slave.setBoolean([vr["measured"]], [True])
-    dt, worst, stepping, getting = model.powered.dt, 0.0, 0.0, 0.0
-    for k in range(len(r.t) - 1):
-        slave.setFloat64(given, np.concatenate([r.tau[k], r.temp[k], r.x[k]]).tolist())
-        a = time.perf_counter()
-        slave.doStep(k * dt, dt)
-        b = time.perf_counter()
-        out = np.array(slave.getFloat64(asked))
-        stepping, getting = stepping + b - a, getting + time.perf_counter() - b
-        wanted = np.concatenate([r.x[k + 1], r.lo[k + 1], r.hi[k + 1]])
-        worst = max(worst, float(np.abs(out - wanted)[np.isfinite(wanted)].max()))
-    rows = len(r.t) - 1
-    print(f"largest difference from Python over {r.t[-1]:.2f} s, state and bounds: {worst:.1e}")
-    print(f"doStep {1e6 * stepping / rows:.0f} us, {len(asked)} outputs {1e6 * getting / rows:.0f} us (with fmpy's calls)")
-    slave.terminate()
-    slave.freeInstance()
-
-
-def stops(model: Model, states: int) -> None:
-    """The FMU's bound over the certified tube of `stopset.reach`, at random states of the domain."""
-    n, bounds, rng = model.n, StopBounds.of(model), np.random.default_rng(0)
-    d, V = model.domain, model.powered.V
-    ratios, proved = [], 0
+    ratios, took, same, proved = [], [], 0, 0
     for _ in range(states):
         q, dq = rng.uniform(d.q.lo, d.q.hi), rng.uniform(d.dq.lo, d.dq.hi)
-        mine = fmu_stop(model, q - V.centre[:n], dq - V.centre[n:], V.radius[:n], V.radius[n:])
-        other = bounds.bound(q, dq)
-        proved += mine is not None
-        if mine is not None and other.time is not None and other.angle is not None and other.tcp is not None:
-            ratios.append([mine.time / other.time.max(), np.median(mine.angle / other.angle), mine.tcp / other.tcp])
-    print(f"stops proved: {proved} of {states}")
+        slave.setFloat64(given, [*q.tolist(), *dq.tolist()])
+        begin = time.process_time()
+        mine = [np.array(slave.getFloat64(x)) for x in asked]
+        took.append(time.process_time() - begin)
+        want, best = monitor.bound(q, dq), table.bound(q, dq)
+        proved += bool(np.isfinite(mine[2][0]))
+        if want.time is None or want.angle is None or best.time is None or best.angle is None or best.tcp is None:
+            same += bool(np.isnan(mine[2][0])) and not want.certified
+            continue
+        same += np.array_equal(mine[0], want.time) and np.array_equal(mine[1], want.angle) and mine[2][0] == want.tcp
+        ratios.append([mine[0].max() / best.time.max(), np.median(mine[1] / best.angle), mine[2][0] / best.tcp])
+    print(f"stops proved: {proved} of {states}; equal to the monitor's to the last bit: {same}")
+    print(f"a bound takes {1e3 * np.median(took):.2f} ms CPU (median), {1e3 * max(took):.2f} ms at most")
     if ratios:
         t, a, p = np.median(ratios, axis=0)
-        print(f"bound over the tube of stopset.reach, median: time {t:.1f}, angle {a:.1f}, flange {p:.1f}")
+        print(f"over the bounds of a table (64 pieces), median: time {t:.2f}, angle {a:.2f}, tool {p:.2f}")
+    slave.freeInstance()
 
 
 if __name__ == "__main__":

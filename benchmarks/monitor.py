@@ -104,42 +104,54 @@ class Desk(StopDesk):
         self._ready = True
 
 
-def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
-    """CPU and wall of a whole cycle, and of its parts, in one run."""
-    model, clock = load_model(model_path), Clock()
-    profile = load_profile("lwa4p/monitor")
+def prepared(model: Model, model_path: Path, trial: Recording) -> tuple[Daemon, Frames, Clock]:
+    """A daemon that hears a recording from memory and speaks into nothing."""
+    clock, profile = Clock(), load_profile("lwa4p/monitor")
     bus = Frames(trial, clock, CYCLES)
     source = CanSource(bus, profile, profile.cycle_s, clock=clock)
-    config = Config(
-        str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32,
-        publish=Publish(json_hz=1e-9),
-    )  # fmt: skip
+    config = Config(str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32, publish=Publish(json_hz=1e-9))
     desk = Desk(str(model_path), np.ones(model.n), config.stops, 0.0, source.quantum, clock=clock)
     daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=desk)
     daemon._next_json = daemon._next_health = 1e18
-    parts = {name: Part(owner, name) for owner, name in ((source, "next"), (daemon.watch, "step"), (daemon.publisher, "state"))}
-    source_next, step, publish = parts["next"], parts["step"], parts["state"]
-    daemon.source = replace_calls(source, next=source_next)
-    daemon.watch = replace_calls(daemon.watch, step=step)
-    daemon.publisher.state = publish  # type: ignore[method-assign]
-    cpu, wall = np.empty(len(bus.cycles)), np.empty(len(bus.cycles))
+    return daemon, bus, clock
+
+
+def run(daemon: Daemon, bus: Frames, clock: Clock) -> np.ndarray:
+    """(2, cycles) thread CPU and wall [us] of every cycle, once the oldest prediction has its full age."""
+    took = np.empty((2, len(bus.cycles)))
     gc.collect()
     gc.disable()
     for k, frames in enumerate(bus.cycles):
         bus.ready = frames[::-1] + bus.ready
-        clock.now += profile.cycle_s
+        clock.now += daemon.cycle_s
         begin, begin_cpu = time.perf_counter_ns(), time.thread_time_ns()
         daemon.cycle()
-        cpu[k], wall[k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
+        took[:, k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
     gc.enable()
+    return took[:, len(daemon.watch.ages) :] * 1e-3
+
+
+def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
+    """CPU and wall of a whole cycle; then, in a run of its own as clocks cost too, of its parts."""
+    model = load_model(model_path)
+    daemon, *rest = prepared(model, model_path, trial)
+    cpu, wall = run(daemon, *rest)
     state = daemon._situation()
     print(f"state {state.state.name}: {state.why}")
-    warm = slice(len(daemon.watch.ages), None)
-    cpu, wall = cpu[warm] * 1e-3, wall[warm] * 1e-3
-    said = {n: float(np.median(np.array(p.took[warm])) * 1e-3) for n, p in parts.items()}
     print(f"{len(daemon.watch.ages) - 1} ages, {model.effort}, {len(model.effects)} effects, {len(cpu)} cycles: "
           f"{daemon.tally.verdicts}")  # fmt: skip
-    for name, us in (*said.items(), ("the rest", float(np.median(cpu)) - sum(said.values()))):
+    daemon, *rest = prepared(model, model_path, trial)
+    desk, watch = daemon.desk, daemon.watch
+    owners = {"next": daemon.source, "step": watch, "offer": desk, "now": desk, "state": daemon.publisher}
+    parts = {name: Part(owner, name) for name, owner in owners.items()}
+    daemon.source = replace_calls(daemon.source, next=parts["next"])
+    daemon.watch = replace_calls(watch, step=parts["step"])
+    daemon.desk = replace_calls(desk, offer=parts["offer"], now=parts["now"])
+    daemon.publisher.state = parts["state"]  # type: ignore[method-assign]
+    timed = float(np.median(run(daemon, *rest)[0]))
+    warm = slice(len(watch.ages), None)
+    said = {n: float(np.median(np.array(p.took[warm])) * 1e-3) for n, p in parts.items()}
+    for name, us in (*said.items(), ("the rest", timed - sum(said.values()))):
         print(f"  {name:<10} {us:8.1f} us CPU")
     print(
         f"  cycle      {np.median(cpu):8.1f} us CPU, p99 {np.quantile(cpu, 0.99):.1f}; wall p99.9 {np.quantile(wall, 0.999):.1f} us"
@@ -147,7 +159,7 @@ def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
     return {
         "cycle_cpu_us": {"median": float(np.median(cpu)), "p99": float(np.quantile(cpu, 0.99))},
         "wall_us": {"p999": float(np.quantile(wall, 0.999))}, "parts_us": said,
-        "ages": len(daemon.watch.ages) - 1, "joints": model.n, "effort": model.effort,
+        "ages": len(watch.ages) - 1, "joints": model.n, "effort": model.effort,
     }  # fmt: skip
 
 

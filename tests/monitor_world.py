@@ -16,12 +16,15 @@ from typing import Any
 import numpy as np
 
 from monitor_arm import DT, NOISE, VISCOUS, U, known_model
+from monitor_faults import Fault
 from stopset.artifact import Model
 from stopset.errors import BusError
 from stopset.monitor.certificates import Numbers
-from stopset.monitor.config import Bus, Config, Publish, Stops
+from stopset.monitor.config import Bus, Config, Publish, Records, Stops
 from stopset.monitor.consumer import Consumer, Expected
 from stopset.monitor.daemon import Daemon
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import SLOT, Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import State, unpack
@@ -83,6 +86,7 @@ class World:
     model_path: Path
     model: Model = field(default_factory=lambda: known_model(horizon=0.1))
     seconds: float = 0.7
+    fault: Fault | None = None  # of the arm itself, and then nothing else goes wrong
     told: list[Told] = field(default_factory=list)
     believed: list[tuple[float, State, float]] = field(default_factory=list)  # time, state, when the data were sampled
     errors: list[str] = field(default_factory=list)
@@ -90,6 +94,7 @@ class World:
     def __post_init__(self) -> None:
         self.rng = rng = random.Random(self.seed)
         self.faults = Faults.draw(rng)
+        self.recorder = Recorder(Trace(6), Records(violations=False), Path(), DT, clock=self, pause=lambda: None)
         self.now, self.jumped, self.life, self.resets, self.torn = 0.0, 0, 0, 0, False
         self.altered_at = rng.choice([math.inf, rng.uniform(0.3, 0.8) * self.seconds])
         self.disk, self.flushed = bytearray(blank(Record())), bytes(blank(Record()))
@@ -100,8 +105,10 @@ class World:
         self.node_bad = self.stopped = False
         self.stood = 0.0
         self.handlers: list[Callable[[str, bytes], None]] = []
+        self.slow: dict[str, list[bytes | str]] = {}
         self.plan = sorted((rng.uniform(0.1, 1.0) * self.seconds, rng.choice(EVENTS)) for _ in range(rng.choice([0, 1, 2, 4])))
-        self._count, self._wire_free = 0, 0.0
+        if self.fault is not None:
+            self.faults, self.plan, self.altered_at = Faults(*[0.0] * 11), [], math.inf
         self._arm()
         self.consumer = Consumer(Expected(7, None, None, None), 50_000_000)
 
@@ -121,8 +128,11 @@ class World:
             seen = x + draw.uniform(-NOISE, NOISE, 2 * n)
             factor = np.where(np.arange(n) == 2, 2.0 if t >= self.altered_at else 1.0, 1.0)
             values[0], values[1], values[2], values[3], values[4] = seen[:n], seen[n:], u * factor, 30.0, 0x27
+            more = np.zeros(n)
+            if self.fault is not None:
+                more, values = self.fault.torque(k, u, x[n:]), self.fault.reading(k, values)
             self._send_cycle(k, t, list(encoder.frames(values)), rng)
-            x = Ad @ x + Bd @ (u + np.where(draw.integers(0, 2, n) == 1, U.hi, U.lo))
+            x = Ad @ x + Bd @ (u + more + np.where(draw.integers(0, 2, n) == 1, U.hi, U.lo))
         heapq.heapify(self.frames)
 
     def _send_cycle(self, k: int, t: float, frames: list[tuple[int, bytes]], rng: random.Random) -> None:
@@ -229,6 +239,7 @@ class World:
         def send(data: bytes) -> None:
             rng, f = self.rng, self.faults
             self.pass_time(LOOK)
+            self.recorder.turn()  # which a thread does otherwise
             m = unpack(data)
             self.told.append(Told(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
             self.stood = 0.0
@@ -255,6 +266,7 @@ class World:
             self.believed.append((self.now + wait * 1e-9, self.consumer.state(mine + wait), getattr(self, "_newest", -math.inf)))
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
+        self.slow.setdefault(name, []).append(data)
         if self.rng.random() < self.faults.send_error:
             raise RuntimeError("the session is gone")
 
@@ -301,7 +313,7 @@ class World:
             try:
                 daemon = Daemon(
                     config, self.model, self._open(), self, DT, latch=Latch(Journal(self)), clock=self,
-                    desk=Desk(self),  # type: ignore[arg-type]
+                    desk=Desk(self), recorder=self.recorder,  # type: ignore[arg-type]
                 )  # fmt: skip
                 daemon.run(self._reopen)
             except Killed:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Brakes, Model, load_model, save_model
+from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
 from stopset.offline.brakes import divide, identify_stops, judge_stop0, judge_stop1, with_stops
 from stopset.offline.brakes.bands import RISK, band, beyond, farther, hull
-from stopset.offline.brakes.impulse import Impulse
+from stopset.offline.brakes.impulse import Impulse, impulses
 from stopset.offline.brakes.timing import tell
 from stopset.reach.stops import Ramp, StopBounds, ramp_of
 from stopset.reach.stops.setting import setting_of
@@ -116,6 +117,29 @@ def test_true_brakes_are_found_and_held_out_stops_enclosed(tmp_path: Path) -> No
     assert judge_stop0(replace(known, brakes=weak), held).outside
     short = replace(ramp, value=Box.of(np.full(6, 0.2), np.full(6, 0.22)))
     assert judge_stop1(short, fit.noise, divide(recorded_stop1(16, 5))[1]).outside
+
+
+def test_what_an_effect_pushes_with_is_no_brake() -> None:
+    """An arm that a constant torque pushes, and a spring: what its brakes took is read off as of an arm that nothing pushes."""
+    model, push, k = prbt_like((0.0, 0.0)), 30.0, 25.0
+    robot, torque, zero = model.robot, model.brakes.torque.centre, np.zeros(6)
+    F, D = np.array([15.0, 15, 10, 8, 3, 2]), np.array([5.0, 5, 3, 3, 1, 1])
+    spring = Fitted("spring", model.joints[1], {"k": k, "c": push}, {"k": 0.0, "c": 0.0})
+    setting = setting_of(replace(model, effects=(*model.effects, spring)))
+    assert setting is not None
+    q, dq, fine = np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.0]), np.array([0.6, 0.9, -0.7, 0.6, 0.8, 0.5]), 8
+    # the stop is short: the spring turns with the joint's own angle by a hundredth of its torque
+    u = np.array([[0.0, -push - k * (q[1] + 0.5 * 0.06 * dq[1]), 0.0, 0.0, 0.0, 0.0]])
+    qs, vs = simulate_stop(
+        robot.chain, robot.pi, model.rotor, F, D, torque, zero + 0.04, zero + RISE, q, dq, PERIOD / fine, 40 * fine, u,
+    )  # fmt: skip
+    t = np.arange(len(qs[::fine])) * PERIOD
+    r = Recording("stop0", 0, 0, 0, t, qs[::fine], vs[::fine], np.zeros((len(t), 6)), stop_trigger=t >= 0.0)
+    seen = impulses(setting, r, zero + 1e-3)[1]
+    assert seen is not None and seen.t[-1] > 0.045
+    given = torque[1] * np.array([0.5 * min(max(x - 0.04, 0.0), RISE) ** 2 / RISE + max(x - 0.04 - RISE, 0.0) for x in seen.t])
+    # the push alone would be 30 N m for 50 ms
+    assert np.abs(seen.taken - given).max() < 0.1 * push * 0.05
 
 
 @pytest.mark.parametrize("lag", [np.zeros(6), np.array([0.0, 0.0, 0.025, 0.0, 0.003, 0.0])])

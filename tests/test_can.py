@@ -19,11 +19,11 @@ from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.bus import Talker, listen, parse, talk
-from stopset.monitor.links.canopen_map import SYNC_ID, Cycle, Decoder, Encoder
+from stopset.monitor.links.canopen_map import Cycle, Decoder, Encoder
 from stopset.monitor.links.hub import Frame, Hub, HubClient
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.logs import play_log
-from stopset.monitor.profile import SIGNALS, load_profile, shipped_profiles
+from stopset.monitor.profile import SIGNALS, SYNC_ID, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
 from stopset.monitor.source import CanSource
 from stopset.recording import Recording, read_recordings, write_recordings

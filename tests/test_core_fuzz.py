@@ -97,16 +97,16 @@ def test_predictions(seed: int) -> None:
     if rng.random() < 0.5:  # joints on their own
         Ad = np.where(np.kron(np.ones((2, 2)), np.eye(n)) != 0.0, Ad, 0.0)
     age, foreign, row = rng.integers(-1, ages, rows), np.zeros(rows, np.uint8), np.zeros((2, m), np.int64)
-    lo, hi, room, oldest = -np.abs(drawn(rng, ages, m)), np.abs(drawn(rng, ages, m)), np.empty(m), ffi.new("int64_t *")
+    lo, hi, room, seen = -np.abs(drawn(rng, ages, m)), np.abs(drawn(rng, ages, m)), np.empty(m), ffi.new("int64_t[2]")
     struct = ffi.new("StopsetPredictions *", (
         m, rows, ages, view(e), view(w), integers(age), ffi.from_buffer("uint8_t[]", foreign), view(Ad), view(Bd), view(lo), view(hi),
         view(room), integers(row),
     ))  # fmt: skip
     x, before, u, du = drawn(rng, m), drawn(rng, m), drawn(rng, n), np.abs(drawn(rng, n))
-    live = lib.stopset_advance(
-        struct, view(x), view(before), view(u), view(du), int(rng.integers(2)), int(rng.integers(2)), oldest
+    live = lib.stopset_advance(struct, view(x), view(before), view(u), view(du), int(rng.integers(2)), int(rng.integers(2)), seen)
+    assert (
+        live == np.count_nonzero(age >= 0) and seen[1] == np.count_nonzero(row >= 0) and np.all(row >= -1) and np.all(row < rows)
     )
-    assert live == np.count_nonzero(age >= 0) and np.all(row >= -1) and np.all(row < rows)
     bounded = np.isfinite(lo).all(axis=0) & np.isfinite(hi).all(axis=0) & np.isfinite(w).all(axis=0)
     if live:
         assert np.all(row[:, np.isnan(x) & bounded] >= 0)

@@ -151,3 +151,71 @@ def test_checksums_and_rounding() -> None:
             len(x), view(x), ffi.from_buffer("int8_t[]", np.full(len(x), side, np.int8)), ffi.from_buffer("uint32_t[]", bits)
         )
         assert np.array_equal(bits.view(np.float32).astype(float), [outward(v, "up" if side > 0 else "down") for v in x])
+
+
+def test_what_counts_bounds_passed_and_finds_a_certificate() -> None:
+    """Against numpy, edges and numbers that are none among them."""
+    for _ in range(200):
+        n, count = int(RNG.integers(1, 9)), int(RNG.integers(0, 6))
+        lo, hi = -RNG.random((count, n)).round(1), RNG.random((count, n)).round(1)
+        cost, slack = RNG.integers(0, 4, count).astype(float), (0.2 * RNG.random(n)).round(1)
+        x = RNG.normal(scale=0.3, size=n).round(1)
+        x[RNG.random(n) < 0.05] = RNG.choice([math.nan, math.inf, -math.inf])
+        holds = np.flatnonzero(np.all((x - slack >= lo) & (x + slack <= hi), axis=1)) if count else np.zeros(0, int)
+        want = min(holds.tolist(), key=lambda k: (cost[k], k), default=-1)
+        assert lib.stopset_tightest(count, n, *map(view, (lo.ravel(), hi.ravel(), cost, x, slack))) == want
+        assert lib.stopset_sound(n, view(x), 0.5) == bool(np.all(np.abs(x) <= 0.5))
+        if count:
+            beyond = np.count_nonzero((x < lo[0] - slack) | (x > hi[0] + slack))
+            assert lib.stopset_beyond(n, *map(view, (x, lo[0].copy(), hi[0].copy(), slack))) == beyond
+
+
+def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for() -> None:
+    """Rounded positions, speeds and torques, an unknown state and friction that falls with temperature: the input of any true sample
+    is within ``u +- du``."""
+    from monitor_arm import known_model
+    from stopset.monitor.inputs import Inputs
+    from stopset.monitor.watch import Quantum
+
+    model = known_model()
+    n = model.n
+    effects = (
+        Fitted("hysteresis", model.joints[0], {"F_h": 12.0, "delta": 0.02}, {}),
+        Fitted("thermal_coulomb", model.joints[1], {"k_C": -0.2}, {}),
+        Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),
+    )
+    model = replace(model, effects=effects)
+    fine = Quantum(np.full(n, 1e-3), np.full(n, 2e-3), np.full(n, 0.1))
+    for quantum, temp in ((fine, TEMP[:, :n]), (fine, None), (Quantum.none(n), TEMP[:, :n])):
+        inputs = Inputs.of(model, quantum, (0.0, 0.0))
+        for k in range(10):
+            q, dq, tau, heat = Q[k, :n], DQ[k, :n], TAU[k, :n], None if temp is None else temp[k]
+            z = inputs.carried.ends.copy()[0]
+            u, du = inputs(q, dq, tau, heat)
+            for _ in range(20):
+                off = RNG.uniform(-1.0, 1.0, (3, n))
+                true = q + off[0] * quantum.q, dq + off[1] * quantum.dq, tau + off[2] * quantum.tau
+                state = {0: (np.array([RNG.uniform(*z)]),)}
+                got = model.input(*(x[None] for x in true), None if heat is None else heat[None], memories=state)[0]
+                assert np.all(np.abs(got - u) <= du + 1e-9)
+
+
+def test_an_arm_of_no_or_too_many_joints_is_refused() -> None:
+    from monitor_arm import known_model
+    from stopset.monitor.inputs import Inputs
+    from stopset.monitor.watch import Quantum
+
+    model = known_model()
+    model = replace(model, effects=(Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),))
+    x, none = view(np.zeros(64)), ffi.NULL
+    inputs = Inputs.of(model, Quantum.none(model.n), (0.0, 0.0))
+    for n in (0, 33):
+        inputs.struct.map.arm.n = n
+        assert lib.stopset_sample_input(inputs.struct, x, x, x, none, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
+        samples = ffi.new("StopsetSamples *")
+        assert lib.stopset_inputs(inputs.struct.map, 1, samples, x) == lib.STOPSET_TOO_MANY_JOINTS
+        predictions = ffi.new("StopsetPredictions *", {"states": 2 * n})
+        assert lib.stopset_advance(predictions, x, x, x, x, 0, 0, ffi.new("int64_t[2]")) == -1
+    inputs.struct.map.arm.n = model.n
+    inputs.struct.states = 65
+    assert lib.stopset_sample_input(inputs.struct, x, x, x, none, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS

@@ -38,7 +38,7 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("stops", "checked at {:g} points", (ramp.POINTS,)),
     ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
     ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),
-    ("stops", "a failed ramp into at most {:g} boxes", (failed.FAST_TUBES[1],)),
+    ("stops", "a failed ramp gets {:g} tube", (failed.FAST_TUBES[1],)),
     ("uncertainty-sets", "bound at {:g} %", (100 * guarantee.CONFIDENCE,)),
     ("uncertainty-sets", "nominal torque at {:g} % of", (100 * parameter_uncertainty.SHARE,)),
 )

@@ -160,8 +160,8 @@ def test_the_sources_compile_elsewhere(everywhere: dict[int, Path], tmp_path: Pa
         pytest.skip("gcc is not installed")
     with zipfile.ZipFile(everywhere[3]) as z:
         z.extractall(tmp_path, [p for p in z.namelist() if p.startswith("sources/")])
-    units = sorted(p.name for p in (tmp_path / "sources").glob("*.c"))
-    command = [gcc, "-std=c99", "-O1", "-shared", "-fPIC", *warnings, *units, "-lm", "-o", "x.so"]
+    units = sorted(str(p.relative_to(tmp_path / "sources")) for p in (tmp_path / "sources").rglob("*.c"))
+    command = [gcc, "-std=c11", "-O1", "-shared", "-fPIC", *warnings, *units, "-lm", "-o", "x.so"]
     done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
 

@@ -18,6 +18,7 @@ from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc, status
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
+from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
@@ -54,6 +55,30 @@ def test_a_wrong_torque_names_its_joint_and_no_other(joint: int) -> None:
     out = verdicts(Watch(known_model()), samples(with_torque_scaled(motion(1), joint, 1.5)))
     named = {d.joint for v in out for d in v.deviations}
     assert named == {known_model().joints[joint]}
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_the_tube_that_is_shown_is_the_one_that_is_judged_by(factor: float) -> None:
+    """A sample is between its ends exactly where the verdict says so, in every state."""
+    watch = Watch(known_model())
+    flagged = 0
+    for s in samples(with_torque_scaled(motion(1), 3, factor)):
+        v = watch.step(s)
+        ends = watch.tube(s)
+        if v.room is None:
+            assert ends is None
+            continue
+        assert ends is not None
+        x, bad = np.concatenate([s.q, s.dq]), {(d.state, d.joint, d.side) for d in v.deviations}
+        names = [(state, j) for state in ("q", "dq") for j in known_model().joints]
+        assert bad == {
+            (*names[i], side)
+            for i in range(12)
+            for side, out in (("above", x[i] > ends[1][i]), ("below", x[i] < ends[0][i]))
+            if out
+        }
+        flagged += bool(bad)
+    assert bool(flagged) == (factor != 1.0)
 
 
 @pytest.mark.parametrize("shrink", [0.8])
@@ -231,11 +256,16 @@ def test_violations_stay_latched_and_are_classified() -> None:
     assert latch.latched and latch.joints == ("arm_6_joint",)
     assert next(k for k, n in enumerate(new) if n) == 30
     entry = latch.entries[("arm_6_joint", "dq", "above")]
-    assert entry.plain()["kind"] == "spike" and entry.worst.excess == pytest.approx(0.5, abs=0.1)
+    assert entry.plain()["kind"] == "unclassed" and entry.worst.excess == pytest.approx(0.5, abs=0.1)
+    assert latch.count == 1, "one bad sample counts once"
+    assert latch.kind is Kind.UNCLASSED
+    latch.classed(Cause(Kind.SPIKE, "one sample"), 0.0)
     for s in samples(with_torque_scaled(motion(1), 1, 1.5), k0=1000):
         latch.take(s, watch.step(s))
     assert latch.joints == ("arm_6_joint", "arm_2_joint"), "first-out first"
-    assert any(e.plain()["kind"] == "drift" for e in latch.entries.values())
+    latch.classed(Cause(Kind.MISSING_EFFECT, "another"), 0.0)
+    assert {e.plain()["kind"] for e in latch.entries.values()} == {"spike", "missing_effect"}
+    assert latch.kind is Kind.SPIKE, "first-out"
     latch.reset()
     assert not latch.latched and latch.count == 0
 

@@ -30,9 +30,34 @@ def drawn(browser: Any, page: Path) -> str:
     loaded = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
     assert [x for x in loaded if not x.startswith(("data:", "blob:"))] == []
     assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
-    text = str(browser.execute_script("return document.body.innerText"))
-    assert "Monitoring aid. Not a safety function" in text
+    text = str(
+        browser.execute_script(
+            "document.querySelectorAll('details').forEach(d => {d.open = true}); return document.body.innerText"
+        )
+    )
+    assert "Monitoring aid. Not a safety function" in text and " UTC" in text
+    assert page.stat().st_size < 2_000_000, "readable over a slow line"
+    printed(browser)
     return text
+
+
+def printed(browser: Any) -> None:
+    """On A4 nothing is wider than the sheet."""
+    width = int(186 / 25.4 * 96)  # [px] less the margins
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.execute_script("dispatchEvent(new Event('beforeprint'))")
+        wide = browser.execute_script(
+            "return [...document.querySelectorAll('table, .main-svg, p, h1, h2, svg')]"
+            ".map(e => [e.getBoundingClientRect().right, e.outerHTML.slice(0, 200)]).filter(x => x[0] > innerWidth + 1)"
+        )
+        assert wide == []
+    finally:
+        browser.execute_script("dispatchEvent(new Event('afterprint'))")
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def figures(browser: Any) -> int:
@@ -54,6 +79,19 @@ def crosses(browser: Any) -> int:
                                       ".filter(t => t.marker && t.marker.symbol == 'x').length"))  # fmt: skip
 
 
+def outside(browser: Any) -> list[bool]:
+    """Of each cross: whether its band, interpolated at its time, ends before it."""
+    return list(
+        browser.execute_script("""
+      const at = (x, xs, ys) => { for (let i = 1; i < xs.length; i++) if (xs[i] >= x) { const s = (x - xs[i-1]) / (xs[i] - xs[i-1] || 1);
+        return ys[i-1] + s * (ys[i] - ys[i-1]); } return NaN; };
+      return [...document.querySelectorAll('.js-plotly-plot')].flatMap(p => p._fullData.filter(t => t.marker && t.marker.symbol == 'x').map(c => {
+        const b = p._fullData.find(t => t.fill == 'toself' && t.xaxis == c.xaxis), n = b.x.length / 2, x = [...b.x].slice(0, n);
+        const hi = at(c.x[0], x, [...b.y].slice(0, n)), lo = at(c.x[0], x, [...b.y].slice(n).reverse());
+        return c.y[0] > hi || c.y[0] < lo; }))""")
+    )
+
+
 def test_a_violation_is_drawn_where_it_is_and_its_joint_named(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     folder, trials, _ = planar
     wrong = [replace(r, tau=r.tau * np.array([1.0, 2.0])) for r in trials if r.trial == 0]  # no repetition, so no floor
@@ -61,10 +99,12 @@ def test_a_violation_is_drawn_where_it_is_and_its_joint_named(browser, planar, t
     page, data = tmp_path / "compare.html", str(tmp_path / "wrong.parquet")
     assert main(["compare", str(folder / "m.model.json"), "--data", data, "--report", str(page)]) == 1
     text = drawn(browser, page)
-    assert "Not conformant" in text
-    assert crosses(browser) == len(wrong) > 0
+    assert "The model fails most at axis_2" in text and "Not conformant" in text
+    assert crosses(browser) == min(len(wrong), 6) > 0
+    assert outside(browser) == [True] * crosses(browser), "each cross lies outside the band it is drawn with"
     worst = [line.split()[3] for line in text.splitlines() if line.startswith("motion ")]
     assert worst == ["axis_2"] * len(wrong)
+    assert "What next:" in text
 
 
 def test_an_inspection_in_a_browser(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -43,6 +43,7 @@ LEFT_OUT = (
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
+    ("stopset.recording.seen", "SIGNALS", FORMAT),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),

@@ -163,7 +163,7 @@ def test_pieces_certify_what_one_tube_cannot() -> None:
     s = setting((4.75, 5.0), ur5_like())
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     cut = 0
-    for k, (q, dq) in enumerate(states(5, 3, 1.25)):
+    for k, (q, dq) in enumerate(states(5, 3, 2.0)):
         tubes = tubes_of(s, q, dq, r, v, 64)
         if tubes[-1].end != OK:
             continue
@@ -342,3 +342,17 @@ def test_fast_bound_holds_inside_its_box_and_refuses_outside() -> None:
         assert np.median(np.maximum(forward, back) / whole.angle) < 1.15 and np.all(speed >= np.abs(dq))
     with pytest.raises(NotCovered, match="left the certified box"):
         certificate.bound(Q + 0.02, DQ)
+
+
+def test_the_margin_of_a_box_is_no_more_than_any_poses_and_no_less_than_gravity_can_ask_anywhere() -> None:
+    prepared = StopBounds.of(prbt_like())
+    assert prepared.setting is not None
+    p, rng = prepared.setting.plant, np.random.default_rng(11)
+    for radius in (0.02, 0.3, 2.0):
+        r = np.full(6, radius)
+        q = rng.uniform(-1.0, 1.0, 6)
+        told = prepared.margin(q, r)
+        poses = q + r * rng.uniform(-1.0, 1.0, (200, 6))
+        assert np.all(told <= np.min([prepared.margin(x) for x in poses], axis=0) + 1e-9)
+        push = np.maximum(np.abs(p.u_lo), np.abs(p.u_hi))
+        assert np.all(told >= p.brake_lo + p.coulomb_lo - p.curvature.load - push - 1e-6)

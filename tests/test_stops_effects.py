@@ -6,7 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import stopset.effects.registry as registry
+from stop_core import core_stop
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.effects import Effect, Signals, Term, catalogue, check, get
@@ -21,7 +22,7 @@ from stopset.effects.base import Fitted, Number
 from stopset.effects.bound import ACTING, SIGMAS, Sight, acting
 from stopset.errors import EffectError, NotCovered
 from stopset.fmu.sources import sources
-from stopset.fmu.stops import StopData, fmu_stop, stop_data, stop_refusal
+from stopset.fmu.stops import bounds_of, stop_data, stop_refusal
 from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
 from stopset.monitor.stopdesk import StopDesk
@@ -211,8 +212,7 @@ def test_an_effect_without_a_bound_is_a_refusal_with_its_label(name: str, others
     with pytest.raises(NotCovered, match=says):
         StopBounds.of(model)
     assert re.search(says, stop_refusal(model))
-    assert fmu_stop(model, Q, DQ, np.zeros(6), np.zeros(6)) is None
-    assert fmu_stop(hiding(()), Q, DQ, np.zeros(6), np.zeros(6)) is not None
+    assert stop_refusal(hiding(())) == ""
     assert stop_figures(model, model) == {}
 
 
@@ -237,15 +237,17 @@ def test_the_refusal_reaches_who_runs_an_fmu_a_command_or_a_monitor(tmp_path: Pa
         desk.close()
 
 
-def test_an_fmu_refuses_misread_positions_and_stops_beyond_what_it_computed() -> None:
-    assert "encoder_offset:arm_2_joint" in stop_refusal(hiding(CASES["encoder_offset"]))
-    model = hiding(CASES["spring"])
-    data = stop_data(model)
-    assert np.all(data.stop_angle < 1.0) and np.allclose(data.stop_speed, 1.26)
-    slow, fast = (fmu_stop(model, 0.0 * Q, v * np.eye(6)[0], np.zeros(6), np.zeros(6)) for v in (0.3, 1.3))
+def test_an_fmu_counts_misread_positions_into_the_start_and_knows_no_stop_beyond_its_regions() -> None:
+    plain, misread = (stop_data(hiding(effects)) for effects in ((), CASES["encoder_offset"]))
+    assert plain.refusal == misread.refusal == ""
+    moved = np.abs(misread.numbers["stop_centre"] - plain.numbers["stop_centre"])
+    wider = misread.numbers["stop_radius"] - plain.numbers["stop_radius"]
+    assert moved[1] + wider[1] > 1e-3 and np.all(np.delete(moved + wider, [1, 7]) == 0.0)
+    bounds = bounds_of(hiding(CASES["spring"]))
+    core = core_stop(bounds)
+    slow, fast = (core(0.0 * Q, v * np.eye(6)[0]) for v in (0.3, 2.6))
     assert slow is not None and fast is None
-    plain: StopData = stop_data(hiding(()))
-    assert np.all(np.isinf(plain.stop_angle)) and np.all(np.isinf(plain.stop_speed))
+    assert core_stop(bounds_of(hiding(())))(0.0 * Q, 2.6 * np.eye(6)[0]) is not None
 
 
 def test_friction_must_be_silent_where_the_joint_stands() -> None:
@@ -295,8 +297,8 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     texts = [sources(m, variables(m))[0]["model_data.c"] for m in (told, same)]
     pi = [next(line for line in t.splitlines() if line.startswith("    .pi = ")) for t in texts]
     assert pi[0] == pi[1]
-    for name in (f.name for f in fields(StopData) if f.name != "refusal"):
-        assert np.array_equal(getattr(stop_data(told), name), getattr(stop_data(same), name)), name
+    for name, x in stop_data(told).numbers.items():
+        assert np.array_equal(x, stop_data(same).numbers[name]), name
 
 
 def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was_asked_for(others: None) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.robot.rigid import torque
@@ -163,6 +164,24 @@ def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> 
         marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate_state=True), path, 0.5, 1.5).bound
         assert not marked.certified and marked.time is not None and "EXTRAPOLATED STATE" in marked.extrapolated
         assert "EXTRAPOLATED STATE" in marked.why and any("EXTRAPOLATED STATE" in a for a in marked.assumptions)
+
+
+@pytest.mark.parametrize(("begin", "sees"), [(0.0, True), (2.0, False)])
+def test_a_path_stop_counts_effects_where_the_arm_passes(begin: float, sees: bool) -> None:
+    """A spring on the first joint: weak where the path begins, however far it was identified; too strong a rad away, wherever it was."""
+    path, limit = Path.through(POINTS[: 2 if sees else 4]), float(MODEL.robot.torque_limit[0])
+    spring = Fitted("spring", MODEL.joints[0], {"k": 0.85 * limit, "c": 0.0}, {"k": 0.0, "c": 0.0})
+    q = Box(np.r_[-0.1, MODEL.domain.q.lo[1:]], np.r_[0.1, MODEL.domain.q.hi[1:]])
+    for domain in (MODEL.domain, replace(MODEL.domain, q=q)):
+        model = replace(MODEL, effects=(*MODEL.effects, spring), domain=domain)
+        bounds = StopBounds.of(model, ramp=RAMP, extrapolate_state=True)
+        if sees:
+            stop = path_stop(bounds, path, begin, 0.5)
+            # what an arm told by its law needs, at the pose where it needs most
+            assert 0.0 <= stop.room <= limit * (1.0 - 0.85 * stop.q[-1, 0])
+        else:
+            with pytest.raises(NotCovered, match="no torque left"):
+                path_stop(bounds, path, begin, 0.5)
 
 
 def test_a_path_stop_lasts_until_rest() -> None:

@@ -36,7 +36,7 @@ def call(s: Server, path: str, body: bytes | None = None, **headers: str) -> tup
 
 
 def do(s: Server, action: str, **options: Any) -> tuple[int, str]:
-    return call(s, f"do/{action}", json.dumps(options).encode(), **{"X-Workbench": s.token})
+    return call(s, f"do/{action}", json.dumps(options).encode(), **{"X-Stopset-Token": s.token})
 
 
 def wait(s: Server) -> dict[str, Any]:
@@ -96,21 +96,70 @@ def test_other_pages_of_the_same_browser_can_do_nothing(server: Server) -> None:
     ("action", "body", "says"),
     [
         ("remove", b"{}", "no action 'remove'"), ("compare", b'{"force": true}', "compare takes none"), ("add", b'{"effect": 3}', "add takes"),
-        ("add", b"[]", "add takes"), ("add", b"{", "Expecting"), ("add", b" " * 5000, "at most 4096"),
+        ("add", b"[]", "expected an object"), ("add", b"{", "no JSON"), ("add", b" " * 5000, "at most 4096"),
     ],
 )  # fmt: skip
 def test_a_wrong_request_gets_a_sentence(server: Server, action: str, body: bytes, says: str) -> None:
-    code, text = call(server, f"do/{action}", body, **{"X-Workbench": server.token})
+    code, text = call(server, f"do/{action}", body, **{"X-Stopset-Token": server.token})
     assert code == 400 and says in text
 
 
 def test_it_refuses_before_it_serves(planar: Any, tmp_path: Path) -> None:
     folder = planar[0]
-    (tmp_path / "m.r1.model.json").write_text("kept")  # the place of the first revision after identification
-    with pytest.raises(OutputError, match="exists already"):
-        Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path)
+    with pytest.raises(OutputError, match="does not exist"):
+        Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path / "nowhere")
     with pytest.raises(RecordingError):
         Loop(folder / "m.model.json", [folder / "robot.urdf"], tmp_path / "..")
+
+
+def test_a_revision_can_be_undone_and_its_file_stays(server: Server, planar: Any, tmp_path: Path) -> None:
+    """The list of the diagnosis is there after an add and after an undo; what was written once is never written over."""
+    joint = load_model(planar[0] / "m.model.json").joints[0]
+    assert "nothing was added here" in undone(server)["job"]["error"]
+    do(server, "diagnose")
+    before = wait(server)
+    do(server, "add", effect="cubic_viscous", joint=joint, force=True)
+    state = wait(server)
+    assert state["job"]["error"] == "" and len(state["models"]) == 2, state["models"][0]["answers"].get("add")
+    first = Path(state["models"][-1]["file"])
+    text = first.read_bytes()
+    assert first.name == "m.r1.model.json" and "compare" in state["models"][-1]["answers"], "the new model is compared by itself"
+    assert state["models"][0]["answers"]["diagnose"] == before["models"][0]["answers"]["diagnose"]
+    assert json.loads(call(server, "model/1")[1])["sha256"] == state["models"][-1]["sha256"]
+    state = undone(server)
+    assert len(state["models"]) == 1 and first.read_bytes() == text and "compare-1" not in state["reports"]
+    assert call(server, "model/1")[0] == 404
+    do(server, "add", effect="cubic_viscous", joint=joint, force=True)
+    assert Path(wait(server)["models"][-1]["file"]).name == "m.r1-2.model.json" and first.read_bytes() == text
+    again = Loop(first, [planar[0] / "rec.parquet"], tmp_path)  # starts on its own output
+    assert again._next_file().name == "m.r2.model.json"
+    assert Loop(tmp_path / "m.r1-2.model.json", [planar[0] / "rec.parquet"], tmp_path)._next_file().name == "m.r2.model.json"
+
+
+def undone(s: Server) -> dict[str, Any]:
+    do(s, "undo")
+    return wait(s)
+
+
+def test_the_dots_behind_a_share(server: Server) -> None:
+    do(server, "compare")
+    answers = wait(server)["models"][-1]["answers"]
+    shares = answers["dependence"]
+    joint = next(iter(answers["compare"]["joints"]))
+    code, text = call(server, f"partial/{joint}%2Fdq")
+    found = json.loads(text)
+    assert code == 200 and found["variable"] == "dq" and len(found["x"]) == len(found["y"]) > 20
+    assert len(shares["share"][0]) == len(shares["variables"])
+    for path in (
+        "partial/nobody%2Fdq",
+        f"partial/{joint}%2Fnothing",
+        "partial/",
+        "model/7",
+        "model/-1",
+        "model/x",
+        "report/none",
+    ):
+        assert call(server, path)[0] == 404, path
 
 
 def test_a_port_that_cannot_be_had_is_said_in_a_sentence(server: Server) -> None:
@@ -128,5 +177,15 @@ def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
         time.sleep(0.1)
     text = browser.execute_script("return document.body.innerText")
     assert "Monitoring aid. Not a safety function" in text
+    browser.find_element("css selector", ".heat tbody button").click()
+    while not browser.find_element("id", "cloudsays").text:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    for width in (390, 1250):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        beyond = browser.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert beyond <= 0, f"{beyond} px beyond a screen of {width} px"
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     assert [e for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
     browser.get("about:blank")  # or the page would go on asking a server that has ended

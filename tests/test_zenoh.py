@@ -69,15 +69,15 @@ def message(k: float, names: tuple[str, ...] = JOINTS) -> bytes:
 def test_samples_follow_names_and_stamps_show_gaps() -> None:
     source = JointStateSource(JOINTS, 0.004)
     shuffled = tuple(reversed((*JOINTS, "gripper")))
-    for k in (1, 2, 5, 5.4, 6.4):
+    for k in (1, 2, 5, 5.1, 6.1):
         source.take("", message(k, shuffled))
     source.take("", b"rubbish")
-    source.take("", message(7.4))
+    source.take("", message(7.1))
     got = [source.next(0.0) for _ in range(7)]
     assert [s.k for s in got[:3] if s] == [1, 2, 5]
     first = got[0]
     assert first is not None and first.q.tolist() == [6, 5, 4, 3, 2, 1]
-    assert got[3] is not None and got[3].k == 5 + GAP, "a stamp off the grid is a gap"
+    assert got[3] is not None and got[3].k == 5 + GAP, "a stamp that belongs to no cycle is a gap"
     assert got[5] is None and source.refused == 1 and source.next(0.0) is None
     assert got[6] is not None and got[6].q.tolist() == [0, 1, 2, 3, 4, 5]
 
@@ -263,3 +263,39 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
     finally:
         for link in reversed(links):
             link.close()
+
+
+def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixture[str]) -> None:
+    """Cleared: exit 0 with the name; refused or unheard: exit 1; no name or reason: a sentence."""
+    from stopset.monitor.orders import parse_reset
+
+    port = free_port()
+    daemon = ZenohLink("s/c/a/stopset", mode="peer", listen=[f"tcp/127.0.0.1:{port}"], connect=[])
+    heard: list[bytes] = []
+    words = ["reset", "--connect", f"tcp/127.0.0.1:{port}", "--arm", "s/c/a"]
+
+    def take(_key: str, data: bytes) -> None:
+        heard.append(data)
+        order = parse_reset(data)
+        assert order is not None
+        if order.reason == "unheard":
+            return
+        kind = "reset" if order.reason != "no" else "reset_refused"
+        told = {"kind": kind, "why": "not now" if kind == "reset_refused" else "", "name": order.name, "reason": order.reason}
+        daemon.put("event", json.dumps(told).encode(), must_arrive=True)
+
+    try:
+        daemon.subscribe("reset", take)
+        assert main([*words, "--name", " A. Turner ", "--reason", "hose refitted"]) == 0
+        assert "cleared, reset: by A. Turner: hose refitted" in capsys.readouterr().out
+        assert main([*words, "--name", "A. Turner", "--reason", "no"]) == 1
+        assert "refused: not now" in capsys.readouterr().out
+        assert main([*words, "--name", "A. Turner", "--reason", "unheard"]) == 1
+        assert "no monitor has answered" in capsys.readouterr().out
+        before = len(heard)
+        for name, reason in (("", "x"), ("x", "  "), ("x" * 201, "y")):
+            assert main([*words, "--name", name, "--reason", reason]) == 2
+            assert "expected 1 to 200 each" in capsys.readouterr().err
+        assert len(heard) == before
+    finally:
+        daemon.close()

@@ -36,6 +36,16 @@
 #define STOPSET_FLAG_NODE_NOT_GOOD 1024u
 #define STOPSET_FLAG_EVIDENCE_YOUNG 2048u
 #define STOPSET_FLAG_RECOVERING 4096u
+#define STOPSET_CLASS_NONE 0u
+#define STOPSET_CLASS_UNCLASSED 1u
+#define STOPSET_CLASS_SPIKE 2u
+#define STOPSET_CLASS_FROZEN 3u
+#define STOPSET_CLASS_STALE 4u
+#define STOPSET_CLASS_LATE_TORQUE 5u
+#define STOPSET_CLASS_CONTACT 6u
+#define STOPSET_CLASS_DRIFT 7u
+#define STOPSET_CLASS_MISSING_EFFECT 8u
+#define STOPSET_CLASS_ENCODER_JUMP 9u
 #define STOPSET_DOUBT_NONE 0 /* none */
 #define STOPSET_DOUBT_NO_MESSAGE 1 /* no message yet */
 #define STOPSET_DOUBT_UNREADABLE 2 /* a message was damaged or of another version */
@@ -67,7 +77,7 @@ typedef struct {
   uint32_t cycle_us; /* @60 [us] nominal cycle of the messages */
   uint8_t joints; /* @64 number of joints in use; later slots are 0 */
   uint8_t first_joint; /* @65 first joint of the latched violation, 1 = joint 1; 0 none */
-  uint16_t reserved; /* @66 0 */
+  uint16_t violation_class; /* @66 of the latched violation, by the evidence: see the class codes; 0 none */
   uint32_t flags; /* @68 see the flag bits */
   uint32_t violation_count; /* @72 samples outside their prediction since the last reset */
   float holding_margin_min; /* @76 [N m] least torque to spare in holding the arm on its brakes */

@@ -74,3 +74,14 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """Write ``data`` to ``path``, whole or not at all; raises `OutputError`."""
     with replacing(path) as part:
         part.write_bytes(data)
+
+
+def write_private(path: str | Path, data: bytes) -> None:
+    """Write ``data`` to ``path`` for its owner's eyes alone, whole or not at all; raises `OutputError`."""
+    target = writable(path)
+    try:
+        with os.fdopen(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as f:
+            f.write(data)
+            os.fsync(f.fileno())
+    except OSError as e:
+        raise _failure(target, e) from e

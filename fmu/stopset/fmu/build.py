@@ -155,6 +155,7 @@ def binaries(
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)
         for file, text in sources.items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text)
 
         def make(platform: Platform) -> bytes:

@@ -169,7 +169,7 @@ def build_description(identifier: str, source_files: Iterable[str]) -> str:
     """FMI 3.0 buildDescription.xml, for whoever compiles the sources again."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
-    sources = ET.SubElement(build, "SourceFileSet", language="C99")
+    sources = ET.SubElement(build, "SourceFileSet", language="C11")
     for name in source_files:
         ET.SubElement(sources, "SourceFile", name=name)
     ET.SubElement(build, "Library", name="m", external="true")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import math
 import uuid
 from collections.abc import Iterable, Mapping
 from importlib import resources
@@ -15,37 +14,26 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import OutputError
+from stopset.fmu.ctext import array, quoted
 from stopset.fmu.laws import effect_laws
 from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.ring.ctext import PRELUDE
 
-OWN_UNITS = ("core.c", "linear.c", "tube.c", "body.c", "motion.c", "stop.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = ("core.c", "linear.c", "tube.c", "body.c", "motion.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
-CORE_UNITS, CORE_HEADERS = ("maths.c", "rigid.c"), ("maths.h", "stopset.h", "vectors.h")
-UNITS = (*OWN_UNITS, *CORE_UNITS)
+CORE = "core"
+PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "tube")
+CORE_UNITS = ("maths.c", "rigid.c", *(f"stops/{name}.c" for name in PROOF))
+CORE_HEADERS = ("maths.h", "stopset.h", "vectors.h", "stops/stops.h")
+UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))
 FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",
     "fmi3FunctionTypes.h", "fmi3Functions.h", "fmi3PlatformTypes.h",
 )  # fmt: skip
 GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR", "MEMORY", "MEMORY_RATE", "MEMORY_START")
 KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTPUT", "local": "KIND_LOCAL"}
-
-
-def _number(x: float) -> str:
-    if math.isnan(x):
-        return "(double)NAN"
-    if math.isinf(x):
-        return "HUGE_VAL" if x > 0 else "-HUGE_VAL"
-    return repr(float(x))
-
-
-def _array(x: Any) -> str:
-    a = np.asarray(x, float)
-    if a.ndim == 0:
-        return _number(float(a))
-    return "{" + ", ".join(_array(v) for v in a) + "}"
 
 
 def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
@@ -95,14 +83,14 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
         "tip": model.robot.tip, "standstill": model.input.standstill, "q_a": model.provenance.get("q_a", np.zeros(n)),
     }  # fmt: skip
     stop = stop_data(model)
-    numbers |= stop.arrays()
+    numbers |= stop.numbers
     whole = {
         "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",
         "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None, "has_brakes": not stop.refusal,
     }  # fmt: skip
-    rows = [f"    .{k} = {_array(v)}," for k, v in numbers.items()]
+    rows = [f"    .{k} = {array(v)}," for k, v in numbers.items()]
     rows += [f"    .{k} = {int(v)}," for k, v in whole.items()]
-    rows.append(f"    .start_real = {_array(_starts(variables.of('Real')))},")
+    rows.append(f"    .start_real = {array(_starts(variables.of('Real')))},")
     for field, kind in (("start_int", "Integer"), ("start_bool", "Boolean")):
         starts = ", ".join(str(int(x)) for x in _starts(variables.of(kind)))  # type: ignore[arg-type]
         rows.append(f"    .{field} = {{{starts}}},")
@@ -110,18 +98,12 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     names = ",\n        ".join(f'"{v.name}"' for v in variables)
     rows.append(f"    .name = {{\n        {names}}},")
     head = f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
-    prelude = "\n".join(line for line in PRELUDE.splitlines() if _used(line, laws))
+    prelude = "\n".join(line for line in PRELUDE.splitlines() if _used(line, laws)).replace("stopset.h", f"{CORE}/stopset.h")
     return (
         f'{head}{prelude}\n#include "stopset_core.h"\n\n'
-        f'const char stopset_token[] = "{token}";\nconst char stopset_refusal[] = {_quoted(stop.refusal)};\n\n{laws}\n'
+        f'const char stopset_token[] = "{token}";\nconst char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws}\n'
         "const StopsetModel stopset_model = {\n" + "\n".join(rows) + "\n};\n"
     )
-
-
-def _quoted(text: str) -> str:
-    """A C string of printable ASCII."""
-    plain = text.encode("ascii", "replace").decode().replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{"".join(c if c.isprintable() else "?" for c in plain)}"'
 
 
 def _used(line: str, laws: str) -> bool:
@@ -145,9 +127,9 @@ def sources(model: Model, variables: Variables) -> tuple[dict[str, str], str]:
     core = resources.files("stopset.fmu") / "core"
     shared = resources.files("stopset.core") / "c"
     text = {name: (core / name).read_text() for name in (*OWN_UNITS, *OWN_HEADERS)}
-    text |= {name: (shared / name).read_text() for name in (*CORE_UNITS, *CORE_HEADERS)}
+    text |= {f"{CORE}/{name}": (shared / name).read_text() for name in (*CORE_UNITS, *CORE_HEADERS)}
     # two FMUs in one process must not share their functions
-    text["stopset.h"] = "#define STOPSET_API /* inside an FMU */\n" + text["stopset.h"]
+    text[f"{CORE}/stopset.h"] = "#define STOPSET_API /* inside an FMU */\n" + text[f"{CORE}/stopset.h"]
     text |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
     laws = effect_laws(model)
     flags = {"HAS_EFFECTS": int(laws.effects), "HAS_DIRECTION": int(laws.direction), "HAS_LOAD": int(laws.load)}

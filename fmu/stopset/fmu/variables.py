@@ -110,11 +110,8 @@ def _inputs(m: Model) -> list[Variable]:
 
 
 def _outputs(m: Model) -> list[Variable]:
-    time, angle = (
-        "bound of the time to standstill, {}; NaN: not provable",
-        "bound of the angle to standstill, {}; NaN: not provable",
-    )
-    reach = "bound of the flange's displacement to standstill; NaN: not provable"
+    until = "to standstill of a STOP 0 that begins now, {}; NaN: no bound"
+    tool = "of the tool centre point in a STOP 0 that begins now; NaN: no bound"
     out = [
         *_joints(m, "q", "output", "rad", "position, {}"),
         *_joints(m, "dq", "output", "rad/s", "velocity, {}", derivative="q"),
@@ -123,9 +120,15 @@ def _outputs(m: Model) -> list[Variable]:
         *_joints(m, "q_hi", "output", "rad", "upper bound of the measured position, {}"),
         *_joints(m, "dq_lo", "output", "rad/s", "lower bound of the measured velocity, {}"),
         *_joints(m, "dq_hi", "output", "rad/s", "upper bound of the measured velocity, {}"),
-        *_joints(m, "stop_time", "output", "s", time),
-        *_joints(m, "stop_angle", "output", "rad", angle),
-        Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", reach),
+        *_joints(m, "stop_time", "output", "s", f"bound of the time {until}"),
+        *_joints(m, "stop_angle", "output", "rad", f"the larger of stop_forward and stop_back {until}"),
+        *_joints(m, "stop_forward", "output", "rad", f"bound of the angle in positive direction {until}"),
+        *_joints(m, "stop_back", "output", "rad", f"bound of the angle in negative direction {until}"),
+        Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", f"bound of the displacement {tool}"),
+        Variable("tcp_stop_speed", "TCP_STOP_SPEED", "Real", "output", "m/s", f"bound of the speed {tool}"),
+        Variable(
+            "stop_age", "STOP_AGE", "Real", "output", "s", "how long ago the stop bounds were computed; NaN: there are none"
+        ),
         Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
     ]
     for r in remembered(m):
@@ -188,22 +191,26 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
 
 def _switches() -> list[Variable]:
     """Integers and booleans: (name, causality, description, start)."""
+    every = "steps from one computation of the stop bounds to the next; 1: of every state that is read, 0: only when asked for"
     integers: tuple[tuple[str, Causality, str, int | None], ...] = (
         ("stop", "input", "stop request: 0 none, 1 STOP 0, 2 STOP 1", 0),
+        ("stop_every", "parameter", every, 1),
         ("verdict", "output", "0 no verdict, 1 conformant, 2 violated (stays until reset)", None),
         ("violated_joint", "output", "number of the joint that violated first, 0 none", None),
     )
     booleans: tuple[tuple[str, Causality, str, bool | None], ...] = (
         ("measured", "input", "whether q_measured and dq_measured are connected", False),
+        ("evaluate_stop", "input", "compute the stop bounds of exactly this state", False),
         ("conformant", "output", "measured inputs inside the bounds; false also where there is no verdict", None),
         ("covered", "output", "whether the bounds were tested here: domain, horizon, parameters as identified", None),
-        ("stop_certified", "output", "whether the stop bounds are proven", None),
+        ("stop_certified", "output", "whether the stop bounds are proven for this state", None),
         ("restart", "parameter", "predict anew from the measured state when the horizon is over", False),
     )
     out = []
     for name, causality, what, start in integers:
-        lo, hi = (0.0, 2.0) if name == "stop" else (None, None)
-        out.append(Variable(name, name.upper(), "Integer", causality, "", what, start, "discrete", lo=lo, hi=hi))
+        lo, hi = (0.0, 2.0) if name == "stop" else (0.0, None) if name == "stop_every" else (None, None)
+        changes: Variability = "tunable" if causality == "parameter" else "discrete"
+        out.append(Variable(name, name.upper(), "Integer", causality, "", what, start, changes, lo=lo, hi=hi))
     for name, causality, what, flag in booleans:
         variability: Variability = "fixed" if causality == "parameter" else "discrete"
         out.append(Variable(name, name.upper(), "Boolean", causality, "", what, flag, variability))

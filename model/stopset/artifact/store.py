@@ -97,7 +97,8 @@ def save_model(model: Model, path: str | Path) -> Model:
 
 def _build(kind: Any, x: Any, where: str) -> Any:
     """The value of type ``kind`` from JSON ``x``; raises with the place in the file."""
-    origin = get_origin(kind)
+    # numpy's name of an array is an alias of its own since 2.5, of which Python tells the origin only when asked again
+    origin = get_origin(getattr(get_origin(kind), "__value__", kind))
     if origin in (typing.Union, types.UnionType):
         options = [a for a in get_args(kind) if a is not type(None)]
         return None if x is None else _build(options[0], x, where)
@@ -134,17 +135,31 @@ def _build(kind: Any, x: Any, where: str) -> Any:
 
 def load_model(path: str | Path) -> Model:
     """Read a model file, checked: format, schema version, hash, shapes. Raises `ModelFileError` with one sentence."""
+    return model_of(read_model_text(path), path)
+
+
+def read_model_text(path: str | Path) -> bytes:
+    """The bytes of a model file. Raises `ModelFileError`."""
     p = Path(path)
     try:
-        raw = p.read_text(encoding="utf-8")
+        return p.read_bytes()
     except FileNotFoundError as e:
         raise ModelFileError(f"{p}: no such file; expected a model file: run `stopset identify` first") from e
-    except (OSError, UnicodeDecodeError) as e:
+    except OSError as e:
         raise ModelFileError(
             f"{p} cannot be read as a model file ({type(e).__name__}); expected JSON from `stopset identify`"
         ) from e
+
+
+def model_of(data: bytes, path: str | Path) -> Model:
+    """The model in the bytes of a file, checked as `load_model` says; ``path`` is what refusals name."""
+    p = Path(path)
     try:
-        body = json.loads(raw)
+        body = json.loads(data.decode("utf-8"))
+    except UnicodeDecodeError as e:
+        raise ModelFileError(
+            f"{p} cannot be read as a model file ({type(e).__name__}); expected JSON from `stopset identify`"
+        ) from e
     except json.JSONDecodeError as e:
         raise ModelFileError(f"{p} is damaged: not JSON at line {e.lineno}; restore it or identify again") from e
     except RecursionError as e:

@@ -8,10 +8,14 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stopset.errors import OutputError
 from stopset.files import writable, write_text
+
+if TYPE_CHECKING:
+    from stopset.monitor.consumer import Expected
+    from stopset.monitor.links.zenoh_link import ZenohLink
 
 T = TypeVar("T")
 
@@ -54,6 +58,35 @@ def stopwatch() -> Callable[[str], None]:
     """Tells each step of long work on stderr, with the time since now."""
     start = time.monotonic()
     return lambda text: print(f"[{time.monotonic() - start:5.1f} s] {text}", file=sys.stderr, flush=True)
+
+
+def add_arm_options(parser: argparse.ArgumentParser) -> None:
+    """Which arm's monitor, where, and what is believed of it."""
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", metavar="ENDPOINT", help="zenoh (default: %(default)s)")
+    parser.add_argument("--arm", default="site/cell/arm", metavar="SITE/CELL/ARM", help="which arm (default: %(default)s)")
+    parser.add_argument(
+        "--config", type=Path, metavar="C.toml",
+        help="the monitor's own configuration: only messages of its data id, model, configuration and keys are believed",
+    )  # fmt: skip
+    parser.add_argument("--zenoh", metavar="FILE.json5", help="zenoh configuration (TLS) instead of --connect")
+
+
+def open_link(args: argparse.Namespace) -> tuple[ZenohLink, Expected | None]:
+    """The session that `add_arm_options` asks for, and what to expect of the monitor; raises `BusError`."""
+    from stopset.monitor.links.zenoh_link import ZenohLink
+
+    arm, connect, file, expected = f"{args.arm}/stopset", [args.connect], args.zenoh, None
+    if args.config:
+        from stopset.monitor.authentication import load_keys
+        from stopset.monitor.config import load_config
+        from stopset.monitor.consumer import Expected
+        from stopset.monitor.service import trusted
+
+        c = load_config(args.config)
+        arm, file = c.prefix, c.zenoh.file or None
+        connect = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
+        expected = Expected.of(c.data_id, trusted(c)().sha256, c.sha256, load_keys(c.keys) if c.keys else None)
+    return ZenohLink(arm, mode="client", connect=[] if file else connect, file=file), expected
 
 
 def check_outputs(*paths: str | Path | None) -> None:

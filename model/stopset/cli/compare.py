@@ -45,15 +45,17 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
     from stopset.offline.compare.tightness import table
-    from stopset.offline.compare.verdict import verdict
+    from stopset.offline.compare.verdict import by_failure, verdict
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
     found = compare(model, args.data)
-    say(verdict(found).text)
+    said = verdict(found)
+    say(said.text)
+    say(f"what next: {said.next}")
     say(_over(model, found))
     say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
-    for j, row in found.figures.items():
+    for j, row in by_failure(found):
         keys = ("torque_rmse", "torque_rmse_known", "torque_rmse_floor", "velocity_rmse", "position_rmse")
         cells = zip((row[k] for k in keys), (9, 9, 9, 10, 10), strict=True)
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in cells))

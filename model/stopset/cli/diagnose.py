@@ -62,6 +62,6 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from stopset.offline.diagnose.page import page
 
-        page(model, found, against).save(args.report)
+        page(model, found, against, args.data).save(args.report)
         say(f"report {args.report}")
     return 0

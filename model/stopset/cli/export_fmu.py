@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         from stopset.fmu.variables import variables
         from stopset.offline.report.page import Page
 
-        page = Page(f"{model.robot.name} as FMU")
+        page = Page(f"{model.robot.name} as FMU", model)
         page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, for {', '.join(platforms)}.")
         page.text(f"Made from the model with SHA-256 {model.sha256}. {model.guarantee.text}")
         rows = [(v.name, v.causality, v.unit, v.start, v.lo, v.hi, v.description) for v in variables(model)]

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.errors import BusError, RecordingError
     from stopset.monitor.links.bus import may_hold_a_robot, talk
     from stopset.monitor.links.hub import Hub
-    from stopset.monitor.logs import LOG_SUFFIXES, log_suffix, play_log
+    from stopset.monitor.logs import LOG_SUFFIXES, log_suffix
     from stopset.monitor.profile import load_profile
     from stopset.monitor.replay import CanSink, JointStateSink, Sink, cycle_of, play
     from stopset.recording import read_meta, stream_recordings
@@ -54,17 +54,7 @@ def run(args: argparse.Namespace) -> int:
             "without one: say --yes-this-bus-is-not-a-robot if it is"
         )
     if log_suffix(args.recording) in LOG_SUFFIXES:
-        profile = load_profile(args.profile)
-        bus = talk(args.to)
-        try:
-            frames, kept_back = play_log(args.recording, bus.send, args.speed, profile)
-        finally:
-            bus.close()
-        say(
-            f"{frames} frames of {args.recording.name} sent to {args.to}; {kept_back} kept back that no drive of the profile sends"
-        )
-        return 0
-
+        return _frames(args)
     first = next(stream_recordings(args.recording))
     cycle_of(first)
     joints = read_meta(args.recording).joints
@@ -105,4 +95,21 @@ def run(args: argparse.Namespace) -> int:
     )
     heard = f"; the other nodes sent {hub.client_frames} frames" if hub is not None else ""
     say(f"{sent} samples to {args.to}, {pace}{heard}")
+    return 0
+
+
+def _frames(args: argparse.Namespace) -> int:
+    """The frames of a bus's log as they were, less those that no drive sends."""
+    from stopset.cli.common import say
+    from stopset.monitor.links.bus import talk
+    from stopset.monitor.logs import play_log
+    from stopset.monitor.profile import load_profile
+
+    profile = load_profile(args.profile)
+    bus = talk(args.to)
+    try:
+        frames, kept_back = play_log(args.recording, bus.send, args.speed, profile)
+    finally:
+        bus.close()
+    say(f"{frames} frames of {args.recording.name} sent to {args.to}; {kept_back} kept back that no drive of the profile sends")
     return 0

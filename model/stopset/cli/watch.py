@@ -3,70 +3,60 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from stopset.cli.common import add_arm_options, open_link, say
+
 if TYPE_CHECKING:
-    from stopset.monitor.consumer import Expected
+    from stopset.monitor.links.zenoh_link import ZenohLink
     from stopset.monitor.viewer import View
 
+OPEN = "  (without a log-in or encryption, for everybody who reaches this address)"
 HELP = "live page and terminal view of a running monitor, from zenoh alone"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", metavar="ENDPOINT", help="zenoh (default: %(default)s)")
-    parser.add_argument("--arm", default="site/cell/arm", metavar="SITE/CELL/ARM", help="which arm (default: %(default)s)")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="C.toml",
-        help="the monitor's own configuration: only messages of its data id, model, configuration and keys are believed",
-    )
+    add_arm_options(parser)
     parser.add_argument(
         "--check", action="store_true",
         help="say what holds after --seconds (default 2) and end: exit code 0 for a fresh, valid message of a state that is "
         "not FAULT, else 1; with --config, for a health check",
     )  # fmt: skip
-    parser.add_argument("--zenoh", metavar="FILE.json5", help="zenoh configuration (TLS) instead of --connect")
     parser.add_argument("--host", default="127.0.0.1", help="address of the page (default: this machine only)")
     parser.add_argument("--port", type=int, default=8600, help="port of the page, 0 for none (default: %(default)s)")
+    parser.add_argument(
+        "--reset-as", metavar="NAME", help="let who sees the page clear a latched violation, with a reason, in this person's name"
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
 
 
 def run(args: argparse.Namespace) -> int:
     import sys
+    import threading
     import time
 
     from rich.console import Console
     from rich.live import Live
 
-    from stopset.cli.common import say
-    from stopset.errors import BusError
-    from stopset.monitor.links.zenoh_link import ZenohLink
     from stopset.monitor.viewer import Page, View, terminal
+    from stopset.serving import loopback
 
-    arm, connect, file, expected = f"{args.arm}/stopset", [args.connect], args.zenoh, None
-    if args.config:
-        arm, connect, file, expected = _configured(args.config)
+    link, expected = open_link(args)
     view = View(expected=expected)
-    link = ZenohLink(arm, mode="client", connect=[] if file else connect, file=file)
     view.ask = lambda nonce: link.put("challenge", nonce)
     try:
         for name, take in (
             ("state", view.take_state), ("state/json", view.take_json), ("health", view.take_health), ("event", view.take_event),
         ):  # fmt: skip
             link.subscribe(name, take)
+        threading.Thread(target=_hear_model, args=(link, view), daemon=True, name="model").start()
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
-            try:
-                page = Page(view, args.host, args.port)
-            except (OSError, OverflowError) as e:
-                raise BusError(
-                    f"the page cannot be served on {args.host}:{args.port} ({e}); choose another --host or --port"
-                ) from e
+            page = Page(view, args.host, args.port, _order(link, args.reset_as))
             page.start()
-            say(f"page: http://{args.host}:{args.port}/")
+            say(f"page: {page.url}{'' if loopback(args.host) else OPEN}")
         end = time.monotonic() + (args.seconds or float("inf"))
         if sys.stdout.isatty():
             with Live(terminal(view), refresh_per_second=5) as live:
@@ -87,25 +77,33 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _configured(path: Path) -> tuple[str, list[str], str | None, Expected]:
-    """Prefix, endpoints, zenoh file and what to expect of the monitor of a configuration."""
-    from stopset.artifact import load_model
-    from stopset.monitor.authentication import load_keys
-    from stopset.monitor.config import load_config
-    from stopset.monitor.consumer import Expected
+def _order(link: ZenohLink, name: str | None) -> Callable[[str], None] | None:
+    """What the page clears the latch with, in the name of whoever started the viewer; None: it only shows. Raises `BusError`."""
+    from stopset.monitor.orders import Reset
 
-    c = load_config(path)
-    keys = load_keys(c.keys) if c.keys else None
-    endpoints = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
-    expected = Expected.of(c.data_id, load_model(c.model).sha256, c.sha256, keys)
-    return c.prefix, endpoints, c.zenoh.file or None, expected
+    if name is None:
+        return None
+    Reset.of(name, "said now rather than at the first order")
+    return lambda reason: link.put("reset", Reset.of(name, reason).text(), must_arrive=True)
+
+
+def _hear_model(link: ZenohLink, view: View) -> None:
+    """Ask for the model that the monitor speaks of, whenever that is another one, until the session ends."""
+    import time
+
+    while True:
+        if view.wants_model:
+            try:
+                for _, data in link.get("model"):
+                    view.take_model(data)
+            except Exception:  # noqa: BLE001 - the session was closed, in zenoh's own words: there is nothing left to draw
+                return
+        time.sleep(0.5)
 
 
 def _check(view: View, seconds: float) -> int:
     """Wait for a state that may be believed, at most ``seconds``; exit code."""
     import time
-
-    from stopset.cli.common import say
 
     end = time.monotonic() + seconds
     word, why = view.word()

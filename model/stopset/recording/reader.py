@@ -19,6 +19,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from stopset.errors import RecordingError
+from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
 from stopset.types import Array
@@ -45,6 +46,8 @@ def _paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
 
 
 def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
+    if path.suffix.lower() == ".mcap":
+        return open_seen(path)
     try:
         if path.suffix.lower() == ".csv":
             reader = pacsv.open_csv(path)

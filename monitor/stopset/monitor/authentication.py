@@ -32,7 +32,7 @@ class Key:
     key_id: int
     secret: bytes
 
-    def code(self, data: bytes | bytearray) -> bytes:
+    def code(self, data: bytes | bytearray | memoryview) -> bytes:
         """The authentication code of ``data``."""
         return hmac.digest(self.secret, data, "sha256")[:MAC]
 

@@ -15,6 +15,8 @@ from stopset.types import Array
 
 KEPT = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
 
+_ANY = np.zeros(1)  # the cost of one box is not looked at
+
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
@@ -27,6 +29,11 @@ class Numbers:
     provable: NDArray[np.bool_]
     why: str = ""
     margin: float = float("-inf")  # least holding margin [N m]
+    capsules: Array | None = None  # (P, 7) [m] both ends and radius: together they contain what the links' axes sweep
+    proven: bool = field(init=False)  # every joint is
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "proven", bool(self.provable.all()))
 
     @classmethod
     def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:
@@ -51,7 +58,7 @@ class Answer:
 
     def covers(self, x: Array, slack: Array) -> bool:
         """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
-        return bool(np.all(x - slack >= self.lo) and np.all(x + slack <= self.hi))
+        return bool(lib.stopset_tightest(1, len(x), view(self.lo), view(self.hi), view(_ANY), view(x), view(slack)) == 0)
 
 
 @dataclass(slots=True)

@@ -14,6 +14,8 @@ from typing import Any, get_args, get_origin
 
 from stopset.errors import StopsetError
 
+EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
+
 
 class ConfigError(StopsetError):
     """The configuration cannot be used: mend the TOML file."""
@@ -84,12 +86,60 @@ class Stops:
 
 
 @dataclass(frozen=True, slots=True)
+class Plane:
+    """The arm stays on the side where ``normal . p >= offset`` [m], in base coordinates; ``normal`` has any length but zero."""
+
+    name: str
+    normal: tuple[float, ...]
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a stop may take at most; margins to it are published in ``state/json``, for ``category`` ("": the first bounded).
+
+    ``planes``: not to be passed by any link's axis, thickened by ``radius_m``; ``override``: also say by how much of the
+    present speed the arm may go so that a stop keeps ``time_s``, ``angle_rad`` and ``tcp_m``: a process of its own.
+    """
+
+    category: str = ""
+    time_s: float = float("inf")
+    angle_rad: float = float("inf")
+    tcp_m: float = float("inf")
+    radius_m: float = 0.0
+    planes: tuple[Plane, ...] = ()
+    override: bool = False
+    override_every_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """What is written down. ``folder``: "" = beside the journal; ``violations``: one file each, with ``before_s`` of readings
+    before it; ``continuous``: everything too, in files of ``file_s``. Of each kind at most ``keep_mb`` are kept."""
+
+    folder: str = ""
+    violations: bool = True
+    before_s: float = 2.0
+    continuous: bool = False
+    file_s: float = 600.0
+    keep_mb: float = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
 class Fallback:
     """Numbers to publish when the model is refuted or silent; infinite unless a worst-case table gives better ones."""
 
     time_s: float = float("inf")
     angle_rad: float = float("inf")
     tcp_m: float = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Signed:
+    """Whose models are taken: files of public keys (none: unsigned ones too), and the least revision, so that none comes back."""
+
+    keys: tuple[str, ...] = ()
+    least_revision: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +166,9 @@ class Config:
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
+    signed: Signed = field(default_factory=Signed)
+    record: Records = field(default_factory=Records)
+    limits: Limits = field(default_factory=Limits)
     sha256: str = ""
 
     @property
@@ -183,6 +236,15 @@ def load_config(path: str | Path) -> Config:
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),
+        ("signed.least_revision", config.signed.least_revision, 0, 10**6),
+        ("record.before_s", config.record.before_s, 0.1, 10.0),
+        ("record.file_s", config.record.file_s, 1.0, 86400.0),
+        ("record.keep_mb", config.record.keep_mb, 1.0, 1e6),
+        ("limits.time_s", config.limits.time_s, 1e-3, math.inf),
+        ("limits.angle_rad", config.limits.angle_rad, 1e-6, math.inf),
+        ("limits.tcp_m", config.limits.tcp_m, 1e-6, math.inf),
+        ("limits.radius_m", config.limits.radius_m, 0.0, 10.0),
+        ("limits.override_every_s", config.limits.override_every_s, 0.2, 3600.0),
         # a stop takes time and way: none at all is no worst case
         ("fallback.time_s", config.fallback.time_s, 1e-3, math.inf),
         ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
@@ -202,14 +264,29 @@ def load_config(path: str | Path) -> Config:
             f"{p}: stops.categories is {list(config.stops.categories)}; expected at least one of 0, 1, 2, each once: a monitor "
             "that bounds no stop has nothing to be OK about"
         )
+    asked = [e for c in config.stops.categories for e in EXPANDED[c]]
+    if config.limits.category and config.limits.category not in asked:
+        raise ConfigError(f"{p}: limits.category is {config.limits.category!r}; expected one that is bounded: {', '.join(asked)}")
+    for plane in config.limits.planes:
+        size = math.hypot(*plane.normal) if len(plane.normal) == 3 else math.nan
+        if not (1e-6 < size < 1e6 and abs(plane.offset) < 1e6):
+            raise ConfigError(
+                f"{p}: limits.planes {plane.name!r} has normal {list(plane.normal)}, offset {plane.offset}; expected three numbers, "
+                "not all zero, and metres"
+            )
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
     here = p.parent
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
+    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
+    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
     return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh, sha256=hashlib.sha256(text.encode()).hexdigest(),
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
-        journal=str(here / config.journal if config.journal else state / f"{p.stem}.latch"),
+        limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
+        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
     )  # fmt: skip

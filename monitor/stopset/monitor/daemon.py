@@ -24,10 +24,13 @@ from stopset.errors import BusError, NotCovered, StopsetError
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
+from stopset.monitor.evidence.recorder import Answer, Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, Signer, State
+from stopset.monitor.margins import exceeded, margins
 from stopset.monitor.notify import Notifier
 from stopset.monitor.orders import Orders
+from stopset.monitor.override import Advisor
 from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.source import NoSource, Source
@@ -60,11 +63,11 @@ class Daemon:
     def __init__(
         self, config: Config, model: Model, source: Source, outlet: Outlet, cycle_s: float, *,
         latch: Latch | None = None, signer: Signer | None = None, clock: Clock | None = None,
-        desk: StopDesk | None = None, load: Callable[[], Model] | None = None,
+        desk: StopDesk | None = None, load: Callable[[], Model] | None = None, recorder: Recorder | None = None,
     ) -> None:  # fmt: skip
         self.config, self.source, self.cycle_s = config, source, cycle_s
         self.clock: Clock = clock or SystemClock()
-        self._load = load
+        self._load, self.recorder = load, recorder
         self._use(self._prepare(model, desk))
         p = config.publish
         valid = p.valid_for_ms * 1e-3
@@ -81,6 +84,9 @@ class Daemon:
         self._reloads: queue.SimpleQueue[Loaded | str] = queue.SimpleQueue()
         self._reloading = self.reload_asked = False
         self.publisher = Publisher(outlet, self.clock, self._identity(), signer)
+        self.margins: dict[str, Any] | None = None
+        self.override: dict[str, Any] | None = None
+        self.advisor = Advisor(config, model.sha256) if config.limits.override else None
         self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
@@ -100,11 +106,13 @@ class Daemon:
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
         if desk is None:
             fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
-            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock)
+            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:
         self._loaded, self.model, self.watch, self.desk = loaded, loaded.model, loaded.watch, loaded.desk
+        if self.recorder is not None:
+            self.recorder.watching(loaded.model, self.source.quantum)
 
     def _identity(self) -> dict[str, int]:
         c = self.config
@@ -148,6 +156,9 @@ class Daemon:
         self.publisher.identity = self._identity()
         self.publisher.event("reloaded", model_sha256=self.model.sha256, before=before)
         threading.Thread(target=old.close, daemon=True, name="old-desk").start()  # waits for its process
+        if self.advisor is not None:
+            threading.Thread(target=self.advisor.close, daemon=True, name="old-advisor").start()
+            self.advisor = Advisor(self.config, self.model.sha256)
 
     # ---- one turn -----------------------------------------------------------------------------------------------
 
@@ -160,6 +171,8 @@ class Daemon:
         self._obey(begin)
         turn = self._situation()
         self._send(turn)
+        if self.recorder is not None and sample is not None:
+            self.recorder.trace.state(int(turn.state))
         if sample is not None:
             self.tally.states[turn.state.name] += 1
             self.tally.busy.append(self.clock.monotonic() - begin)
@@ -183,8 +196,12 @@ class Daemon:
         if first:
             self._notify.say("READY=1", "STATUS=listening")
             self.publisher.event("started", model_sha256=self.model.sha256, config_sha256=self.config.sha256)
+        if self.recorder is not None:
+            self.recorder.take(s, v, CODES[v.conformance], self.watch.inputs)
         new = self.latch.take(s, v, now)
         if new:
+            if self.recorder is not None:
+                self.recorder.incident(new[0].first, s.t)
             rows = [[x.k, x.t, x.q.tolist(), x.dq.tolist(), None if x.tau is None else x.tau.tolist()] for x in self._evidence]
             self.publisher.event(
                 "violation", why=v.why, violations=[e.plain() for e in new], evidence_columns="k t q dq tau", evidence=rows
@@ -225,6 +242,7 @@ class Daemon:
             "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s and math.isfinite(s.t) else 0,
             "state": int(turn.state), "conformance": CODES[v.conformance] if v else 0, "flags": int(turn.flags),
             "violation_count": min(self.latch.count, 0xFFFFFFFF), "oldest_age": v.oldest if v else 0.0,
+            "violation_class": self.latch.kind.code,
             "first_joint": self.model.joints.index(joint) + 1 if joint in self.model.joints else 0,
             "room_min": float(v.room.min()) if v and v.room is not None else -np.inf,
             "holding_margin_min": min((x.margin for x in turn.numbers.values()), default=-np.inf),
@@ -257,9 +275,41 @@ class Daemon:
         if self.reload_asked:
             self._reload()
         self._take_reloaded()
+        while self.recorder is not None and self.recorder.answers:
+            self._classed(self.recorder.answers.popleft(), now)
+        while self.recorder is not None and self.recorder.notes:
+            self.publisher.event("plausibility", why=self.recorder.notes.popleft())
+
+    def _classed(self, answer: Answer, now: float) -> None:
+        """The recorder has looked at a violation: it is on the disk, and told."""
+        self.latch.classed(answer.cause, now)
+        self.publisher.event(
+            "bundle", cause=answer.cause.plain(), file=answer.file, sha256=answer.sha256, why=answer.trouble,
+            model_sha256=self.model.sha256, config_sha256=self.config.sha256,
+        )  # fmt: skip
+
+    def _measure(self, now: float, turn: Turn) -> None:
+        """What is left to the limits, if a stop began now."""
+        s, limits = self.sample, self.config.limits
+        numbers = turn.numbers.get(limits.category)
+        if s is None or numbers is None:
+            return
+        slack = (
+            self.source.quantum.q + np.maximum(np.abs(self.model.powered.V.lo), np.abs(self.model.powered.V.hi))[: self.model.n]
+        )
+        self.margins = margins(self.model.robot, limits, s.q, numbers, slack)
+        if over := exceeded(self.margins):
+            self.publisher.seldom("margin", why=f"a stop now would not keep: {', '.join(over)}", margins=self.margins)
+        if self.advisor is not None:
+            self.advisor.offer(now, s.t, s.q, s.dq)
+            said = self.advisor.said
+            self.override = (
+                None if said is None else {"percent": 100.0 * said[1], "category": limits.category, "t_ns": round(said[0] * 1e9)}
+            )
 
     def _slow_messages(self, now: float, turn: Turn) -> None:
         if now >= self._next_json:
+            self._measure(now, turn)
             self._next_json = now + 1.0 / self.config.publish.json_hz
             self.publisher.words("state/json", twin(self, turn))
         if now >= self._next_health:
@@ -345,7 +395,13 @@ class Daemon:
         turn = Turn(State.SHUTDOWN, turn.flags | Flag.FALLBACK_IN_FORCE, "the monitor was stopped", none)
         self._send(turn)
         self.publisher.words("state/json", twin(self, turn), must_arrive=True)
+        if self.recorder is not None:
+            self.recorder.close()  # a violation of the last moment is written and told too
+            while self.recorder.answers:
+                self._classed(self.recorder.answers.popleft(), self.clock.monotonic())
         self.publisher.event("stopped")
         self.latch.close()
+        if self.advisor is not None:
+            self.advisor.close()
         self.desk.close()
         self.source.close()

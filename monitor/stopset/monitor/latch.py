@@ -7,34 +7,32 @@ from typing import Any
 
 import msgspec
 
+from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, Unreadable
 from stopset.monitor.watch import Conformance, Deviation, Sample, Verdict
 
-RECENT = 10
-DRIFT = 3  # this many violating samples of RECENT are a drift, fewer a spike (a sensor error is then suspected)
 SCHEMA = 1
 SAVE_EVERY = 1.0  # [s] a growing count is written this often; a new entry at once
 
 
 @dataclass(slots=True)
 class Entry:
-    """All violations of one joint's state on one side since the last reset; ``recent``: cycle numbers of the last ones."""
+    """All violations of one joint's state on one side since the last reset."""
 
     first: Deviation
     worst: Deviation
     first_t: float
     last_t: float
     samples: int = 1
-    recent: list[int] = field(default_factory=list)
+    kind: str = Kind.UNCLASSED.value
 
     def plain(self) -> dict[str, Any]:
         """For people and JSON."""
         w = self.worst
-        drift = len(self.recent) == DRIFT and self.recent[-1] - self.recent[0] < RECENT
         unit = "rad" if w.state == "q" else "rad/s"
         return {
             "joint": w.joint, "state": w.state, "side": w.side, "unit": unit, "samples": self.samples,
-            "kind": "drift" if drift else "spike", "first_t": self.first_t, "last_t": self.last_t, "age_s": w.age,
+            "kind": self.kind, "first_t": self.first_t, "last_t": self.last_t, "age_s": w.age,
             "excess": w.excess, "excess_fraction": w.fraction, "measured": w.measured, "bound": w.bound,
             "in_domain": self.first.in_domain,
         }  # fmt: skip
@@ -49,6 +47,7 @@ class Record:
     count: int = 0
     entries: list[Entry] = field(default_factory=list)
     reset: dict[str, str] = field(default_factory=dict)  # who cleared it last, and why
+    cause: dict[str, Any] = field(default_factory=dict)  # of the first violation, by the evidence; empty: not classed yet
 
 
 class Latch:
@@ -86,13 +85,27 @@ class Latch:
                 entry.last_t = float(sample.t)
                 if d.fraction > entry.worst.fraction:
                     entry.worst = d
-            entry.recent = [*entry.recent[1 - DRIFT :], sample.k]
         r.entries += sorted(new, key=lambda e: -e.first.fraction)
         if not r.why:
             r.why = f"a measurement was outside its prediction ({verdict.why})"
         if new:
             self.save(now)
         return new
+
+    def classed(self, cause: Cause, now: float) -> None:
+        """The evidence has spoken: what came since the last time is of this class; the first violation's stays the record's."""
+        for entry in self.record.entries:
+            if entry.kind == Kind.UNCLASSED:
+                entry.kind = cause.kind.value
+        self.record.cause = self.record.cause or cause.plain()
+        self.save(now)
+
+    @property
+    def kind(self) -> Kind:
+        """Class of the first violation."""
+        if not self.record.cause:
+            return Kind.UNCLASSED if self.record.entries else Kind.NONE
+        return Kind(self.record.cause["kind"])
 
     def save(self, now: float) -> None:
         """Put what is known on disk."""

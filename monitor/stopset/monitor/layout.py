@@ -107,7 +107,7 @@ FIELDS: tuple[Field, ...] = (
     Field("cycle_us", "u32", 1, "us", "nominal cycle of the messages"),
     Field("joints", "u8", 1, "", "number of joints in use; later slots are 0"),
     Field("first_joint", "u8", 1, "", "first joint of the latched violation, 1 = joint 1; 0 none"),
-    Field("reserved", "u16", 1, "", "0"),
+    Field("violation_class", "u16", 1, "", "of the latched violation, by the evidence: see the class codes; 0 none"),
     Field("flags", "u32", 1, "", "see the flag bits"),
     Field("violation_count", "u32", 1, "", "samples outside their prediction since the last reset"),
     Field("holding_margin_min", "f32", 1, "N m", "least torque to spare in holding the arm on its brakes", "down"),
@@ -126,6 +126,8 @@ FIELDS: tuple[Field, ...] = (
     Field("end_check", "u32", 1, "", "CRC-32/ISO-HDLC of all bytes before this field"),
     Field("end_crc", "u32", 1, "", "CRC-32C of all bytes before this field"),
 )
+_F32, _U32, _HEAD = struct.Struct("<f"), struct.Struct("<I"), struct.Struct("<IHH")
+LARGEST_F32 = float(np.finfo(np.float32).max)
 _STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
 LENGTH = _STRUCT.size
 
@@ -139,22 +141,25 @@ def offsets() -> dict[str, int]:
     return out
 
 
-def crc32c(data: bytes | bytearray) -> int:
+def crc32c(data: bytes | bytearray | memoryview) -> int:
     """CRC-32C (Castagnoli) of ``data``."""
     return int(lib.stopset_crc32c(len(data), ffi.from_buffer("uint8_t[]", data)))
 
 
 def outward(x: float, rounds: str) -> float:
     """``x`` as a float32 number that is not below (``up``) or not above (``down``) it; not a number becomes +Inf or -Inf."""
-    if math.isnan(x):
-        return math.inf if rounds == "up" else -math.inf
-    with np.errstate(over="ignore"):  # beyond float32 it is infinite, and the step below brings it back where it must
-        y = np.float32(x)
-    if rounds == "up" and float(y) < x:
-        y = np.nextafter(y, np.float32(np.inf))
-    if rounds == "down" and float(y) > x:
-        y = np.nextafter(y, np.float32(-np.inf))
-    return float(y)
+    sign = 1.0 if rounds == "up" else -1.0
+    x *= sign  # a bound from below is one from above of the negative
+    if x != x:
+        return sign * math.inf
+    try:
+        y: float = _F32.unpack(_F32.pack(x))[0]
+    except OverflowError:  # beyond float32
+        return sign * (math.inf if x > 0 else -LARGEST_F32)
+    if y < x:
+        bits: int = _U32.unpack(_F32.pack(y))[0]
+        y = _F32.unpack(_U32.pack(1 if y == 0.0 else bits + 1 if y > 0 else bits - 1))[0]
+    return sign * y
 
 
 def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -172,7 +177,7 @@ class Signer(Protocol):
     @property
     def key_id(self) -> int: ...
 
-    def code(self, data: bytes | bytearray) -> bytes: ...
+    def code(self, data: bytes | bytearray | memoryview) -> bytes: ...
 
 
 _AT = offsets()
@@ -181,7 +186,12 @@ _REAL = tuple(f for f in FIELDS if f.kind == "f32")
 _SLOTS = {f.name: slice(at, at + f.count) for f, at in zip(_REAL, np.cumsum([0, *(f.count for f in _REAL)]), strict=False)}
 _WORDS = np.concatenate([_AT[f.name] // 4 + np.arange(f.count) for f in _REAL])
 _UP = np.concatenate([np.full(f.count, f.rounds == "up") for f in _REAL])
-_SCALARS = {f.name: (_AT[f.name] // 4, f.rounds) for f in _REAL if f.count == 1}
+# how a field that changes with every message is put: writer, offset, rounding of a real number
+_PUT = {
+    f.name: (struct.Struct(f"<{f.count}{KINDS[f.kind][0]}").pack_into, _AT[f.name], f.rounds if f.kind == "f32" else None)
+    for f in FIELDS
+    if f.kind != "f32" or f.count == 1
+}
 _CHECKED = (("check", "crc"), ("end_check", "end_crc"))
 
 
@@ -217,14 +227,14 @@ class Packer:
             self._set(block)
             self._floats[_WORDS] = outward_all(self._real, _UP)
             self._block = block
-        views = self._views
         for name, value in values.items():
-            if name in _SCALARS:
-                self._floats[_SCALARS[name][0]] = outward(value, _SCALARS[name][1])
+            put, at, rounds = _PUT[name]
+            if rounds is not None:
+                put(self._bytes, at, outward(value, rounds))
             elif type(value) is tuple:
-                views[name][:] = value
+                put(self._bytes, at, *value)
             else:
-                views[name][0] = value
+                put(self._bytes, at, value)
         return self._finish()
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -236,20 +246,20 @@ class Packer:
                 self._real[place.start : place.start + np.size(value)] = value
 
     def _finish(self) -> bytes:
-        data, views = self._bytes, self._views
-        views["magic"][0], views["layout_version"][0], views["length"][0] = MAGIC, LAYOUT_VERSION, LENGTH
+        data = self._bytes
+        _HEAD.pack_into(data, 0, MAGIC, LAYOUT_VERSION, LENGTH)
         self._check(*_CHECKED[0])
         if self.signer is not None:
-            views["key_id"][0] = self.signer.key_id
+            _U32.pack_into(data, _AT["key_id"], self.signer.key_id)
             at = _AT["mac"]
-            data[at : at + MAC] = self.signer.code(data[:at])
+            data[at : at + MAC] = self.signer.code(memoryview(data)[:at])
         self._check(*_CHECKED[1])
         return bytes(data)
 
     def _check(self, iso: str, castagnoli: str) -> None:
-        data = self._bytes
-        self._views[iso][0] = zlib.crc32(data[: _AT[iso]])
-        self._views[castagnoli][0] = crc32c(data[: _AT[castagnoli]])
+        data = memoryview(self._bytes)
+        _U32.pack_into(data, _AT[iso], zlib.crc32(data[: _AT[iso]]))
+        _U32.pack_into(data, _AT[castagnoli], crc32c(data[: _AT[castagnoli]]))
 
 
 def pack(values: Mapping[str, Any], signer: Signer | None = None) -> bytes:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.monitor.links.canopen_map import SYNC_ID, Decoder, frame_maps
+from stopset.monitor.links.canopen_map import Decoder, frame_maps
 from stopset.monitor.links.logfile import LOG_SUFFIXES, log_suffix, read_log
 from stopset.monitor.nodes import EMCY, HEARTBEAT
 from stopset.monitor.profile import Profile
@@ -27,7 +27,7 @@ def said_by_drives(profile: Profile) -> frozenset[int]:
     Commands (NMT, SDO, RPDO) of a log would move a real arm, or stop it.
     """
     nodes = profile.nodes.values()
-    return frozenset({SYNC_ID, *frame_maps(profile), *(EMCY + n for n in nodes), *(HEARTBEAT + n for n in nodes)})
+    return frozenset({profile.sync_id, *frame_maps(profile), *(EMCY + n for n in nodes), *(HEARTBEAT + n for n in nodes)})
 
 
 def play_log(path: Path, send: Callable[[int, bytes], None], speed: float, profile: Profile) -> tuple[int, int]:

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import msgspec
 
+from stopset.errors import BusError
+
 MAX_NONCE = 64  # bytes of a challenge; more are cut off
 MAX_RESET = 4096
 CHALLENGES, RESETS = 16, 4  # that may wait; of more the oldest are dropped
@@ -21,6 +23,20 @@ class Reset(msgspec.Struct, frozen=True):
 
     name: _Text
     reason: _Text
+
+    @classmethod
+    def of(cls, name: str, reason: str) -> Reset:
+        """An order as the monitor will take it; raises `BusError` for one that it would not."""
+        order = parse_reset(msgspec.json.encode({"name": name, "reason": reason}))
+        if order is None:
+            raise BusError(
+                f"a name of {len(name.strip())} and a reason of {len(reason.strip())} letters; expected 1 to 200 each: say who and why"
+            )
+        return order
+
+    def text(self) -> bytes:
+        """The order's message."""
+        return msgspec.json.encode(self)
 
 
 _decode = msgspec.json.Decoder(Reset).decode

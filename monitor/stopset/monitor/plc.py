@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from stopset.monitor.consumer import CHALLENGE_EVERY, DRIFT_PPM, PROOF_LIFE, SAYS, Doubt
+from stopset.monitor.evidence.cause import Kind
 from stopset.monitor.layout import FIELDS, LAYOUT_VERSION, LENGTH, MAC, MAGIC, MAX_JOINTS, NONCES, Flag, State, offsets
 
 _C = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "f32": "float"}
@@ -23,6 +24,7 @@ def c_header() -> str:
     )
     states = "\n".join(f"#define STOPSET_STATE_{s.name} 0x{s.value:02X}u" for s in State)
     flags = "\n".join(f"#define STOPSET_FLAG_{f.name} {f.value}u" for f in Flag)
+    classes = "\n".join(f"#define STOPSET_CLASS_{k.name} {k.code}u" for k in Kind)
     doubts = "\n".join(f"#define STOPSET_DOUBT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Doubt)
     return f"""/* {_NOTE} Little-endian hosts. */
 #ifndef STOPSET_STATE_H
@@ -43,6 +45,7 @@ def c_header() -> str:
 #define STOPSET_DRIFT_PPM {DRIFT_PPM}LL
 {states}
 {flags}
+{classes}
 {doubts}
 
 typedef struct {{
@@ -82,6 +85,7 @@ def structured_text() -> str:
     )
     states = "\n".join(f"    STOPSET_STATE_{s.name} : USINT := 16#{s.value:02X};" for s in State)
     flags = "\n".join(f"    STOPSET_FLAG_{f.name} : UDINT := {f.value};" for f in Flag)
+    classes = "\n".join(f"    STOPSET_CLASS_{k.name} : UINT := {k.code};" for k in Kind)
     return f"""(* {_NOTE} Little endian; swap bytes on a big-endian PLC. *)
 TYPE STOPSET_STATE :
 STRUCT (* {LENGTH} bytes, layout version {LAYOUT_VERSION} *)
@@ -94,6 +98,7 @@ VAR_GLOBAL CONSTANT
     STOPSET_LENGTH : UINT := {LENGTH};
 {states}
 {flags}
+{classes}
 END_VAR
 """
 

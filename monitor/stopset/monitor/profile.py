@@ -17,6 +17,10 @@ from stopset.errors import BusError
 from stopset.types import Array
 
 SIGNALS = ("q", "dq", "tau", "temp", "status")
+SLOW = ("temp", "status")  # may come when they change; the others belong to an instant
+SYNC_ID = 0x080  # usual COB-ID of SYNC, object 0x1005
+AXIS = 0x800  # from an object of one axis to that of the next (CiA 402, multi-axis devices: 0x6000 to 0x9FFF)
+MOST_AXES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +34,9 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """How to read one arm's bus. ``nodes``: node id by joint; ``cycle_s``: SYNC period; ``sync_overflow``: 0 = no counter;
-    ``heartbeat_s``: period of every drive's heartbeat (object 0x1017), 0 = they send none."""
+    """How to read one arm's bus. ``nodes``: node id by joint; ``axes``: which axis of its node a joint is, 0 the first;
+    ``cycle_s``: SYNC period; ``sync_id``: its COB-ID; ``sync_overflow``: 0 = no counter; ``heartbeat_s``: period of every
+    drive's heartbeat (object 0x1017), 0 = they send none."""
 
     name: str
     dcf: Path
@@ -41,6 +46,8 @@ class Profile:
     nodes: dict[str, int]
     signals: dict[str, Signal]
     heartbeat_s: float = 0.0
+    sync_id: int = SYNC_ID
+    axes: tuple[int, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -85,13 +92,16 @@ def load_profile(where: str | Path) -> Profile:
 
 
 def _profile(raw: dict[str, Any], name: str, path: Path) -> Profile:
-    unknown = set(raw) - {"dcf", "bitrate", "cycle_s", "sync_overflow", "heartbeat_s", "nodes", "signals"}
+    unknown = set(raw) - {"dcf", "bitrate", "cycle_s", "sync_overflow", "sync_id", "heartbeat_s", "nodes", "signals"}
     unknown |= set(raw["signals"]) - set(SIGNALS)
     if unknown:
         raise ValueError(f"unknown key {', '.join(sorted(unknown))}")
-    nodes = {str(k): int(v) for k, v in raw["nodes"].items()}
-    if not nodes or len(set(nodes.values())) != len(nodes) or not all(1 <= v <= 127 for v in nodes.values()):
-        raise ValueError(f"node ids {list(nodes.values())} are not distinct numbers from 1 to 127")
+    places = {str(k): _place(v) for k, v in raw["nodes"].items()}
+    nodes = {joint: node for joint, (node, _) in places.items()}
+    if not nodes or len(set(places.values())) != len(nodes) or not all(1 <= v <= 127 for v in nodes.values()):
+        raise ValueError(
+            f"node ids {list(nodes.values())} are not distinct numbers from 1 to 127, or axes of one node not distinct"
+        )
     dcf = path.with_name(str(raw["dcf"]))
     if not dcf.is_file():
         raise ValueError(f"{dcf.name} is not beside it")
@@ -106,7 +116,23 @@ def _profile(raw: dict[str, Any], name: str, path: Path) -> Profile:
         raise ValueError(f"heartbeat_s is {heartbeat}, expected 0 (none) to 60")
     if not (overflow == 0 or 2 <= overflow <= 240):
         raise ValueError(f"sync_overflow is {overflow}, expected 0 (no counter) or 2 to 240")
-    return Profile(name, dcf, int(raw["bitrate"]), cycle, overflow, nodes, signals, heartbeat)
+    sync_id = int(raw.get("sync_id", SYNC_ID))
+    if not 1 <= sync_id <= 0x7FF:
+        raise ValueError(f"sync_id is {sync_id}, expected a COB-ID from 1 to 0x7FF")
+    axes = tuple(axis for _, axis in places.values())
+    return Profile(name, dcf, int(raw["bitrate"]), cycle, overflow, nodes, signals, heartbeat, sync_id, axes)
+
+
+def _place(x: Any) -> tuple[int, int]:
+    """A joint's node and axis: ``3``, or ``{node = 3, axis = 1}`` where one node moves several joints."""
+    if not isinstance(x, dict):
+        return int(x), 0
+    if set(x) - {"node", "axis"}:
+        raise ValueError(f"unknown key {', '.join(sorted(set(x) - {'node', 'axis'}))}")
+    axis = int(x.get("axis", 0))
+    if not 0 <= axis < MOST_AXES:
+        raise ValueError(f"axis {axis}, expected 0 to {MOST_AXES - 1}")
+    return int(x["node"]), axis
 
 
 def _signal(s: dict[str, Any], n: int) -> Signal:

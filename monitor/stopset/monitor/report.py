@@ -55,7 +55,7 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": bool(x.provable.all()), "why": x.why,
+            "certified": x.proven, "why": x.why, "capsules": _capsules(x),
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
@@ -63,6 +63,23 @@ def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, An
         }
         for c, x in numbers.items()
     }  # fmt: skip
+
+
+def _capsules(x: Numbers) -> list[list[float]] | None:
+    """What the links' axes sweep, for pictures: to a tenth of a millimetre, the radius taking up what rounding moves."""
+    if x.capsules is None:
+        return None
+    out = np.round(x.capsules, 4)
+    out[:, 6] = np.round(x.capsules[:, 6] + 2e-4, 4)
+    rows: list[list[float]] = out.tolist()
+    return rows
+
+
+def _tube(d: Daemon) -> dict[str, list[float | None]] | None:
+    """Between which joint positions [rad] the predictions in force put the last sample."""
+    found = None if d.sample is None or d.verdict is None or d.verdict.room is None else d.watch.tube(d.sample)
+    n = d.model.n
+    return None if found is None else {k: [finite(v) for v in x[:n]] for k, x in zip(("lo", "hi"), found, strict=True)}
 
 
 def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
@@ -73,12 +90,15 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f in turn.flags],
         "conformance": v.conformance.value if v else "UNKNOWN", "conformance_why": v.why if v else "",
         "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
+        "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
         "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
+        "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
+        "margins": d.margins, "override": d.override,
         "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,
@@ -97,8 +117,21 @@ def health(d: Daemon) -> dict[str, Any]:
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
         "stop_restarts": d.desk.restarts,
         "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
+        "recorder": None if d.recorder is None else {
+            "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,
+        },
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
     }  # fmt: skip
     t.delays.clear()
     t.busy.clear()
     return out
+
+
+def about(d: Daemon) -> dict[str, str]:
+    """Whose words a file holds: arm, model, configuration, life."""
+    c, m = d.config, d.model
+    return {
+        "schema": "1", "key": c.prefix, "data_id": str(c.data_id), "boot_id": f"{d.publisher.boot:016x}",
+        "model_sha256": m.sha256, "config_sha256": c.sha256, "joints": ",".join(m.joints), "effort": m.effort,
+        "robot": m.robot.name, "cycle_s": repr(d.cycle_s), "payload_kg": repr(c.payload_kg), "notice": NOTICE,
+    }  # fmt: skip

@@ -6,20 +6,25 @@ import ctypes
 import gc
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stopset.artifact import Model, load_model
+from stopset.artifact import Model
+from stopset.artifact.signature import Accepted, load_trusted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.config import Config
 from stopset.monitor.daemon import Daemon
+from stopset.monitor.evidence.overheard import Overheard
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import FileStore, Journal
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import Profile, load_profile
-from stopset.monitor.report import health
+from stopset.monitor.report import about, health
 from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, Source
 from stopset.monitor.watch import check_cycle
 
@@ -29,7 +34,8 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
 
     SIGHUP reads the model anew.
     """
-    model = load_model(config.model)
+    load = trusted(config)
+    model = load()
     profile = load_profile(config.bus.profile) if config.bus else None
     cycle_s = _cycle(config, model, profile)
     signer = load_keys(config.keys).first if config.keys else None
@@ -54,13 +60,18 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
                 raise
             return NoSource(profile, time.monotonic() + config.bus.wait_s)
 
+    recorder = Recorder(Trace(model.n), config.record, Path(config.record.folder), cycle_s)
     try:
         daemon = Daemon(
-            config, model, first_source(), link, cycle_s, latch=latch, signer=signer, load=lambda: load_model(config.model)
-        )
+            config, model, first_source(), Overheard(link, recorder), cycle_s, latch=latch, signer=signer,
+            load=load, recorder=recorder,
+        )  # fmt: skip
     except BaseException:
         link.close()
         raise
+    recorder.about = lambda: about(daemon)
+    recorder.heard = lambda: daemon.source.heard()
+    recorder.start()
     _signals(daemon, seconds)
     if config.realtime:
         ctypes.CDLL(None, use_errno=True).mlockall(3)
@@ -72,6 +83,12 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     finally:
         daemon.close()
         link.close()
+
+
+def trusted(config: Config) -> Callable[[], Model]:
+    """What reads the configuration's model, now and on every reload: only what an accepted key has signed, where keys are named."""
+    accepted = Accepted.of(config.signed.keys, config.signed.least_revision)
+    return lambda: load_trusted(config.model, accepted)
 
 
 def _cycle(config: Config, model: Model, profile: Profile | None) -> float:

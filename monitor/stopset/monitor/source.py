@@ -12,6 +12,7 @@ import numpy as np
 
 from stopset.errors import BusError
 from stopset.monitor.clock import Clock, SystemClock
+from stopset.monitor.grid import Cycles
 from stopset.monitor.jointstate import MAX_BYTES, JointState
 from stopset.monitor.jointstate import decode as decode_joint_state
 from stopset.monitor.links.bus import Listener
@@ -20,18 +21,21 @@ from stopset.monitor.links.hub import Frame
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.watch import Quantum, Sample
+from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
+LOG = 65536  # frames kept for the record of a violation: 5 s of six drives with two PDOs each at 1 kHz
 SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
 
 
 class Source(Protocol):
     """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
 
-    ``complaints``: what the other side has said or sent wrongly since the last call, in words.
+    ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the last frames of
+    the bus as (time [s], identifier, bytes), for the record of a violation.
     """
 
     quantum: Quantum
@@ -39,18 +43,20 @@ class Source(Protocol):
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
     def complaints(self) -> list[str]: ...
+    def heard(self) -> list[tuple[float, int, bytes]]: ...
     def close(self) -> None: ...
 
 
 def sample_of(cycle: Cycle, k: int) -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
-    v = cycle.values
-    tau = v[TAU].copy() if not np.isnan(v[TAU]).any() else None
-    temp = v[TEMP].copy() if not np.isnan(v[TEMP]).any() else None
-    status = v[STATUS]
-    # CiA 402 statusword: operation enabled
-    powered = bool(np.all((np.nan_to_num(status, nan=0x27).astype(int) & 0x6F) == 0x27))
-    return Sample(k, cycle.t, v[Q].copy(), v[DQ].copy(), tau, temp, powered)
+    q, dq, tau, temp, status = cycle.values  # made for this cycle alone
+    # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
+    powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
+    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered)
+
+
+def _carried(row: Array) -> Array | None:
+    return None if any(x != x for x in row.tolist()) else row
 
 
 @dataclass(slots=True)
@@ -96,6 +102,7 @@ class CanSource:
     quantum: Quantum = field(init=False)
     frames: int = 0
     dropped: int = 0
+    _log: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=LOG))
     _count: CycleCount = field(init=False)
     _stamps: Stamps = field(default_factory=Stamps)
 
@@ -133,8 +140,9 @@ class CanSource:
 
     def _take(self, frame: Frame) -> Sample | None:
         self.frames += 1
-        now = self.clock.time_ns() * 1e-9
-        cycle = self.decoder.frame(frame.cob_id, frame.data, self._stamps(frame.t, now))
+        t = self._stamps(frame.t, self.clock.time_ns() * 1e-9)
+        self._log.append((t, frame.cob_id, bytes(frame.data)))
+        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
         return None if cycle is None else self._sample(cycle)
 
     def _sample(self, cycle: Cycle) -> Sample:
@@ -159,6 +167,9 @@ class CanSource:
         return [
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
         ]
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return list(self._log)
 
     def close(self) -> None:
         self.bus.close()
@@ -185,13 +196,16 @@ class NoSource:
     def complaints(self) -> list[str]:
         return []
 
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return []
+
     def close(self) -> None:
         """Nothing is open."""
 
 
 @dataclass(slots=True)
 class JointStateSource:
-    """Samples of ``joint_states``; give its `take` to a subscription. The stamp is the sampling instant.
+    """Samples of ``joint_states``; give its `take` to a subscription. Stamps may jitter about their cycles, see `Cycles`.
 
     ``backlog``: messages that may wait for their turn; when more do, the oldest are dropped and counted.
     """
@@ -210,9 +224,10 @@ class JointStateSource:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _k: int = 0
     _stamp: int | None = None
+    _cycles: Cycles = field(init=False)
 
     def __post_init__(self) -> None:
-        self.quantum = Quantum.none(len(self.joints))
+        self.quantum, self._cycles = Quantum.none(len(self.joints)), Cycles(self.cycle_s)
         self._waiting = deque(maxlen=self.backlog)
 
     def take(self, _key: str, data: bytes) -> None:
@@ -251,11 +266,8 @@ class JointStateSource:
         later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
         if -SWAPPED < later <= 0.0:
             raise BusError("joint_states came twice or out of order; the later one counts: look at the sender")
-        step = later / self.cycle_s
-        whole = round(step)
-        # a stamp off the grid by more than a tenth of a cycle is not the grid the model was identified on
-        if whole < 1 or abs(step - whole) > 0.1:
-            whole = GAP
+        whole, off = self._cycles.step(s.stamp_ns)
+        whole = whole or GAP
         self.missed += max(whole - 1, 0) if whole != GAP else 1
         self._k += whole
         self._stamp = s.stamp_ns
@@ -263,7 +275,8 @@ class JointStateSource:
         def row(x: tuple[float, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
             return np.array([x[i] for i in index])
 
-        return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), row(s.effort) if s.effort else None)
+        tau = row(s.effort) if s.effort else None  # without it there is no verdict, but there are stop bounds
+        return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), tau, off=off)
 
     def counters(self) -> dict[str, int]:
         return {
@@ -273,6 +286,9 @@ class JointStateSource:
     def complaints(self) -> list[str]:
         said, self.complaint = self.complaint, ""
         return [said] if said else []
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        return []
 
     def close(self) -> None:
         """Nothing to close: the session belongs to the daemon."""

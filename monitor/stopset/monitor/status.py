@@ -60,7 +60,7 @@ def flags_of(s: Situation) -> Flag:
         bits |= _LATE
     if not s.fresh:
         bits |= _NOT_FRESH
-    if not s.numbers or not all(n.provable.all() for n in s.numbers.values()):
+    if not s.numbers or not all(n.proven for n in s.numbers.values()):
         bits |= _NO_STOP
     if v is not None:
         if v.outside:
@@ -102,7 +102,7 @@ def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
         why = f"held against predictions of the last {v.oldest * 1e3:.0f} ms only; OK needs {limits.evidence * 1e3:.0f} ms"
         return State.UNKNOWN, flags | Flag.EVIDENCE_YOUNG, why
     if flags & Flag.NO_STOP_PROVABLE:
-        unproven = next((c for c, x in s.numbers.items() if not x.provable.all()), None)
+        unproven = next((c for c, x in s.numbers.items() if not x.proven), None)
         if unproven is None:
             return State.DEGRADED, flags, "no stop is bounded"
         return State.DEGRADED, flags, f"STOP {unproven}: {s.numbers[unproven].why}"

@@ -20,12 +20,11 @@ import numpy as np
 
 from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.clock import Clock, SystemClock
-from stopset.monitor.config import Stops
+from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.stopworker import work
 from stopset.monitor.watch import Quantum
 from stopset.types import Array
 
-EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
 START = 0.25  # [s] from rest to the largest speed identification has seen
 MEMORY = 2.0  # [s] in which the largest acceleration seen is forgotten to a third
@@ -35,7 +34,8 @@ SLOWER = 2.0  # an answer is expected to take no longer than so many times what 
 FIRST = 0.02  # [s] an answer takes that was never measured
 LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
 KEPT_WIDE = 256  # certificates of wide boxes, per category
-PATIENCE = 16  # narrow boxes asked for after a wide one had no bound
+PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
+SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
 RESTARTS = 5  # of the other process, then it stays ended
 LEFT = "the arm has left the states the last bounds were computed for"
 PATH = np.linspace(0.0, 1.0, 5)[:, None]  # instants at which the motion ahead is looked at, as parts of it
@@ -115,6 +115,7 @@ class Counter:
     refused: Answer | None = None  # the newest that has no number
     waiting: Size | None = None  # asked for
     only_narrow: int = 0  # so many answers, as a wide box could not be proved
+    reach: float = 1.0  # part of a wide box's time ahead that is asked for: less where more could not be proved
     took: float = FIRST
 
     @classmethod
@@ -135,12 +136,13 @@ class Counter:
         """An answer has come."""
         size, self.waiting = self.waiting, None
         self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
-        if answer.numbers.provable.all():
+        if answer.numbers.proven:
             (self.wide if size is WIDE else self.narrow).put(answer)
+            self.reach = min(1.0, self.reach * (GROWS if size is WIDE else 1.0))
             return
         self.refused = answer
         if size is WIDE:
-            self.only_narrow = PATIENCE
+            self.only_narrow, self.reach = PATIENCE, max(SHRINKS * self.reach, LEAST)
 
     def lacks(self, motion: Motion, slack: Array, period: float) -> tuple[float, Size] | None:
         """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
@@ -151,7 +153,7 @@ class Counter:
         here, later = motion.at(0.0), motion.at(2.0 * lead)
         self.answer = self.best(here, slack)  # a tighter one may have come
         if not self.only_narrow and (self.wide.best(here, slack) is None or self.wide.best(later, slack) is None):
-            return 2.0 * lead + WIDE.ahead, WIDE
+            return lead + self.reach * (lead + WIDE.ahead), WIDE
         if self.narrow.best(motion.at(lead), slack) is None:
             self.only_narrow = max(0, self.only_narrow - 1)
             return lead + NARROW.ahead, NARROW
@@ -170,6 +172,7 @@ class StopDesk:
     why: str = "the first stop bound is being computed"
     restarts: int = 0
     clock: Clock = field(default_factory=SystemClock)
+    sha256: str = ""  # of the model that is watched; its file may hold another one by now
     counters: dict[str, Counter] = field(init=False)
     _motion: Motion = field(init=False)
     _slack: Array = field(init=False)
@@ -203,7 +206,7 @@ class StopDesk:
     def _start(self) -> None:
         context = mp.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        args = (self.model_path, self.payload, self.stops, self.categories, theirs)
+        args = (self.model_path, self.sha256, self.payload, self.stops, self.categories, theirs)
         self._process = context.Process(target=work, args=args, daemon=True, name="stop-bounds")
         self._process.start()
         theirs.close()

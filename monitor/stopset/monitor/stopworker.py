@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from stopset.artifact import load_model
-from stopset.errors import StopsetError
+from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Stops
 from stopset.types import Array
@@ -26,34 +26,26 @@ if TYPE_CHECKING:
     from stopset.reach.stops import StopBounds
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
+MOST_CAPSULES = 400  # of a bound that are kept for pictures; one in more pieces has none, rather than a part
 PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
-def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection) -> None:
-    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready."""
-    from stopset.reach.stops import StopBounds
-    from stopset.reach.stops.ramp import Ramp
+def work(
+    model_path: str, sha256: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection
+) -> None:  # fmt: skip
+    """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready.
 
+    ``sha256``: of the model that is watched; a file that holds another one by now bounds nothing.
+    """
     parent = os.getppid()
-    model = load_model(model_path)
-    ramp = None
-    if stops.ramp_time_s or stops.ramp_deceleration:
-        ramp = Ramp.stated(
-            model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
-            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
-        )  # fmt: skip
-    prepared, refusal = None, ""
-    try:
-        prepared = StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True)
-    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
-        refusal = str(e)
+    prepared, refusal = prepare(model_path, payload, stops, sha256)
     sending = threading.Lock()
     requests: dict[str, queue.SimpleQueue[tuple[Array, Array]]] = {c: queue.SimpleQueue() for c in categories}
 
     def certify(category: str) -> None:
         while True:
             lo, hi = requests[category].get()
-            refused = Answer(category, lo, hi, Numbers.none(model.n, refusal), 0.0)
+            refused = Answer(category, lo, hi, Numbers.none(len(lo) // 2, refusal), 0.0)
             answer = refused if prepared is None else answer_for(prepared, category, lo, hi)
             with sending, contextlib.suppress(OSError):  # the daemon is gone: the main thread sees it too
                 pipe.send(answer)
@@ -74,6 +66,29 @@ def work(model_path: str, payload: float, stops: Stops, categories: tuple[str, .
             return
         category, lo, hi = request
         requests[category].put((lo, hi))
+
+
+def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
+    """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
+    from stopset.reach.stops import StopBounds
+    from stopset.reach.stops.ramp import Ramp
+
+    model = load_model(model_path)
+    ramp = None
+    if stops.ramp_time_s or stops.ramp_deceleration:
+        ramp = Ramp.stated(
+            model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
+            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
+        )  # fmt: skip
+    try:
+        if sha256 and model.sha256 != sha256:
+            raise ModelFileError(
+                f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
+                "have the monitor read it anew (SIGHUP), or restore it"
+            )
+        return StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True), ""
+    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
+        return None, str(e)
 
 
 def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Answer:
@@ -108,4 +123,5 @@ def numbers_of(bound: Any, n: int) -> Numbers:
     if not bound.certified or bound.time is None or bound.forward is None or bound.back is None:
         return Numbers.none(n, bound.why, margin)
     tcp = np.inf if bound.tcp is None else float(bound.tcp)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin)
+    swept = None if bound.capsules is None or bound.capsules.size > 7 * MOST_CAPSULES else bound.capsules.reshape(-1, 7)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept)

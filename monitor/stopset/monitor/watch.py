@@ -19,6 +19,7 @@ from stopset.artifact import Model
 from stopset.artifact.taped import Kept
 from stopset.core.library import ffi, lib, view
 from stopset.errors import NotCovered
+from stopset.monitor.grid import Motion
 from stopset.monitor.inputs import Inputs
 from stopset.reach.flowpipe import deviation_tube, discretise
 from stopset.types import Array
@@ -42,8 +43,9 @@ class Sample:
     """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
 
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
-    ``t``: sampling instant [s]; ``powered``: the drives hold torque (else no verdict: another regime); ``doubt``: what the
-    drives themselves say against it, empty if nothing, and ``bad_nodes``: bit i set = joint i's.
+    ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s]; ``powered``: the drives
+    hold torque (else no verdict: another regime); ``doubt``: what the drives themselves say against it, empty if nothing,
+    and ``bad_nodes``: bit i set = joint i's.
     """
 
     k: int
@@ -55,6 +57,7 @@ class Sample:
     powered: bool = True
     doubt: str = ""
     bad_nodes: int = 0
+    off: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,19 +131,25 @@ class Watch:
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
     _room: Array = field(init=False)
     _row: NDArray[np.int64] = field(init=False)
+    _none: Array = field(init=False)  # (n,) zeros
     _widen: bool = False  # the widths ``_w`` change from step to step
     _predictions: Any = field(init=False)  # the C struct of the above
     _held: Any = field(init=False)  # what it points at
-    _oldest: Any = field(init=False)
-    _limits: Array = field(init=False)  # (4, 3n or 4n): signals, domain lo and hi, rounding, of q, dq, u and temperature
+    _seen: Any = field(init=False)  # (2,) of the comparison: greatest age in steps, bounds passed
+    _limits: Array = field(init=False)  # (4, 4n): signals, domain lo and hi, rounding, of q, dq, u (or torque), temperature
+    _rows: Any = field(init=False)  # where these lie, for the core
     _next: int = 0
     _last: Sample | None = None
     _u: tuple[Array, Array] | None = None
+    _x: Array = field(init=False)  # (2n,) the last state, at its cycle
+    _slack: Array = field(init=False)  # (2n,) what its place in time leaves unknown of it; stands in the tube's limits
+    _motion: Motion = field(init=False)
     _since: int = 0
 
     def __post_init__(self) -> None:
         m, sets = self.model, self.model.powered
         n = m.n
+        self._x, self._slack, self._motion = np.zeros(2 * n), np.zeros(2 * n), Motion.of(m)
         if self.quantum is None:
             self.quantum = Quantum.none(n)
         self._inputs = Inputs.of(m, self.quantum, self.warm)
@@ -162,6 +171,7 @@ class Watch:
         rows = steps // self.stride + 1
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
+        self._none = np.zeros(n)
         self._room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
         self._widen = not self._inputs.plain
         kept = Kept([])
@@ -172,16 +182,23 @@ class Watch:
         ))  # fmt: skip
         d = m.domain
         boxes, h = [d.q, d.dq, d.u, *([] if d.temp is None else [d.temp])], [self.quantum.q, self.quantum.dq]
-        self._limits = np.zeros((4, n * len(boxes)))
-        self._limits[1], self._limits[2] = (np.concatenate([getattr(b, end) for b in boxes]) for end in ("lo", "hi"))
+        self._limits = np.zeros((4, 4 * n))
+        for row, end in ((1, "lo"), (2, "hi")):
+            self._limits[row, : n * len(boxes)] = np.concatenate([getattr(b, end) for b in boxes])
         self._limits[3, : 2 * n] = np.concatenate(h)
-        self._held, self._oldest = kept, ffi.new("int64_t *")
+        self._rows = [view(x) for x in self._limits]
+        self._held, self._seen = kept, ffi.new("int64_t[2]")
         self._forget()
 
     @property
     def horizon(self) -> float:
         """Oldest age that is checked [s]."""
         return float(self.ages[-1])
+
+    @property
+    def inputs(self) -> tuple[Array, Array] | None:
+        """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
+        return self._u
 
     def _forget(self) -> None:
         self._age[:] = -1
@@ -208,7 +225,8 @@ class Watch:
         reason = self._no_verdict(s, x)
         gap = self._last is not None and s.k != self._last.k + 1
         before, self._last = self._last, s
-        led = gap and not reason and self._lead_across(s.k - before.k)  # type: ignore[union-attr]
+        even = s.off == 0.0 and not self._slack.any()
+        led = gap and even and not reason and self._lead_across(s.k - before.k)  # type: ignore[union-attr]
         if reason or before is None or (gap and not led):
             self._forget()
         if reason:
@@ -217,13 +235,31 @@ class Watch:
         assert s.tau is not None
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         outside = self._outside(s, u, du)
+        known = self._u is not None and not gap
+        slack = self._slack * 0.0 if self._slack.any() else self._slack
+        if s.off != 0.0:
+            x, slack, more = self._motion.onto_grid(s.q, s.dq, u, self._u[0] if known else u, s.off)  # type: ignore[index]
+            du = du + more
+        self._loosen(slack)
         if gap and before is not None:
             verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=outside)
         else:
             verdict = self._compare(x, before, outside)
-        self._launch(bool(outside))
-        self._u = (u, du)
+        # what is refuted itself predicts nothing: one bad sample counts once; nor does what cannot be placed in its cycle
+        if not verdict.deviations and (known or s.off == 0.0):
+            self._launch(bool(outside))
+        self._u, self._x = (u, du), x
         return verdict
+
+    def _loosen(self, slack: Array) -> None:
+        """The tube for a reading that may be wrong by ``slack`` (2n,) more than the model knows."""
+        if slack is self._slack:
+            return
+        change = slack - self._slack
+        self._lo -= change
+        self._hi += change
+        self._slack = slack
+        self._widen |= bool(slack.any())
 
     def _lead_across(self, steps: int) -> bool:
         """Take every prediction over ``steps`` cycles whose readings were lost; False if that is not possible.
@@ -258,9 +294,17 @@ class Watch:
             return "the drives are not in powered operation"
         if s.tau is None:
             return "no torque in the signals"
-        readings = (x, s.tau) if s.temp is None else (x, s.tau, s.temp)
-        if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
+        here, n = self._limits[0], self.model.n
+        signals = 3 * n
+        here[: 2 * n], here[2 * n : 3 * n] = x, s.tau
+        if s.temp is not None:
+            here[3 * n :], signals = s.temp, 4 * n
+        if not lib.stopset_sound(signals, self._rows[0], LARGEST):
             return "a reading is not a number"
+        if x[0] == 0.0 and not x.any() and not s.tau.any():
+            return (
+                "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
+            )
         lo, hi = self.model.domain.payload
         if not lo <= self.payload <= hi:
             return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"
@@ -270,12 +314,10 @@ class Watch:
         """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
         d, q, n = self.model.domain, self.quantum, self.model.n
         assert q is not None
-        here, lo, hi, slack = self._limits
-        here[:n], here[n : 2 * n], here[2 * n : 3 * n], slack[2 * n : 3 * n] = s.q, s.dq, u, du + 1e-12
-        signals = 3 * n
-        if s.temp is not None and d.temp is not None:
-            here[3 * n :], signals = s.temp, 4 * n
-        if not lib.stopset_beyond(signals, view(here), view(lo), view(hi), view(slack)):
+        # positions, speeds and temperatures stand there since they were looked at as numbers
+        self._limits[0, 2 * n : 3 * n] = u
+        np.add(du, 1e-12, out=self._limits[3, 2 * n : 3 * n])
+        if not lib.stopset_beyond((4 if s.temp is not None and d.temp is not None else 3) * n, *self._rows):
             return ()
         rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, du + 1e-12)]
         if s.temp is not None and d.temp is not None:
@@ -287,20 +329,21 @@ class Watch:
         return tuple(out)
 
     def _compare(self, x: Array, before: Sample | None, outside: tuple[str, ...]) -> Verdict:
-        if self._u is None or before is None or not self._age.max(initial=-1) >= 0:
+        if self._u is None or before is None:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         u, du = self._u
-        n2 = len(x)
+        n2, quantum = len(x), self.quantum
+        assert quantum is not None
         # what rounding of the torque adds stands in the tube's limits already where inputs are plain
-        added = np.zeros(len(u)) if self._inputs.plain else du
+        added = du - quantum.tau if self._inputs.plain and self._widen else self._none if self._inputs.plain else du
         live = lib.stopset_advance(
-            self._predictions, view(x), view(np.concatenate([before.q, before.dq])), view(u), view(added), bool(outside),
-            self._widen, self._oldest,
+            self._predictions, view(x), view(self._x), view(u), view(added), bool(outside),
+            self._widen, self._seen,
         )  # fmt: skip
-        oldest = self._oldest[0]
+        oldest, passed = self._seen
         if not live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=outside)
-        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0] if self._row.max() >= 0 else []
+        found = [(side, i) for side in (0, 1) for i in range(n2) if self._row[side, i] >= 0] if passed else []
         deviations = tuple(self._deviation(x, i, side) for side, i in found)
         room = np.where(np.isfinite(self._room), self._room, 1.0)
         result, why = Conformance.CONFORMANT, "inside every prediction"
@@ -311,6 +354,19 @@ class Watch:
         elif outside:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
         return Verdict(result, why, live, float(self.ages[oldest]), deviations, outside, room)
+
+    def tube(self, sample: Sample) -> tuple[Array, Array] | None:
+        """Between which values (2n,) all predictions in force put the sample last taken; None where nothing is predicted.
+
+        Where they contradict each other the lower end is above the upper one.
+        """
+        rows = np.flatnonzero(self._age > 0)
+        if not len(rows):
+            return None
+        age = self._age[rows]
+        nominal = np.concatenate([sample.q, sample.dq]) - self._e[rows]
+        lo, hi = nominal + self._lo[age] - self._w[rows], nominal + self._hi[age] + self._w[rows]
+        return lo.max(axis=0), hi.min(axis=0)
 
     def _deviation(self, x: Array, i: int, side: int) -> Deviation:
         """State ``i`` against the prediction that it contradicts worst, above (0) or below (1)."""
@@ -341,7 +397,7 @@ class Watch:
         assert q is not None
         row, self._next = self._next, (self._next + 1) % len(self._age)
         self._e[row] = 0.0
-        self._w[row] = 0.0 if self._inputs.plain else np.concatenate([q.q, q.dq])
+        self._w[row] = self._slack if self._inputs.plain else np.concatenate([q.q, q.dq]) + self._slack
         self._age[row] = 0
         self._foreign[row] = foreign
 

@@ -1,10 +1,7 @@
 /* The arm with its load, by the rigid body of the core that identification and monitor use (stopset.h). */
-#include <math.h>
 #include <string.h>
 
 #include "stopset_core.h"
-#include "stopset.h"
-#include "vectors.h"
 
 /* The core's view of the arm; `pi` may be 0 where only geometry is asked for. */
 static StopsetArm arm_of(const double (*pi)[10], const double *gravity) {
@@ -53,30 +50,6 @@ void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]) 
         stopset_gravity_torque(pi, stopset_model.gravity, x, down);
         x[j] = q[j];
         stiff[j] = (up[j] - down[j]) / (2.0 * step);
-    }
-}
-
-/* Angular velocity and velocity of the origin of each link frame, in it; distance of the flange from each axis [m]. */
-void stopset_link_motion(const double q[NJ], const double dq[NJ], double w[NJ][3], double v[NJ][3], double radius[NJ]) {
-    const StopsetModel *m = &stopset_model;
-    const StopsetArm arm = arm_of(0, m->gravity);
-    double R[NJ][9], o[NJ][3], tip[3], z[3], x[3], turning[3] = {0, 0, 0}, moving[3] = {0, 0, 0};
-    stopset_link_frames(&arm, 1, q, R[0], o[0]);
-    times(R[NJ - 1], m->tip, tip);
-    for (int r = 0; r < 3; r++) tip[r] += o[NJ - 1][r];
-    for (int i = 0; i < NJ; i++) {
-        if (i) { /* the origin moves with the links before it */
-            for (int r = 0; r < 3; r++) x[r] = o[i][r] - o[i - 1][r];
-            cross(turning, x, x);
-            for (int r = 0; r < 3; r++) moving[r] += x[r];
-        }
-        times(R[i], m->axis[i], z);
-        for (int r = 0; r < 3; r++) turning[r] += z[r] * dq[i];
-        transposed_times(R[i], turning, w[i]);
-        transposed_times(R[i], moving, v[i]);
-        for (int r = 0; r < 3; r++) x[r] = tip[r] - o[i][r];
-        cross(z, x, x);
-        radius[i] = sqrt(dot(x, x));
     }
 }
 

@@ -80,6 +80,8 @@ const char *stopset_setup(StopsetState *s, double t0) {
     s->as_identified = (uint8_t)as_identified(s);
     s->violated = 0;
     s->stopping = 0;
+    s->length = m->dt;
+    memset(&s->certificate, 0, sizeof s->certificate);
     s->outputs_ready = 0;
     s->i[IX_VERDICT] = VERDICT_NONE;
     s->i[IX_VIOLATED_JOINT] = 0;
@@ -104,21 +106,15 @@ int stopset_restart(StopsetState *s, double ahead) {
     return 1;
 }
 
-const char *stopset_trigger(StopsetState *s) {
+const char *stopset_trigger(StopsetState *s, double *work) {
     if (!s->i[IX_STOP] || s->stopping) return 0;
     if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes) return stopset_refusal;
     if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
-    stopset_outputs(s); /* the bounds of this moment */
-    stopset_stop_bounds(s);
-    for (int i = 0; i < NJ; i++) {
-        int known = s->b[IX_STOP_CERTIFIED];
-        s->stop_q[i] = s->r[VR_Q + i];
-        s->stop_dq[i] = s->r[VR_DQ + i];
-        s->stop_lo[i] = known ? s->r[VR_Q_LO + i] - s->r[VR_STOP_ANGLE + i] : (double)NAN;
-        s->stop_hi[i] = known ? s->r[VR_Q_HI + i] + s->r[VR_STOP_ANGLE + i] : (double)NAN;
-        if (!known) s->stop_speed[i] = (double)NAN;
-    }
+    stopset_outputs(s);
+    stopset_stop_request(s, work);
+    memcpy(s->stop_q, &s->r[VR_Q], sizeof s->stop_q);
+    memcpy(s->stop_dq, &s->r[VR_DQ], sizeof s->stop_dq);
     s->stop_start = s->r[VR_TIME];
     s->stopping = (uint8_t)s->i[IX_STOP];
     s->h_try = 0.0;
@@ -135,14 +131,16 @@ static void ramp(StopsetState *s, double t) {
     }
 }
 
-const char *stopset_step(StopsetState *s, double h) {
+const char *stopset_step(StopsetState *s, double h, double *work) {
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
     stopset_check(s);
     if (!s->stopping) stopset_restart(s, h);
-    const char *wrong = stopset_trigger(s);
+    const char *wrong = stopset_trigger(s, work);
     if (wrong) return wrong;
     s->outputs_ready = 0;
+    s->length = h;
+    if (s->certificate.steps < INT32_MAX) s->certificate.steps++;
     if (s->stopping == 2) {
         ramp(s, s->r[VR_TIME] + h);
         return 0;
@@ -210,12 +208,8 @@ void stopset_outputs(StopsetState *s) {
     if (s->outputs_ready) return;
     double lo[NX], hi[NX];
     if (s->stopping) {
-        for (int i = 0; i < NJ; i++) {
-            lo[i] = s->stop_lo[i];
-            hi[i] = s->stop_hi[i];
-            lo[NJ + i] = -s->stop_speed[i];
-            hi[NJ + i] = s->stop_speed[i];
-        }
+        memcpy(lo, s->stop_lo, sizeof lo);
+        memcpy(hi, s->stop_hi, sizeof hi);
     } else
         bounds(s, lo, hi);
     for (int i = 0; i < NJ; i++) {
@@ -230,7 +224,6 @@ void stopset_outputs(StopsetState *s) {
 #if N_INDICATOR
     stopset_indicators(s, &s->r[VR_INDICATOR]);
 #endif
-    s->stop_ready = 0;
     s->i[IX_VERDICT] = s->violated ? VERDICT_VIOLATED : s->i[IX_VERDICT];
     s->b[IX_CONFORMANT] = s->i[IX_VERDICT] == VERDICT_CONFORMANT;
     s->outputs_ready = 1;

@@ -41,8 +41,19 @@ Instance *stopset_create(const char *name, const char *token, int co_simulation,
         free(c);
         return 0;
     }
+    if (stopset_model.has_brakes && !(c->work = malloc((size_t)stopset_stop_room(NJ) * sizeof *c->work))) {
+        stopset_fail(c, "instantiate", "no memory left for the stop proofs; free instances that are no longer needed");
+        free(c);
+        return 0;
+    }
     stopset_reset(c);
     return c;
+}
+
+void stopset_free(Instance *c) {
+    if (!c) return;
+    free(c->work);
+    free(c);
 }
 
 void stopset_reset(Instance *c) {
@@ -95,7 +106,7 @@ Level stopset_get_real(Instance *c, const unsigned vr[], size_t n, double value[
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "get", vr[k], "floating-point");
-        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_TCP_STOP_DISTANCE) stopset_stop_bounds(&c->now.s);
+        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_STOP_AGE) stopset_stop_bounds(&c->now.s, 0, c->work);
         value[k] = c->now.s.r[vr[k]];
     }
     return LEVEL_OK;
@@ -114,7 +125,7 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "get", vr[k], "boolean");
-        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s);
+        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s, 0, c->work);
         value[k] = c->now.s.b[vr[k] - N_REAL - N_INT];
     }
     return LEVEL_OK;
@@ -152,6 +163,11 @@ Level stopset_set_integer(Instance *c, const unsigned vr[], size_t n, const int3
             snprintf(what, sizeof what, "stop is %d; expected 0 (none), 1 (STOP 0) or 2 (STOP 1)", (int)value[k]);
             return stopset_fail(c, "set", what);
         }
+        if (vr[k] - N_REAL == IX_STOP_EVERY && value[k] < 0) {
+            char what[120];
+            snprintf(what, sizeof what, "stop_every is %d; expected a number of steps, or 0 for never", (int)value[k]);
+            return stopset_fail(c, "set", what);
+        }
         c->now.s.i[vr[k] - N_REAL] = value[k];
     }
     return LEVEL_OK;
@@ -178,7 +194,7 @@ Level stopset_do_step(Instance *c, double t, double h) {
         return stopset_fail(c, "doStep", what);
     }
     s->r[VR_TIME] = t;
-    const char *wrong = stopset_step(s, h);
+    const char *wrong = stopset_step(s, h, c->work);
     if (wrong) return stopset_fail(c, "doStep", wrong);
     s->r[VR_TIME] = t + h;
     s->outputs_ready = 0;
@@ -274,6 +290,7 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
 
 int stopset_completed_step(Instance *c) {
     int before = c->now.s.i[IX_VERDICT];
+    if (c->now.s.certificate.steps < INT32_MAX) c->now.s.certificate.steps++;
     stopset_check(&c->now.s);
     return c->now.s.i[IX_VERDICT] != before;
 }
@@ -282,7 +299,7 @@ Level stopset_update_discrete(Instance *c, int *states_changed, int *next_define
     StopsetState *s = &c->now.s;
     stopset_check(s);
     *states_changed = s->stopping ? 0 : stopset_restart(s, 0.0);
-    const char *wrong = stopset_trigger(s);
+    const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
     /* an importer finds the zero crossing of a velocity within its own tolerance */
     if (stopset_update_modes(s, 1e-7)) *states_changed = 1;

@@ -9,7 +9,6 @@
 #include <string.h>
 
 #include "stopset_core.h"
-#include "stopset.h"
 
 enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
 

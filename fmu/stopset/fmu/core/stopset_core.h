@@ -8,6 +8,7 @@
 
 #include <stdint.h>
 
+#include "core/stopset.h"
 #include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, the VR_ and IX_ positions */
 
 enum { NX = 2 * NJ, NM = N_MEMORY > 0 ? N_MEMORY : 1, NS = NX + N_MEMORY }; /* joints, effects that remember, both */
@@ -31,10 +32,8 @@ typedef struct {
     double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
     double standstill[NJ];                         /* speed below which a joint counts as still [rad/s] */
-    /* STOP 0, least and most: rotors [kg m^2], brake [N m], its delay and rise [s], friction [N m, N m s/rad], disturbance [N m] */
-    double rotor[NJ], rotor_hi[NJ], brake_lo[NJ], brake_hi[NJ], brake_delay_lo[NJ], brake_delay_hi[NJ], brake_rise_lo[NJ],
-        brake_rise_hi[NJ], dry_lo[NJ], dry_hi[NJ], viscous_hi[NJ], stop_u_lo[NJ], stop_u_hi[NJ];
-    double stop_angle[NJ], stop_speed[NJ];         /* the three before hold for stops no longer [rad] and no faster [rad/s] */
+    /* stops: where the model speaks of a measured state, what a stop starts from less that state, errors of a reading */
+    double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], noise_lo[NX], noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
@@ -48,11 +47,19 @@ typedef struct {
 extern const StopsetModel stopset_model;
 extern const char stopset_token[];
 extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
+extern const StopsetStops stopset_stops; /* what bounds a stop; empty where none is bounded */
 
 /* phi functions of one step h: e^{Ah}, its integral, and the integral of that (velocity part of the linear model). */
 typedef struct {
     double h, F[NJ][NJ], G[NJ][NJ], H[NJ][NJ];
 } StopsetStep;
+
+/* A stop bound and the box of states that it holds for; `steps` since it was made. */
+typedef struct {
+    double q[NJ], dq[NJ], q_radius[NJ], dq_radius[NJ], time[NJ], forward[NJ], back[NJ], speed[NJ], tool[2], at;
+    int32_t steps;
+    uint8_t made, exact, proved;
+} StopsetCertificate;
 
 /* Plain data: a copy of it is a complete state. */
 typedef struct {
@@ -68,9 +75,11 @@ typedef struct {
     double tube_F[NJ][NJ], tube_G[NJ][NJ], plus[NX][NJ], minus[NX][NJ];
     double h_try;                    /* step size that the nonlinear integrator takes up again */
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
-    double stop_q[NJ], stop_dq[NJ], stop_lo[NJ], stop_hi[NJ], stop_speed[NJ]; /* of the moment a stop was asked for */
+    double length;                   /* of the last communication step [s], the model's own before */
+    double stop_q[NJ], stop_dq[NJ], stop_lo[NX], stop_hi[NX]; /* of the moment a stop was asked for */
+    StopsetCertificate certificate;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
-    uint8_t as_identified, violated, outputs_ready, stop_ready;
+    uint8_t as_identified, violated, outputs_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
 } StopsetState;
@@ -78,11 +87,11 @@ typedef struct {
 void stopset_defaults(StopsetState *s);
 /* Take over start values and parameters at time t0; returns 0 or a sentence what is wrong. */
 const char *stopset_setup(StopsetState *s, double t0);
-/* Begin a stop that is asked for; returns 0 or a sentence. */
-const char *stopset_trigger(StopsetState *s);
+/* Begin a stop that is asked for; returns 0 or a sentence. `work`: what the stop proofs need, stopset_stop_room(NJ) numbers. */
+const char *stopset_trigger(StopsetState *s, double *work);
 /* Advance by h with the inputs held; returns 0 or a sentence. */
-const char *stopset_step(StopsetState *s, double h);
-/* Bounds, flags and accelerations at the present time and state; the stop bounds only when asked for, they cost most. */
+const char *stopset_step(StopsetState *s, double h, double *work);
+/* Bounds, flags and accelerations at the present time and state, without the stop bounds. */
 void stopset_outputs(StopsetState *s);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
 void stopset_check(StopsetState *s);
@@ -107,11 +116,9 @@ int stopset_update_modes(StopsetState *s, double slack);
 void stopset_indicators(const StopsetState *s, double z[NJ]);
 const char *stopset_integrate(StopsetState *s, double h);
 void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
-/* stop.c */
-void stopset_stop_bounds(StopsetState *s);
-/* STOP 0 from the box q +- rq, dq +- rdq; 0 where nothing can be proved. */
-int stopset_stop(const StopsetState *s, const double q[NJ], const double dq[NJ], const double rq[NJ], const double rdq[NJ],
-                 double angle[NJ], double speed[NJ], double *time, double *tcp);
+/* stops.c: the stop outputs; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */
+void stopset_stop_bounds(StopsetState *s, int exact, double *work);
+void stopset_stop_request(StopsetState *s, double *work);
 /* model_data.c: torque of the model's effects beyond the viscous polynomial [N m], and the flow of what they remember */
 void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
                      const double load[NJ], const double *memory, double tau[NJ]);
@@ -120,7 +127,6 @@ void stopset_memory_rates(const StopsetState *s, const double q[NJ], const doubl
 /* body.c */
 void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
 void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
-void stopset_link_motion(const double q[NJ], const double dq[NJ], double w[NJ][3], double v[NJ][3], double radius[NJ]);
 void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]);
 void stopset_gravity_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], double tau[NJ]);
 void stopset_point_mass(double mass, const double com[3], const double q[NJ], double M[NJ][NJ]);

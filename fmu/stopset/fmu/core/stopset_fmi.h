@@ -19,6 +19,7 @@ typedef struct {
 typedef struct Instance Instance;
 struct Instance {
     Saved now;
+    double *work; /* of the stop proofs: nothing in it outlives a call */
     int co_simulation, logging;
     void *environment;
     void (*write)(Instance *, Level, const char *message);
@@ -45,6 +46,7 @@ Level stopset_set_state(Instance *c, const void *state);
 size_t stopset_serialized_size(void);
 Level stopset_serialize(Instance *c, const void *state, unsigned char *bytes, size_t size);
 Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, void **state);
+void stopset_free(Instance *c);
 void stopset_reset(Instance *c);
 /* Model exchange. */
 Level stopset_set_time(Instance *c, double t);

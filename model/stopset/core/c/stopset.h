@@ -163,6 +163,9 @@ STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
+/* Whether every one of x (N,) is a number of at most this size. */
+STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
+
 /* The row of least cost (count,) among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
 STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
                                      const double *x, const double *slack);
@@ -181,9 +184,9 @@ typedef struct {
 } StopsetPredictions;
 
 /* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
- * Returns the predictions alive; `oldest`: the greatest age. Not a number counts as outside. */
+ * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
-                                    const double *du, int outside, int widen, int64_t *oldest);
+                                    const double *du, int outside, int widen, int64_t seen[2]);
 
 /* ---- message.c: what a message needs */
 
@@ -368,7 +371,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step;
+    double coupling, christoffel, gravity_slope, whole_step, bend;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -406,6 +409,10 @@ STOPSET_API void stopset_follow(const StopsetTube *tube, int n, int64_t K, const
 /* Inertia, gravity and Christoffel symbols at q and their slopes, of the middle payload and of half its range. */
 STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
                                double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
+/* For angles in q + [x_lo, x_hi] the inertia lies in M +- dM (n, n), rotors included, and its slopes in those at q, of the same
+ * payload, +- turn (n, n, n). */
+STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
+                                    const StopsetParts *parts, double *M, double *dM, double *turn);
 /* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);
@@ -430,6 +437,40 @@ STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, c
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
                                    const double *e_lo, const double *e_hi, const double *t, int64_t count, double *border, double *work,
                                    double *out_dl, double *out_dh, double *out_vl, double *out_vh);
+/* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
+
+#define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
+#define STOPSET_STOP_ENERGY_KNOTS 25
+#define STOPSET_STOP_PATIENCE 6      /* times the expected stop before a tube is called endless, in each case */
+#define STOPSET_STOP_MORE_PATIENCE 30
+#define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
+#define STOPSET_STOP_SLICES 10       /* stretches of time that the tool's way is told for */
+
+/* Where friction and u, (n,) each, hold: no angle outside q_lo, q_hi [rad], no joint faster than speed [rad/s]. */
+typedef struct {
+    const double *coulomb_lo, *coulomb_hi, *viscous_lo, *viscous_hi, *u_lo, *u_hi, *q_lo, *q_hi, *speed;
+} StopsetRegion;
+
+typedef struct {
+    StopsetPlant plant;          /* its friction and u are those of a region */
+    const double *lag;           /* (n,) [s] by which a joint's brake is always later; may be 0 */
+    double apart;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
+    const double *tool;          /* (3,) [m] in the last link's frame */
+    int32_t regions;
+    const StopsetRegion *region; /* each one in the next */
+} StopsetStops;
+
+typedef struct {
+    double *time, *forward, *back, *speed; /* (n,) [s], [rad] both >= 0, [rad/s] largest on the way */
+    double *tool;                          /* (2,) displacement [m], speed [m/s] */
+} StopsetBound;
+
+/* Numbers that `work` below has to hold. */
+STOPSET_API int64_t stopset_stop_room(int n);
+/* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, or it may leave the
+ * largest region, then `out` holds nothing of use; negative: a code. */
+STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
+                                  const double *dq_radius, double *work, const StopsetBound *out);
 /* cffi end */
 
 

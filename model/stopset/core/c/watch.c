@@ -135,6 +135,12 @@ int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const doubl
     return count;
 }
 
+int stopset_sound(int64_t N, const double *x, double most) {
+    for (int64_t k = 0; k < N; k++)
+        if (!(absolute(x[k]) <= most)) return 0;
+    return 1;
+}
+
 int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost, const double *x,
                          const double *slack) {
     int64_t best = -1;
@@ -216,12 +222,12 @@ static int remarkable(const StopsetPredictions *s, int64_t p) {
 }
 
 int64_t stopset_advance(const StopsetPredictions *s, const double *x, const double *before, const double *u, const double *du, int outside,
-                        int widen, int64_t *oldest) {
+                        int widen, int64_t seen[2]) {
     const int n2 = s->states, n = n2 / 2;
     double residual[X], dw[X], worst[2][X] = {{0}}, own[4][J], wide[4][J], size[X * X];
     int64_t live = 0;
     if (n < 1 || n > J) return -1;
-    *oldest = 0;
+    seen[0] = seen[1] = 0;
     for (int i = 0; i < n2; i++) {
         double sum = 0.0, push = 0.0, more = 0.0;
         for (int j = 0; j < n2; j++) sum += s->Ad[i * n2 + j] * before[j];
@@ -244,7 +250,7 @@ int64_t stopset_advance(const StopsetPredictions *s, const double *x, const doub
             continue;
         }
         live++;
-        if (s->age[p] > *oldest) *oldest = s->age[p];
+        if (s->age[p] > seen[0]) seen[0] = s->age[p];
         if (outside) s->foreign[p] = 1;
         if (apart)
             step_own(n, own, residual, s->e + p * n2);
@@ -256,5 +262,6 @@ int64_t stopset_advance(const StopsetPredictions *s, const double *x, const doub
             step_coupled(n2, size, dw, s->w + p * n2);
         if (remarkable(s, p)) look_closely(s, p, worst);
     }
+    for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
     return live;
 }

@@ -14,6 +14,7 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
 from stopset.reach.stops.fast import Certificate
+from stopset.reach.stops.friction import ROUNDING
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.tube import OK, Tube
@@ -301,11 +302,14 @@ class StopBounds:
         wide = np.zeros(self.model.n) if radius is None else radius
         p = self.setting.near(self.setting.plant, Box(q - wide, q + wide), np.zeros(self.model.n))
         g = [gravity_torque(p.chain, p.pi + s * p.pi_half, q) for s in (-1.0, 1.0)]
-        more = np.zeros(self.model.n)
+        least, most = np.minimum(*g), np.maximum(*g)
         if radius is not None:
             E = expand(p.chain, p.pi, p.pi_half, p.rotor, q)
             more = (np.abs(E.dg) + np.abs(E.dgp)) @ radius + 0.5 * np.einsum("ikl,k,l->i", p.curvature.g, radius, radius)
-        low, high = np.minimum(*g) - p.u_hi - more, np.maximum(*g) - p.u_lo + more
+            # in a wide box slopes say more than what gravity can ask in any pose
+            load = p.curvature.load * (1.0 + ROUNDING)
+            least, most = np.minimum(np.maximum(least - more, -load), least), np.maximum(np.minimum(most + more, load), most)
+        low, high = least - p.u_hi, most - p.u_lo
         out: Array = p.brake_lo + p.coulomb_lo - np.maximum(np.abs(low), np.abs(high))
         return out
 

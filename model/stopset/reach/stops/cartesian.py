@@ -21,7 +21,7 @@ from stopset.reach.stops.tube import Tube
 from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
 
-SLICES = 10
+SLICES: int = lib.STOPSET_STOP_SLICES
 
 
 class Slices(NamedTuple):

@@ -12,6 +12,7 @@ class Parts(NamedTuple):
     christoffel: float = 1.0
     gravity_slope: float = 1.0
     whole_step: float = 1.0  # 0: brakes and speeds taken at the end of each step only
+    bend: float = 1.0  # what the inertia has beyond its first slopes
 
 
 ALL_PARTS = Parts()

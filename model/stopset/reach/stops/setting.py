@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stopset.artifact import Model
+from stopset.artifact import Brakes, Model
 from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
@@ -84,16 +85,7 @@ def setting_of(
     Raises `NotCovered` for a payload outside the model's domain, unless it is to be ``extrapolate``-d: then the rigid body
     carries it, and an assumption says that no recording did; and for an effect of the model that no stop can be bounded with.
     """
-    n = model.n
-    lo, hi = model.domain.payload if payload is None else payload
-    seen = model.domain.payload
-    if not (0.0 <= lo <= hi <= HEAVIEST or seen[0] <= lo <= hi <= seen[1]):
-        raise NotCovered(
-            f"a payload of {lo:g} to {hi:g} kg; expected masses of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
-        )
-    inside = seen[0] - 1e-9 <= lo and hi <= seen[1] + 1e-9
-    if not inside and not extrapolate:
-        raise NotCovered(beyond_payload(lo, hi, seen))
+    carried = payload_of(model, payload, extrapolate)
     brakes = brakes_of(model)
     if brakes is None:
         return None
@@ -103,73 +95,88 @@ def setting_of(
             f"a payload's centre at {com.tolist()} m in the last link; expected three numbers, at most {FARTHEST:g} m away: give it in "
             "metres"
         )
-    torques = torques_of(model, (lo, hi), com)
-    friction = torques.everywhere
+    n, torques = model.n, torques_of(model, carried, com)
     regime = "stop0" if "stop0" in model.sets else "powered"
     sets = model.sets[regime]
-    middle, half = bodies(model, (lo, hi), com)
     # a constant torque seen in the powered data may belong to the drive or to the arm: with and without it
     offset = model.abstraction.offset if model.abstraction.offset.shape == (n,) else np.zeros(n)
     free = Box(sets.U.lo - np.maximum(offset, 0.0), sets.U.hi - np.minimum(offset, 0.0))
-    rotor = rotor_of(model)
-    plant = Plant(
-        chain=model.robot.chain, pi=middle, pi_half=half, rotor=0.5 * (rotor.lo + rotor.hi), rotor_half=rotor.radius,
+    misread = misreadings(model, torques.fastest)
+    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
+    start, residual = Box(-noise.hi, -noise.lo), Box.point(np.zeros(n))
+    if regime == "stop0":
+        start, residual = sets.X0 + misread, sets.X0.take(slice(n, 2 * n))
+    lo, hi = model.domain.payload
+    inside = lo - 1e-9 <= carried[0] and carried[1] <= hi + 1e-9
+    setting = Setting(
+        model=model, plant=_plant(model, brakes, torques, bodies(model, carried, com), free), torques=torques, free=free, noise=noise,
+        start=start, residual=residual, apart=brakes.apart, lag=brakes.lag, payload=carried, payload_com=com, assumptions=(),
+        extrapolated="" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {lo:g} to {hi:g} kg",
+    )  # fmt: skip
+    return replace(setting, assumptions=tuple(_assumptions(setting, brakes, regime, doubt)))
+
+
+def payload_of(model: Model, payload: tuple[float, float] | None, extrapolate: bool) -> tuple[float, float]:
+    """The range asked for [kg], the domain's where none is; refused as `setting_of` says."""
+    lo, hi = model.domain.payload if payload is None else payload
+    seen = model.domain.payload
+    if not (0.0 <= lo <= hi <= HEAVIEST or seen[0] <= lo <= hi <= seen[1]):
+        raise NotCovered(
+            f"a payload of {lo:g} to {hi:g} kg; expected masses of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
+        )
+    if not (seen[0] - 1e-9 <= lo and hi <= seen[1] + 1e-9) and not extrapolate:
+        raise NotCovered(beyond_payload(lo, hi, seen))
+    return lo, hi
+
+
+def _plant(model: Model, brakes: Brakes, torques: Torques, body: tuple[Array, Array], free: Box) -> Plant:
+    """``body``: middle and half range of the links' parameters with the payload."""
+    friction, rotor = torques.everywhere, rotor_of(model)
+    return Plant(
+        chain=model.robot.chain, pi=body[0], pi_half=body[1], rotor=0.5 * (rotor.lo + rotor.hi), rotor_half=rotor.radius,
         coulomb_lo=friction.dry.lo, coulomb_hi=friction.dry.hi,
         viscous_lo=friction.viscous.lo, viscous_hi=friction.viscous.hi,
         u_lo=free.lo + friction.push.lo, u_hi=free.hi + friction.push.hi,
         brake_lo=brakes.torque.lo, brake_hi=brakes.torque.hi, delay_lo=brakes.delay.lo, delay_hi=brakes.delay.hi,
         rise_lo=brakes.rise.lo, rise_hi=brakes.rise.hi, curvature=torques.body.K,
     )  # fmt: skip
-    assumptions = [
-        "serial arm of rigid links; rotor inertia on the link side; no contact, no joint limit on the way",
+
+
+def _assumptions(s: Setting, brakes: Brakes, regime: str, doubt: float) -> Iterator[str]:
+    """What a bound of this setting rests on, a sentence each; ``doubt``: of the payload's mass [kg]."""
+    model, n, friction = s.model, s.model.n, s.torques.everywhere
+    yield "serial arm of rigid links; rotor inertia on the link side; no contact, no joint limit on the way"
+    yield (
         f"brakes ({brakes.source}): torque {_range(brakes.torque)} N m, delay {_range(brakes.delay, 1e3)} ms, "
-        f"rise {_range(brakes.rise, 1e3)} ms, linear rise, constant during a stop",
-        f"dry friction {_range(friction.dry)} N m and viscous friction {_range(friction.viscous)} N m s/rad, "
-        f"from the identified effects +- {SIGMAS:g} standard deviations +- {FRICTION_TOLERANCE:.0%}; none where unknown",
-        f"any further torque within U of regime '{regime}': {_range(sets.U)} N m, free in time",
-        f"payload {lo:g} to {hi:g} kg as a point at {np.round(com, 4).tolist()} m in the last link",
-    ]
-    if doubt > 0.0:
-        assumptions.append(f"payload weighed by its torque to +- {doubt:.3g} kg, its centre as identified")
-    extrapolated = "" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {seen[0]:g} to {seen[1]:g} kg"
-    if extrapolated:
-        assumptions.append(f"{extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change")
-    if np.any(rotor.width > 0):
-        assumptions.append(f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2")
-    assumptions += described(model)
-    if np.all(friction.dry.hi == 0):
-        assumptions.append("Coulomb friction unknown, taken as none")
-    misread = misreadings(model, torques.fastest)
-    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
-    assumptions.append(
-        f"measured state exact to {_range(noise.take(slice(0, n)))} rad, {_range(noise.take(slice(n, 2 * n)))} rad/s"
+        f"rise {_range(brakes.rise, 1e3)} ms, linear rise, constant during a stop"
     )
-    start, residual = Box(-noise.hi, -noise.lo), Box.point(np.zeros(n))
+    yield (
+        f"dry friction {_range(friction.dry)} N m and viscous friction {_range(friction.viscous)} N m s/rad, "
+        f"from the identified effects +- {SIGMAS:g} standard deviations +- {FRICTION_TOLERANCE:.0%}; none where unknown"
+    )
+    yield f"any further torque within U of regime '{regime}': {_range(model.sets[regime].U)} N m, free in time"
+    lo, hi = s.payload
+    yield f"payload {lo:g} to {hi:g} kg as a point at {np.round(s.payload_com, 4).tolist()} m in the last link"
+    if doubt > 0.0:
+        yield f"payload weighed by its torque to +- {doubt:.3g} kg, its centre as identified"
+    if s.extrapolated:
+        yield f"{s.extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change"
+    rotor = rotor_of(model)
+    if np.any(rotor.width > 0):
+        yield f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2"
+    yield from described(model)
+    if np.all(friction.dry.hi == 0):
+        yield "Coulomb friction unknown, taken as none"
+    yield f"measured state exact to {_range(s.noise.take(slice(0, n)))} rad, {_range(s.noise.take(slice(n, 2 * n)))} rad/s"
     if regime == "stop0":
-        start, residual = sets.X0 + misread, sets.X0.take(slice(n, 2 * n))
-        assumptions.append(
+        yield (
             f"what the drives still give while their power goes changes the speeds by no more than "
-            f"{_range(residual)} rad/s, measurement error included"
+            f"{_range(s.residual)} rad/s, measurement error included"
         )
     else:
-        assumptions.append("the drives give nothing more once power is taken")
-    if brakes.apart is not None:
-        assumptions.append(_apart(brakes.apart, brakes.lag))
-    return Setting(
-        model,
-        plant,
-        torques,
-        free,
-        noise,
-        start,
-        residual,
-        brakes.apart,
-        brakes.lag,
-        (lo, hi),
-        com,
-        tuple(assumptions),
-        extrapolated,
-    )
+        yield "the drives give nothing more once power is taken"
+    if s.apart is not None:
+        yield _apart(s.apart, s.lag)
 
 
 def _apart(apart: float, lag: Array | None) -> str:

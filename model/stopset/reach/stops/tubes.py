@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stopset.core.library import lib
 from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
@@ -17,13 +18,15 @@ from stopset.sets import Box
 from stopset.types import Array
 
 KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
-FAST_KNOTS = 100  # of a certificate that a fast loop renews: bounds under 1 % wider, in half the time
-FAST_ENERGY_KNOTS = 25  # where the kinetic energy has to help in a fast loop: a third wider, in a fifth of the time
-FAST_WINDOWS = 2  # of the brakes' common delay in a fast loop: half the angle of one where the energy has to help
+# in a fast loop: of a certificate (bounds under 1 % wider, in half the time); where the kinetic energy has to help (a third wider,
+# in a fifth of the time); windows of the brakes' common delay (half the angle of one where the energy has to help)
+FAST_KNOTS: int = lib.STOPSET_STOP_KNOTS
+FAST_ENERGY_KNOTS: int = lib.STOPSET_STOP_ENERGY_KNOTS
+FAST_WINDOWS: int = lib.STOPSET_STOP_WINDOWS
 REGIONS = 5  # that a tube is tried in, each larger than what the last led to
 COARSE = 4  # times fewer knots of the tube that finds a region
-PATIENCE = 6  # times the expected stop before a tube is called endless
-MORE_PATIENCE = 30  # where the kinetic energy bounds it: that takes longer
+PATIENCE: int = lib.STOPSET_STOP_PATIENCE  # times the expected stop before a tube is called endless
+MORE_PATIENCE: int = lib.STOPSET_STOP_MORE_PATIENCE  # where the kinetic energy bounds it: that takes longer
 
 
 def expected_stop(plant: Plant, q: Array, speed: Array) -> float:

@@ -7,6 +7,10 @@ socketcand protocol, so any python-can program can join with ``interface="socket
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from types import MappingProxyType
 from typing import Any, Protocol
 from urllib.parse import parse_qsl
 
@@ -15,6 +19,8 @@ import can
 from stopset.errors import BusError
 from stopset.monitor.links.hub import Frame, Hub, HubClient
 from stopset.monitor.links.stamps import Stamps
+
+GROUP = "stopset.links"
 
 
 class Listener(Protocol):
@@ -31,11 +37,38 @@ class Talker(Protocol):
     def close(self) -> None: ...
 
 
+class Link(Protocol):
+    """A kind of bus from another package, registered under its name in the entry-point group `GROUP`; ``channel`` is what
+    stands behind the colon. Both raise `BusError` when it cannot be opened."""
+
+    def listen(self, channel: str) -> Listener: ...
+    def talk(self, channel: str) -> Talker: ...
+
+
+@cache
+def registered() -> Mapping[str, Link]:
+    """Links of installed packages by name. Raises `BusError` for one that cannot be used, or takes a name of ours."""
+    found: dict[str, Link] = {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
+        try:
+            link = entry.load()
+        except Exception as e:
+            raise BusError(
+                f"link {entry.name} of {entry.value} cannot be loaded ({type(e).__name__}: {e}); mend or remove that package"
+            ) from e
+        if not all(callable(getattr(link, name, None)) for name in ("listen", "talk")):
+            raise BusError(f"link {entry.name} of {entry.value} is no link; expected it to listen and talk: mend that package")
+        if entry.name in found or entry.name in ("hub", "remote", *can.VALID_INTERFACES):
+            raise BusError(f"link {entry.name} of {entry.value} has the name of another one; rename it")
+        found[entry.name] = link
+    return MappingProxyType(found)
+
+
 def parse(spec: str) -> tuple[str, str, dict[str, Any]]:
     """``(interface, channel, options)`` of a bus's name; numbers in options become numbers."""
     head, _, query = spec.partition("?")
     interface, _, channel = head.partition(":")
-    known = {"hub", "remote", *can.VALID_INTERFACES}
+    known = {"hub", "remote", *can.VALID_INTERFACES, *registered()}
     if interface not in known or not channel:
         raise BusError(
             f"bus {spec!r}: expected INTERFACE:CHANNEL such as socketcan:can0, hub:28700 or udp_multicast:239.74.163.2 "
@@ -47,7 +80,11 @@ def parse(spec: str) -> tuple[str, str, dict[str, Any]]:
 def may_hold_a_robot(spec: str) -> bool:
     """Whether a real arm could hear what is sent there: not on buses that only programs share. (A bad name is another matter.)"""
     interface = spec.partition("?")[0].partition(":")[0]
-    return interface in can.VALID_INTERFACES and interface not in ("virtual", "udp_multicast", "serial")
+    return (interface in can.VALID_INTERFACES or interface in registered()) and interface not in (
+        "virtual",
+        "udp_multicast",
+        "serial",
+    )
 
 
 def _python_can(spec: str, **extra: Any) -> can.BusABC:
@@ -113,6 +150,8 @@ def _address(channel: str) -> tuple[str, int]:
 def listen(spec: str, wait_s: float = 0.0) -> Listener:
     """Open a bus for listening, waiting up to ``wait_s`` for it to appear; raises `BusError`."""
     interface, channel, _ = parse(spec)
+    if (outside := registered().get(interface)) is not None:
+        return outside.listen(channel)
     end = time.monotonic() + wait_s
     while True:
         try:
@@ -128,4 +167,6 @@ def listen(spec: str, wait_s: float = 0.0) -> Listener:
 def talk(spec: str) -> Talker:
     """Open a bus for sending; ``hub:PORT`` starts the hub here. Raises `BusError`."""
     interface, channel, _ = parse(spec)
+    if (outside := registered().get(interface)) is not None:
+        return outside.talk(channel)
     return Hub(*_address(channel)) if interface == "hub" else _CanTalker(spec)

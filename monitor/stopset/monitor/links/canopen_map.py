@@ -19,7 +19,7 @@ from canopen.objectdictionary import ObjectDictionaryError, datatypes
 
 from stopset.errors import BusError
 from stopset.monitor.nodes import HEARTBEAT, OPERATIONAL, Nodes
-from stopset.monitor.profile import SIGNALS, Profile
+from stopset.monitor.profile import AXIS, SIGNALS, SLOW, Profile
 from stopset.types import Array
 
 FORMATS = {
@@ -27,20 +27,24 @@ FORMATS = {
     datatypes.UNSIGNED8: "B", datatypes.UNSIGNED16: "H", datatypes.UNSIGNED32: "I", datatypes.UNSIGNED64: "Q",
     datatypes.REAL32: "f", datatypes.REAL64: "d", datatypes.BOOLEAN: "?",
 }  # fmt: skip
-SYNC_ID = 0x080
 HOLD = 0.2  # [s] in which a frame that was missed may still come
 APART = 2e-5  # [s] a frame takes longer than this on any CAN bus: what is stamped closer together has changed places
+FIRST_OF_AXES = 0x6000  # objects below are the device's
 LATEST = 0.9  # of a period after its SYNC: frames that come later may be the next one's
 
 
 @dataclass(frozen=True, slots=True)
 class FrameMap:
-    """One PDO: how its bytes unpack, and for each value the (signal row, joint) it goes to, or None for values not needed."""
+    """One PDO: how its bytes unpack, and for each value the (signal row, joint) it goes to, or None for values not needed.
+
+    ``synchronous``: it comes once after every SYNC; else when a value changes, and only slow signals are taken from it.
+    """
 
     cob_id: int
     layout: struct.Struct
     targets: tuple[tuple[int, int] | None, ...]
     codes: str
+    synchronous: bool = True
 
 
 def frame_maps(profile: Profile) -> dict[int, FrameMap]:
@@ -50,7 +54,9 @@ def frame_maps(profile: Profile) -> dict[int, FrameMap]:
     except OSError as e:
         raise BusError(f"{profile.dcf} cannot be read ({e.strerror}); expected an EDS or DCF beside the profile") from e
     wanted = tuple((name, s.object, s.sub) for name, s in profile.signals.items())
-    return dict(_frame_maps(profile.name, profile.dcf, (stat.st_mtime_ns, stat.st_size), tuple(profile.nodes.items()), wanted))
+    axes = profile.axes or (0,) * len(profile.nodes)
+    joints = tuple((joint, node, axis) for (joint, node), axis in zip(profile.nodes.items(), axes, strict=True))
+    return dict(_frame_maps(profile.name, profile.dcf, (stat.st_mtime_ns, stat.st_size), joints, wanted))
 
 
 @lru_cache(maxsize=8)
@@ -58,49 +64,61 @@ def _frame_maps(
     profile: str,
     dcf: Path,
     _version: tuple[int, int],
-    nodes: tuple[tuple[str, int], ...],
+    joints: tuple[tuple[str, int, int], ...],
     signals: tuple[tuple[str, int, int], ...],
 ) -> dict[int, FrameMap]:
-    wanted = {(index, sub): SIGNALS.index(name) for name, index, sub in signals}
     found: dict[tuple[int, int], int] = {}
     maps: dict[int, FrameMap] = {}
     network = canopen.Network()  # never connected: nothing is sent
-    for joint, (name, node_id) in enumerate(nodes):
+    for node_id in dict.fromkeys(node for _, node, _ in joints):
+        wanted = {
+            (index + AXIS * axis if index >= FIRST_OF_AXES else index, sub): (SIGNALS.index(name), joint)
+            for joint, (_, node, axis) in enumerate(joints) if node == node_id
+            for name, index, sub in signals
+        }  # fmt: skip
         try:
             node = network.add_node(canopen.RemoteNode(node_id, str(dcf)))
             node.tpdo.read(from_od=True)  # type: ignore[no-untyped-call]
         except (configparser.Error, ObjectDictionaryError, KeyError, ValueError, TypeError, AttributeError) as e:
             raise BusError(f"{dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
-        for pdo in node.tpdo.values():
+        # synchronous ones first: what is mapped twice is taken from them
+        for pdo in sorted(node.tpdo.values(), key=lambda p: not _synchronous(p)):
             if not pdo.enabled or not pdo.map:
                 continue
-            if not 0 <= pdo.trans_type <= 240:
-                continue  # event-driven: it belongs to no SYNC
-            frame = _frame_map(pdo, dcf, joint, wanted, found)
+            frame = _frame_map(pdo, dcf, wanted, found)
             if any(t is not None for t in frame.targets):
                 maps[pdo.cob_id] = frame
+    for joint, (name, _, _) in enumerate(joints):
         lacking = [s for s, _, _ in signals if (SIGNALS.index(s), joint) not in found]
         if lacking:
-            raise BusError(f"profile {profile}: {', '.join(lacking)} of {name} is in no synchronous TPDO of {dcf.name}")
+            what = "synchronous TPDO" if set(lacking) - set(SLOW) else "TPDO"
+            raise BusError(
+                f"profile {profile}: {', '.join(lacking)} of {name} is in no {what} of {dcf.name}; expected positions, speeds and "
+                "torques after every SYNC: have the master map them, or take a signal that is not there out of the profile"
+            )
     return maps
 
 
+def _synchronous(pdo: Any) -> bool:
+    return pdo.trans_type is not None and 0 <= pdo.trans_type <= 240
+
+
 def _frame_map(
-    pdo: Any, dcf: Path, joint: int, wanted: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
+    pdo: Any, dcf: Path, wanted: dict[tuple[int, int], tuple[int, int]], found: dict[tuple[int, int], int]
 ) -> FrameMap:
-    codes, targets = "<", []
+    codes, targets, synchronous = "<", [], _synchronous(pdo)
     for v in pdo.map:
         code = FORMATS.get(v.od.data_type)
         if code is None or struct.calcsize("<" + code) * 8 != v.length:
             raise BusError(f"{dcf}: object 0x{v.index:04X} is mapped with {v.length} bits; expected whole standard numbers")
         codes += code
-        row = wanted.get((v.index, v.subindex))
-        if row is not None and (row, joint) in found:
-            row = None  # mapped twice: the first PDO counts
-        targets.append(None if row is None else (row, joint))
-        if row is not None:
-            found[(row, joint)] = pdo.cob_id
-    return FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:])
+        target = wanted.get((v.index, v.subindex))
+        if target is not None and (target in found or not (synchronous or SIGNALS[target[0]] in SLOW)):
+            target = None  # mapped twice: the first PDO counts; or of no known instant
+        targets.append(target)
+        if target is not None:
+            found[target] = pdo.cob_id
+    return FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:], synchronous)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +150,7 @@ class Decoder:
     _scale: Array = field(init=False)
     _raw: Array = field(init=False)
     _seen: set[int] = field(init=False)
+    _frames: int = field(init=False)  # that make a cycle
     _sync: tuple[int | None, float] | None = None
     _doubtful: bool = False
     _held: Cycle | None = None
@@ -147,16 +166,23 @@ class Decoder:
         for name, s in self.profile.signals.items():
             self._scale[SIGNALS.index(name)] = s.scale
         self._raw = np.full((len(SIGNALS), n), np.nan)
-        self._seen = set()
+        self._seen, self._frames = set(), sum(m.synchronous for m in self.maps.values())
+        for m in self.maps.values():
+            for target in m.targets:
+                if target is not None and not m.synchronous and SIGNALS[target[0]] == "status":
+                    self._raw[target] = 0.0  # as long as it has not said so, a drive is not in operation
 
     def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> Cycle | None:
         """Take one frame received at ``t`` [s]; returns the cycle it completes, if it does."""
-        if cob_id == SYNC_ID:
+        if cob_id == self.profile.sync_id:
             return self._next_sync(data[0] if len(data) else None, t)
         frame = self.maps.get(cob_id)
         if frame is None:
             self.unknown += 1
             self.nodes.frame(cob_id, data, t)
+            return None
+        if not frame.synchronous:
+            self._changed(frame, data)
             return None
         if self._sync is None:  # heard before any SYNC: the next cycle may hold a late one of these
             self._doubtful = True
@@ -169,7 +195,7 @@ class Decoder:
         for target, value in zip(frame.targets, frame.layout.unpack(data), strict=True):
             if target is not None:
                 self._raw[target] = value
-        if len(self._seen) < len(self.maps):
+        if len(self._seen) < self._frames:
             return None
         if self._doubtful:
             self._doubtful = False
@@ -179,6 +205,15 @@ class Decoder:
             self._held, self._held_at = cycle, t
             return None
         return cycle
+
+    def _changed(self, frame: FrameMap, data: bytes | bytearray) -> None:
+        """A drive tells what has changed; it holds until it tells again."""
+        if len(data) != frame.layout.size:
+            self.incomplete += 1
+            return
+        for target, value in zip(frame.targets, frame.layout.unpack(data), strict=True):
+            if target is not None:
+                self._raw[target] = value
 
     def quiet(self, now: float) -> Cycle | None:
         """No frame has come up to ``now`` [s]: gives out a cycle that was held back, if the next one is overdue."""
@@ -190,7 +225,7 @@ class Decoder:
     def _next_sync(self, counter: int | None, t: float) -> Cycle | None:
         held, self._held = self._held, None
         self._hold = max(0, self._hold - 1)
-        if self._sync is not None and len(self._seen) < len(self.maps):
+        if self._sync is not None and len(self._seen) < self._frames:
             self._spoilt()
         overflow = self.profile.sync_overflow
         lost = overflow and held is not None and held.counter is not None and counter != held.counter % overflow + 1
@@ -214,6 +249,7 @@ class Encoder:
     maps: dict[int, FrameMap] = field(init=False)
     _count: int = 0
     _beats: int = 0  # heartbeat periods that have gone by
+    _told: dict[int, bytes] = field(default_factory=dict)  # what was sent last; event-driven frames go when it changes
 
     def __post_init__(self) -> None:
         self.maps = frame_maps(self.profile)
@@ -228,19 +264,22 @@ class Encoder:
         for name, s in self.profile.signals.items():
             counts[SIGNALS.index(name)] /= s.scale
         overflow = self.profile.sync_overflow
-        yield SYNC_ID, bytes([self._count % overflow + 1]) if overflow else b""
+        yield self.profile.sync_id, bytes([self._count % overflow + 1]) if overflow else b""
         self._count += 1
         for m in self.maps.values():
             out = []
             for code, target in zip(m.codes, m.targets, strict=True):
                 x = 0.0 if target is None else float(counts[target])
                 out.append(x if code in "fd" else self._whole(x, code, target))
-            yield m.cob_id, m.layout.pack(*out)
+            data = m.layout.pack(*out)
+            if m.synchronous or self._told.get(m.cob_id) != data:
+                self._told[m.cob_id] = data
+                yield m.cob_id, data
         period = self.profile.heartbeat_s
         beats = int(self._count * self.profile.cycle_s / period + 1e-9) if period else 0
         if beats > self._beats:
             self._beats = beats
-            yield from ((HEARTBEAT + node, bytes([OPERATIONAL])) for node in self.profile.nodes.values())
+            yield from ((HEARTBEAT + node, bytes([OPERATIONAL])) for node in dict.fromkeys(self.profile.nodes.values()))
 
     def _whole(self, x: float, code: str, target: tuple[int, int] | None) -> int:
         bits = 8 * struct.calcsize("<" + code)

@@ -2,7 +2,7 @@
 
 While joint i slides, its momentum ``p_i = (M v)_i`` obeys
 
-    p_i' = 1/2 v' dM/dq_i v - g_i - D_i v_i - F_i s_i - b_i s_i,     s_i: its direction,
+    p_i' = 1/2 v' dM/dq_i v - g_i - D_i v_i - F_i s_i + w_i - b_i s_i,     s_i: its direction, w_i: what effects push it with,
 
 so ``s_i (p_i(0) + int (all but b) - p_i(t))`` is the impulse of the brake since the trigger, plus what the drive still gave
 while its power went, plus what the model's friction and gravity are wrong by.
@@ -19,6 +19,7 @@ from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.setting import Setting
 from stopset.recording import Recording
 from stopset.robot.rigid import mass_matrix
+from stopset.sets import Box
 from stopset.types import Array
 
 SLIDING = 0.04  # [rad/s] below this a joint counts as coming to rest
@@ -44,8 +45,6 @@ def impulses(setting: Setting, r: Recording, speed_noise: Array) -> list[Impulse
     k = trigger_of(r)
     assert k is not None
     plant, n = setting.plant, setting.plant.rotor.shape[0]
-    F = 0.5 * (plant.coulomb_lo + plant.coulomb_hi)
-    D = 0.5 * (plant.viscous_lo + plant.viscous_hi)
     t, q, v = r.t[k:] - r.t[k], r.q[k:], r.dq[k:]
     sliding = np.logical_and.accumulate((np.abs(v) > SLIDING) & (np.sign(v) == np.sign(v[0])), axis=0)
     longest = int(sliding.sum(axis=0).max())
@@ -58,7 +57,9 @@ def impulses(setting: Setting, r: Recording, speed_noise: Array) -> list[Impulse
         M = E.M
         p[s] = M @ v[s]
         # resting joints' friction is unknown but their rows are not used
-        rate[s] = 0.5 * np.einsum("jki,j,k->i", E.dM, v[s], v[s]) - E.g - D * v[s] - F * np.sign(v[s])
+        f = setting.torques.over(Box.point(q[s]), np.abs(v[s]))
+        friction = f.viscous.centre * v[s], f.dry.centre * np.sign(v[s])
+        rate[s] = 0.5 * np.einsum("jki,j,k->i", E.dM, v[s], v[s]) - E.g - friction[0] - friction[1] + f.push.centre
     step = np.diff(t[:longest])[:, None]
     push = np.vstack([np.zeros(n), np.cumsum(0.5 * step * (rate[1:] + rate[:-1]), axis=0)])
     noise = np.sqrt((M**2) @ speed_noise**2)

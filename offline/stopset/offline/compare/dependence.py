@@ -22,6 +22,8 @@ from stopset.types import Array
 BINS = 12
 ROUNDS = 20  # of backfitting: two overlapping variables have settled by then
 STRETCH = 5  # windows of `AVERAGING` in a row that are held out together: about a second
+TIE = 0.03  # shares that differ by less do not tell one variable from another
+SAME = 0.005  # columns that print alike
 FEWEST = 4 * BINS  # windows below which no share is given
 
 
@@ -38,8 +40,31 @@ class Explained:
     values: tuple[Array, ...]
 
     def telling(self, joint: int) -> int:
-        """Number of the variable that explains most at a joint."""
-        return int(np.argmax(self.share[joint]))
+        """Number of the variable that explains most at a joint; of those that explain about as much, one of its own, the plainest.
+
+        Joints that are moved together explain each other's errors as well as their own: only a clearly better one is believed.
+        """
+        good = np.flatnonzero(self.share[joint] >= self.share[joint].max() - TIE)
+        own = [int(k) for k in good if not foreign(self.variables[k])]
+        return own[0] if own else int(np.argmax(self.share[joint]))
+
+
+def foreign(variable: str) -> bool:
+    """Whether a variable is another joint's."""
+    return variable.startswith(("q of ", "dq of "))
+
+
+def telling_first(found: Explained) -> NDArray[np.intp]:
+    """Numbers of the variables, the ones that tell most first, without those that say the same as one before them."""
+    order = np.argsort(-found.share.max(axis=0) + np.array([TIE * foreign(v) for v in found.variables]), kind="stable")
+    kept: list[int] = []
+    for k in order:
+        same = [
+            m for m in kept if np.allclose(found.share[:, m], found.share[:, k], atol=SAME) and found.share[:, k].max() > SAME
+        ]
+        if not same:
+            kept.append(int(k))
+    return np.array(kept, dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +81,16 @@ class PartialResidual:
     line: Array
 
 
-def partial_residual(found: Explained, joint: int) -> PartialResidual:
+def partial_residual(found: Explained, joint: int, variable: int | None = None) -> PartialResidual:
     """The two variables that explain most together, fitted in turn by bin means until neither takes up the other's part.
+
+    ``variable``: number of the first of them, instead of the telling one.
 
     Plain error over one variable misleads where another one acts as well: its part looks like scatter or, where both move
     together, like the first one's law.  Source: Hastie & Tibshirani (1990), backfitting.
     """
     e = found.error[:, joint] - found.error[:, joint].mean()
-    first = found.telling(joint)
+    first = found.telling(joint) if variable is None else variable
     places = [_places(v[:, joint]) for v in found.values]
     left = e - _means(e, places[first])[places[first]]
     rest = [k for k in range(len(places)) if k != first]
@@ -109,7 +136,16 @@ def explained(model: Model, pairs: Iterable[tuple[int, Recording, Array]], found
     names = tuple(k for k, parts in columns.items() if len(parts) == len(errors))
     error = np.vstack(errors)
     values = tuple(np.vstack(columns[k]) for k in names)
-    share = np.array([[_share(error[:, j], v[:, j]) for v in values] for j in range(model.n)])
+    # a joint's own angle and speed stand under their own names
+    share = np.array(
+        [
+            [
+                0.0 if k in (f"q of {name}", f"dq of {name}") else _share(error[:, j], v[:, j])
+                for k, v in zip(names, values, strict=True)
+            ]
+            for j, name in enumerate(model.joints)
+        ]
+    )
     return Explained(names, share, error, values)
 
 

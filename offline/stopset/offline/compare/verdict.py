@@ -2,56 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from stopset.offline.compare.compare import Comparison
 
-# a joint that errs by more than this many times what repetitions of the same torques differ by lacks something
-FLOORS = 2.0
+# a joint that errs by more than this many times what repetitions of the same torques differ by lacks something; below the
+# first, what is left is their scatter, give or take that of its estimate
+AT_THE_FLOOR, FLOORS = 1.2, 2.0
+DIAGNOSE = "`stopset diagnose` tells which effect is missing, `stopset add` puts it in"
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """``text``: one or two sentences; ``kind``: how a page shows them, neither good nor bad where only the sets hold."""
+    """``text``: a few sentences; ``kind``: how a page shows them, neither good nor bad where only the sets hold; ``next``: to do."""
 
     text: str
     kind: Literal["good", "", "bad"]
+    next: str
 
 
 def verdict(found: Comparison) -> Verdict:
     """What a comparison says, first thing.
 
     Recordings inside wide sets are enclosed, which is not to say explained: the joint with the largest torque error over its
-    repeatability floor is named. Nothing good is said of recordings outside the model's domain.
+    repeatability floor is named first. Nothing good is said of recordings outside the model's domain, nor where a joint errs
+    above its floor or no repetitions tell one.
     """
     count, out, beyond = len(found.rows), len(found.violations), found.outside_domain
-    where = _worst(found)
-    if out:
-        return Verdict(f"Not conformant: {out} of {count} recordings leave the predicted sets.{where}", "bad")
-    if beyond == count:
+    where, healthy = _worst(found)
+    if beyond == count and not out:
         return Verdict(
-            f"Not covered: all {count} recordings leave the model's domain, where it promises nothing; "
-            "compare with recordings inside it, or identify with these.",
-            "bad",
-        )
+            f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",
+            "compare with recordings inside the domain (see the table at the end), or identify with these.",
+        )  # fmt: skip
     left = f" {beyond} of them leave the model's domain, where it promises nothing." if beyond else ""
-    text = f"All {count} recordings stay inside the predicted sets.{left}{where}"
-    return Verdict(text, "good" if not where and not beyond else "")
+    if out:
+        where = where or _left(found)
+        text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
+        return Verdict(text, "bad", f"do not rely on bounds of this model; {DIAGNOSE}.")
+    text = f"{where}All {count} recordings stay inside the predicted sets.{left}"
+    if healthy:
+        todo = "nothing is left to explain; `stopset stops` bounds the stops, `stopset monitor` watches the arm."
+    elif where:
+        todo = f"{DIAGNOSE}: the sets hold, but wider than they need be."
+    else:
+        todo = "record the same torques twice or more: without repetitions nobody can tell the model's error from their scatter."
+    return Verdict(text, "good" if healthy and not beyond else "", todo)
 
 
-def _worst(found: Comparison) -> str:
-    """A sentence on the joint that errs most over its floor, empty where no joint errs `FLOORS` times it."""
-    ratio = {
-        j: row["torque_rmse"] / row["torque_rmse_floor"]
-        for j, row in found.figures.items()
-        if row["torque_rmse"] and row["torque_rmse_floor"]
-    }
-    j = max(ratio, key=ratio.__getitem__, default=None)
-    if j is None or ratio[j] < FLOORS:
-        return ""
-    row = found.figures[j]
+def _left(found: Comparison) -> str:
+    """A sentence on the joint whose set is left worst, empty where it is left across several joints only."""
+    worst = max(found.violations, key=lambda v: v.relative)
+    joint = worst.state.partition("_")[2]
     return (
-        f" The model fails most at {j}: its torque errs by {row['torque_rmse']:.3g} N m, {ratio[j]:.1f} times what repetitions of the "
-        f"same torques differ by ({row['torque_rmse_floor']:.3g} N m); `stopset diagnose` tells what is missing."
+        f"The model fails most at {joint}, which leaves its set by {worst.excess:.3g} {worst.unit}. "
+        if joint in found.figures
+        else ""
     )
+
+
+def above(row: Mapping[str, Any]) -> float | None:
+    """How many times a joint's torque error is what repetitions of the same torques differ by; None where that is unknown."""
+    return row["torque_rmse"] / row["torque_rmse_floor"] if row["torque_rmse"] and row["torque_rmse_floor"] else None
+
+
+def by_failure(found: Comparison) -> list[tuple[str, Mapping[str, Any]]]:
+    """The joints with their figures, the one that errs most over its floor first; those without a floor last, by their error."""
+    return sorted(found.figures.items(), key=lambda x: (-(above(x[1]) or 0.0), -(x[1]["torque_rmse"] or 0.0)))
+
+
+def _worst(found: Comparison) -> tuple[str, bool]:
+    """A sentence on the joint that errs most over its floor, empty where none errs above it; and whether all joints are at theirs."""
+    joint, row = by_failure(found)[0]
+    times = above(row)
+    if times is None:
+        return "", False
+    if times <= AT_THE_FLOOR:
+        return "", all(above(r) is not None or not r["torque_rmse"] for r in found.figures.values())
+    how = "The model fails most at" if times >= FLOORS else "The model errs most at"
+    return (
+        f"{how} {joint}: its torque errs by {row['torque_rmse']:.3g} N m, {times:.1f} times what repetitions of the same torques "
+        f"differ by ({row['torque_rmse_floor']:.3g} N m). "
+    ), False

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -19,57 +22,85 @@ WORDS = {
 }
 
 
-def page(model: Model, found: Diagnosis, against: str) -> Page:
-    """A self-contained page of one diagnosis."""
-    out = Page(f"Diagnosis of {model.robot.name}")
-    out.verdict(f"{found.verdict}: {WORDS[found.verdict]}", "good" if found.verdict == "none" else "bad")
-    out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
-    for note in found.notes:
-        out.text(f"{note[0].upper()}{note[1:]}.")
+def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path] = ()) -> Page:
+    """A self-contained page of one diagnosis: the answer, one picture, what to do; then the numbers, folded."""
+    out = Page(f"Diagnosis of {model.robot.name}", model, data)
+    out.verdict(_answer(found), "good" if found.verdict == "none" else "bad")
+    out.next(_next(found))
     if found.ranked:
-        out.heading("Missing effects")
-        out.table(
-            ("effect", "joint", "score", "error before", "error after", "unit", "look at"),
-            [(r.effect, " + ".join(r.joints) or "whole arm", round(r.score), r.error_before, r.error_after, r.unit, r.look_at)
-             for r in found.ranked],
-            _caption(found),
-        )  # fmt: skip
         out.figure(
             _bars(found),
             "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
         )
-        rows = []
-        for r in found.ranked:
-            out.text(f"{r.label}: {r.says}")
-            rows += [
-                (r.label, k, p.value, "searched" if p.std is None else number(p.std), p.unit) for k, p in r.parameters.items()
-            ]
-        out.table(("effect", "parameter", "value", "standard deviation", "unit"), rows)
-        _partials(out, found)
+    for note in found.notes:
+        out.text(f"{note[0].upper()}{note[1:]}.")
+    for c in found.changed if found.verdict == "missing" else ():
+        out.text(f"Also changed since identification: {c.says}")
+    _partials(out, found)
+    if found.ranked:
+        _ranked(out, found)
     if found.rivals:
         out.heading("What these recordings hardly separate")
         out.table(("rivals",), [(" / ".join(group),) for group in found.rivals])
     if found.depends_on:
         out.heading("What is left depends on")
         out.text(", ".join(found.depends_on))
-    if found.next_experiment:
-        out.heading("Next experiment")
-        out.text(found.next_experiment)
     if found.excess:
-        out.heading("Per joint")
-        out.table(
-            ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
-            [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
-            f"A healthy joint stays below {limit.QUIET} and {limit.RESTLESS}.",
-        )
+        with out.fold("What is left at each joint"):
+            out.table(
+                ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
+                [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
+                f"A healthy joint stays below {limit.QUIET} and {limit.RESTLESS}.",
+            )
     if found.not_identifiable:
-        out.heading("Not identifiable from these recordings")
-        out.table(
-            ("effect", "joints", "why", "what would show it"),
-            [(b.effect, ", ".join(b.joints) or "all", b.why, b.experiment) for b in found.not_identifiable],
-            "An effect of its usual size (a third of the joint's friction, if nothing else is known) would not be claimed here.",
-        )
+        with out.fold(f"Not identifiable from these recordings: {len(found.not_identifiable)} effects"):
+            out.table(
+                ("effect", "joints", "why", "what would show it"),
+                [(b.effect, ", ".join(b.joints) or "all", b.why, b.experiment) for b in found.not_identifiable],
+                "An effect of its usual size (a third of the joint's friction, if nothing else is known) would not be claimed here.",
+            )
+    out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
     return out
+
+
+def _answer(found: Diagnosis) -> str:
+    """The verdict, and of the best effect what it takes off the error at its own joint."""
+    words = f"{found.verdict}: {WORDS[found.verdict]}"
+    if not found.ranked:
+        return words
+    r = found.ranked[0]
+    share = f", {r.error_after / r.error_before - 1:+.0%}" if r.error_before else ""
+    return f"{words} First {r.label}: held-out error {r.error_before:.3g} → {r.error_after:.3g} {r.unit}{share}."
+
+
+def _next(found: Diagnosis) -> str:
+    todo = [f"`stopset add M {found.ranked[0].label} --data ... --out M2`, then `stopset compare M2`"] if found.ranked else []
+    if found.next_experiment:
+        todo.append(found.next_experiment.rstrip("."))
+    if not todo:
+        todo.append(
+            "nothing to add" if found.verdict == "none" else "look at the arm: what is left is no effect that is known here"
+        )
+    return "; ".join(todo) + "."
+
+
+def _ranked(out: Page, found: Diagnosis) -> None:
+    out.heading("Missing effects")
+    for r in found.ranked:
+        out.text(f"{r.label}: {r.says}")
+    out.table(
+        ("effect", "joint", "score", "error before", "error after", "unit", "look at"),
+        [(r.effect, " + ".join(r.joints) or "whole arm", round(r.score), r.error_before, r.error_after, r.unit, r.look_at)
+         for r in found.ranked],
+        _caption(found),
+    )  # fmt: skip
+    with out.fold("Parameters of the effects"):
+        rows = [
+            (r.label, k, p.value, "searched" if p.std is None else number(p.std), p.unit)
+            for r in found.ranked
+            for k, p in r.parameters.items()
+        ]
+        out.table(("effect", "parameter", "value", "standard deviation", "unit"), rows)
 
 
 def _partials(out: Page, found: Diagnosis) -> None:

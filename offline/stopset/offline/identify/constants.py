@@ -41,7 +41,7 @@ from stopset.offline.diagnose.evidence import baseline, candidate, engine, evide
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import held_out, refine, search, wanted
+from stopset.offline.diagnose.search import refine, search, wanted
 from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
@@ -152,7 +152,6 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),
-    ("diagnosis hold-out", held_out, "BLOCK"),
     ("diagnosis refinement", refine, "CONTENDERS"),
     ("diagnosis search", search, "UNHEARD"),
     ("diagnosis wanted", wanted, "LAGS"),

@@ -18,7 +18,7 @@ SIGNALS = (("q", "q [rad]"), ("dq", "dq [rad/s]"), ("tau", "tau [N m]"))
 
 def page(found: Sequence[Inspection], against: str | None) -> Page:
     """A self-contained page of several files; ``against``: name of the robot that torque was held against, if any."""
-    out = Page("Inspection of recordings")
+    out = Page("Inspection of recordings", data=[r.path for r in found])
     bad = [r.path for r in found if r.wrong]
     if bad:
         out.verdict(f"Do not identify from these as they are: {', '.join(bad)}", "bad")

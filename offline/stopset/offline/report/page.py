@@ -1,18 +1,30 @@
-"""A self-contained page: text, tables and figures in one HTML file that loads nothing from elsewhere."""
+"""A self-contained page: text, tables and figures in one HTML file that loads nothing from elsewhere and runs its own script only."""
 
 from __future__ import annotations
 
-import html
+import base64
+import hashlib
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import cache
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jinja2 import Environment, Template
+from markupsafe import Markup
 
 from stopset.files import write_text
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
+
+    from stopset.artifact import Model
 
 DISCLAIMER = (
     "Monitoring aid. Not a safety function: not developed to IEC 61508 or ISO 13849-1 (no PL, no SIL). Bounds hold only for the "
@@ -20,21 +32,9 @@ DISCLAIMER = (
     "assessment must be measured according to ISO 10218-1 and ISO 13855."
 )
 
-STYLE = """
-:root{color-scheme:only light}
-body{font:15px/1.5 system-ui,sans-serif;color:#1d2733;background:#fff;max-width:1180px;margin:0 auto;padding:1.5rem}
-h1{font-size:1.6rem;margin:.2rem 0 1rem}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d5dce4}
-table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.9rem}
-td,th{border:1px solid #d5dce4;padding:.25rem .6rem;text-align:left;vertical-align:top}th{background:#f2f5f8;vertical-align:bottom}
-.n{text-align:right}td.n,td.s{white-space:nowrap}caption{text-align:left;color:#55606e;padding-bottom:.25rem}.wide{overflow-x:auto}
-.big{font-size:1.15rem;padding:.7rem 1rem;border-left:6px solid #2a6f97;background:#f2f7fa}
-.bad{border-color:#b3261e;background:#fdf3f2}.good{border-color:#2e7d32;background:#f2f8f2}
-footer{margin-top:3rem;font-size:.85rem;color:#55606e;border-top:1px solid #d5dce4;padding-top:.6rem}
-"""
-
 # one colour per joint, told apart in grey and by most colour-blind eyes too
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#4d4d4d")
-
+SIGNS = {"good": "✓", "bad": "✕", "": ""}
 
 # a number, or several in a range, a share ("9 of 9"), a tolerance
 _PART = r"[\[\]±%,;\s\d.eE+\-−–]*"
@@ -57,77 +57,158 @@ def _words(column: Sequence[Any]) -> bool:
     return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in told) < len(told)
 
 
-def _cell(value: Any, words: bool) -> str:
+def _cell(value: Any, words: bool, shade: int | None = None) -> dict[str, Any]:
     text = number(value)
-    kind = "" if words and len(text) > SHORT else ' class="s"' if words else ' class="n"'
-    return f"<td{kind}>{html.escape(text)}</td>"
+    return {"text": text, "look": ("" if len(text) > SHORT else "s") if words else "n", "shade": shade}
+
+
+def _head(text: str, words: bool) -> dict[str, Any]:
+    # a unit stays in one piece
+    return {"text": re.sub(r"\[[^]]*\]", lambda unit: unit[0].replace(" ", "\u00a0"), text), "words": words}
 
 
 class Page:
-    """Collects parts and writes them as one file."""
+    """Collects parts and writes them as one file; ``model``, ``data``: what the page is about, told at its foot."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, model: Model | None = None, data: Sequence[str | Path] = ()) -> None:
         self._title = title
-        self._parts: list[str] = []
+        self._model, self._data = model, tuple(data)
+        self._parts: list[dict[str, Any]] = []
         self._figures = 0
+        self._said = title  # the last heading, which names what follows
+
+    def _put(self, kind: str, **content: Any) -> None:
+        self._parts.append({"kind": kind, **content})
 
     def heading(self, text: str) -> None:
-        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+        self._said = text
+        self._put("heading", text=text)
 
     def text(self, text: str) -> None:
-        self._parts.append(f"<p>{html.escape(text)}</p>")
+        self._put("text", text=text)
 
     def points(self, texts: Sequence[str]) -> None:
         """Sentences one below the other, each with a bullet."""
-        self._parts.append("<ul>" + "".join(f"<li>{html.escape(t)}</li>" for t in texts) + "</ul>")
+        self._put("points", texts=texts)
 
     def verdict(self, text: str, kind: str = "") -> None:
         """A sentence that must be seen; ``kind``: '' | 'good' | 'bad'."""
-        self._parts.append(f'<p class="big {kind}">{html.escape(text)}</p>')
+        self._put("verdict", text=text, mood=kind, sign=SIGNS[kind])
+
+    def next(self, text: str) -> None:
+        """What to do now."""
+        self._put("next", text=text)
+
+    @contextmanager
+    def fold(self, title: str) -> Iterator[None]:
+        """What is put inside is folded away under ``title``; print shows it."""
+        outer, self._parts, self._said = self._parts, [], title
+        yield
+        outer.append({"kind": "fold", "title": title, "parts": self._parts})
+        self._parts = outer
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
         """Columns of figures are set to the right, columns of words to the left."""
         words = [_words([row[k] for row in rows]) for k in range(len(head))]
-        # a unit stays in one piece
-        names = [re.sub(r"\[[^]]*\]", lambda unit: unit[0].replace(" ", "\u00a0"), h) for h in head]
-        top = "".join(
-            (f"<th>{html.escape(h)}</th>" if w else f'<th class="n">{html.escape(h)}</th>')
-            for h, w in zip(names, words, strict=True)
+        cells = [[_cell(c, w) for c, w in zip(row, words, strict=True)] for row in rows]
+        heads = [_head(h, w) for h, w in zip(head, words, strict=True)]
+        self._put(
+            "table",
+            head=heads,
+            rows=cells,
+            caption=caption,
+            shaded=False,
+            label=caption or self._said,
         )
-        body = "".join("<tr>" + "".join(_cell(c, w) for c, w in zip(row, words, strict=True)) + "</tr>" for row in rows)
-        title = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-        self._parts.append(f'<div class="wide"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>')
+
+    def shares(self, rows: Sequence[str], columns: Sequence[str], share: np.ndarray, caption: str = "") -> None:
+        """A heat-map of shares (rows, columns), 0 to 1: percents in shaded cells."""
+        percent = np.round(100 * share).astype(int)
+        cells = [
+            [_cell(name, True), *(_cell(int(p), False, min(int(p), 60)) for p in line)]
+            for name, line in zip(rows, percent, strict=True)
+        ]
+        heads = [_head(h, k == 0) for k, h in enumerate(("", *columns))]
+        self._put("table", head=heads, rows=cells, caption=caption, shaded=True, label=caption)
+
+    def picture(self, svg: str, caption: str = "") -> None:
+        """A drawing of our own making, as SVG text."""
+        self._put("picture", svg=svg, caption=caption)
 
     def figure(self, figure: go.Figure, caption: str = "", least_width: int = 560) -> None:
         """A figure as wide as the page; on a screen narrower than ``least_width`` [px] it is scrolled, not squeezed."""
         self._figures += 1
         margin = {"l": 60, "r": 20, "t": figure.layout.margin.t or 40, "b": 50}
         figure.update_layout(template="plotly_white", margin=margin, font={"family": "system-ui, sans-serif"})
-        drawn = figure.to_html(
-            full_html=False, include_plotlyjs=False, div_id=f"figure{self._figures}",
-            config={"displayModeBar": False, "responsive": True},
+        for trace in figure.data:  # a screen shows no more than single precision
+            for axis in ("x", "y"):
+                if (values := _single(getattr(trace, axis, None))) is not None:
+                    trace[axis] = values
+        text = figure.to_json().replace("<", "\\u003c")  # no text in a figure ends its script element
+        self._put(
+            "figure", id=f"figure{self._figures}", json=text, caption=caption, least=least_width,
+            label=self._said,
         )  # fmt: skip
-        self._parts.append(f'<div class="wide"><div style="min-width:{least_width}px">{drawn}</div></div>')
-        if caption:
-            self._parts.append(f"<p><small>{html.escape(caption)}</small></p>")
 
     def html(self) -> str:
         """The whole page."""
-        script = ""
-        if self._figures:
-            from plotly.offline import get_plotlyjs
-
-            # the library's map attributions are the only links in it; a page that loads nothing should not even offer them
-            library = get_plotlyjs().replace('href="http', 'href="#').replace('src="http', 'src="#')
-            script = f"<script>{library}</script>"
-        return (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width,initial-scale=1"><link rel="icon" href="data:,">'
-            f"<title>{html.escape(self._title)}</title><style>{STYLE}</style>{script}</head><body>"
-            f"<h1>{html.escape(self._title)}</h1>{''.join(self._parts)}"
-            f"<footer>stopset {version('stopset')}. {html.escape(DISCLAIMER)}</footer></body></html>"
-        )
+        library, script = (_own("plotly-basic.min.js"), _own("page.js")) if self._figures else ("", "")
+        return _template().render(
+            title=self._title, parts=self._parts, style=_own("page.css"), library=library, script=script, policy=policy(library, script),
+            origin=origin(self._model, self._data), version=version("stopset"), disclaimer=DISCLAIMER,
+        )  # fmt: skip
 
     def save(self, path: str | Path) -> None:
         """Write the page, whole or not at all; raises `OutputError`."""
         write_text(path, self.html())
+
+
+def _single(values: Any) -> Any:
+    """Numbers in single precision; None for anything else."""
+    if values is None or isinstance(values, str) or len(values) == 0:
+        return None
+    array = np.asarray(values)
+    return array.astype(np.float32) if array.dtype.kind == "f" else None
+
+
+def policy(*scripts: str) -> str:
+    """A content security policy under which these inline scripts run and no other, and nothing is loaded."""
+    digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts if s)
+    allowed = " ".join(f"'sha256-{d}'" for d in digests) or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def origin(model: Model | None, data: Sequence[str | Path]) -> list[tuple[str, str]]:
+    """What a page is about: when it was made, of which model with which history, over which recordings."""
+    now = os.environ.get("SOURCE_DATE_EPOCH")
+    when = datetime.fromtimestamp(int(now), UTC) if now and now.isdecimal() else datetime.now(UTC)
+    out = [("made", f"{when:%Y-%m-%d %H:%M} UTC")]
+    if model is not None:
+        chain = " → ".join(f"{r.number} {r.added or 'first identification'}" for r in model.revisions) or "none"
+        out += [("model", f"{model.robot.name}, SHA-256 {model.sha256 or 'not saved yet'}"), ("revisions", chain)]
+        files = model.provenance.get("data", {})
+        out.append(("identified from", ", ".join(f"{k} ({str(v)[:16]}…)" for k, v in files.items()) or "not recorded"))
+    if data:
+        out.append(("recordings shown", ", ".join(Path(p).name for p in data)))
+    return out
+
+
+@cache
+def _own(name: str) -> str:
+    return (resources.files("stopset.offline.report") / name).read_text(encoding="utf-8")
+
+
+def said(text: str) -> Markup:
+    """Words for people, commands in backticks set as such."""
+    parts = str(text).split("`")
+    return Markup("").join(Markup("<code>{}</code>").format(p) if k % 2 else p for k, p in enumerate(parts))
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(autoescape=True, trim_blocks=True)
+    environment.filters["said"] = said
+    return environment.from_string(_own("page.html.j2"))

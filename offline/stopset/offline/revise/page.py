@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
-from stopset.artifact import Model
+from stopset.artifact import Model, Revision
+from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.revise.judge import Judged
 from stopset.offline.revise.revise import Revised
@@ -21,14 +25,14 @@ FIGURES = (
 
 def page(model: Model) -> Page:
     """The report of ``stopset history``."""
-    out = Page(f"{model.robot.name}: history of the model")
+    out = Page(f"{model.robot.name}: history of the model", model)
     _history(out, model)
     return out
 
 
 def tried(model: Model, done: Revised) -> Page:
     """The report of ``stopset add``: what was tried on held-out data, then the history of ``model``."""
-    out = Page(f"{model.robot.name}: {', '.join(j.name for j in done.judged)} tried")
+    out = Page(f"{model.robot.name}: {', '.join(j.name for j in done.judged)} tried", model)
     for j in done.judged:
         out.verdict(f"{j.name} {_outcome(j)}.", "bad" if j.why else "good")
     out.text(f"Judged on {done.judged_on}.")
@@ -49,22 +53,66 @@ def _outcome(j: Judged) -> str:
     return f"is added ({j.enters})" + ("" if j.helps else ", though it does not lower the error on held-out data")
 
 
+def floor(model: Model) -> dict[str, Any] | None:
+    """The repeatability floor of the torque error [N m], of the ``arm`` (RMS over joints) and of its ``joints``; None: unknown."""
+    joints = {j: row.get("torque_rmse_floor") for j, row in model.errors.items()}
+    known = [f for f in joints.values() if f is not None]
+    if not known or len(known) < len(joints):
+        return None
+    return {"arm": float(np.sqrt(np.mean(np.square(known)))), "joints": joints}
+
+
 def _history(out: Page, model: Model) -> None:
-    """Waterfalls and the table of revisions."""
-    floor = [row.get("torque_rmse_floor") for row in model.errors.values()]
-    level = float(np.sqrt(np.mean([f**2 for f in floor]))) if floor and all(f is not None for f in floor) else None
-    for key, title in FIGURES:
-        names, values = _chain(model, key)
-        if len(values) > 1:
-            out.heading(title[0].upper() + title[1:])
-            out.figure(_waterfall(names, values, level if key == "held_out_torque_rmse" else None))
-    out.heading("Revisions")
+    """What the revisions did, at the joint where they did it; one picture of all figures; the table folded."""
+    kind, text = _said(model)
+    out.verdict(text, kind)
+    if len(model.revisions) < 2:
+        out.next(
+            "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
+        )
+    shown = [(key, title, *_chain(model, key)) for key, title in FIGURES]
+    shown = [row for row in shown if len(row[3]) > 1]
+    if shown:
+        out.figure(
+            _waterfalls(model, shown),
+            "Each figure after each revision, from zero; dotted: the repeatability floor.",
+            220 * len(shown),
+        )
     keys = [k for k, _ in FIGURES]
-    out.table(
-        ["revision", "added", *(t for _, t in FIGURES), "note"],
-        [[r.number, r.added or "first identification", *(r.after.get(k) for k in keys), r.note] for r in model.revisions],
-    )
-    out.text(model.guarantee.text)
+    with out.fold("Every revision"):
+        out.table(
+            ["revision", "added", *(t for _, t in FIGURES), "note"],
+            [[r.number, r.added or "first identification", *(r.after.get(k) for k in keys), r.note] for r in model.revisions],
+        )
+    guarantee(out, model)
+
+
+def _said(model: Model) -> tuple[str, str]:
+    """Whether the last revision helped, in a sentence that names its own joint before the arm."""
+    r = next((r for r in reversed(model.revisions) if r.added), None)
+    if r is None:
+        return "", "First identification: nothing was added to this model yet."
+    said = []
+    for key, title in FIGURES:
+        name = title.partition(" [")[0]
+        for joint in own_joints(r.added):
+            if (share := _change(r, f"{key}:{joint}")) is not None:
+                said.append(f"{name} at {joint} {share}")
+        if (share := _change(r, key)) is not None:
+            said.append(f"{name} over the arm {share}")
+    better = all(r.after.get(k, 0.0) <= r.before.get(k, np.inf) for k, _ in FIGURES[:2])
+    return "good" if better else "", f"Revision {r.number}, {r.added}: {'; '.join(said[:4]) or 'no figure to compare'}."
+
+
+def own_joints(added: str) -> list[str]:
+    """The joints of effects ``name[:joint[+joint]]``, as a revision names what it added; none for those of the whole arm."""
+    found = [j for name in added.replace(",", " ").split() for j in name.partition(":")[2].split("+") if j]
+    return list(dict.fromkeys(found))
+
+
+def _change(r: Revision, key: str) -> str | None:
+    before, after = r.before.get(key), r.after.get(key)
+    return None if not before or after is None else f"{after / before - 1:+.0%}"
 
 
 def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
@@ -80,19 +128,21 @@ def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
     return names, values
 
 
-def _waterfall(names: list[str], values: list[float], floor: float | None) -> go.Figure:
-    steps = np.diff(values).tolist()
-    figure = go.Figure(
-        go.Waterfall(
-            x=[*names, "now"], y=[values[0], *steps, values[-1]], measure=["absolute", *["relative"] * len(steps), "total"],
-            text=[f"{v:.3g}" for v in [values[0], *steps, values[-1]]], decreasing={"marker": {"color": COLOURS[2]}},
-            increasing={"marker": {"color": COLOURS[1]}}, totals={"marker": {"color": COLOURS[0]}},
-        )
-    )  # fmt: skip
-    if floor is not None:
-        figure.add_hline(
-            y=floor, line_dash="dot", annotation_text="repeatability floor", annotation_bgcolor="rgba(255,255,255,0.8)",
-            annotation_position="bottom right",
+def _waterfalls(model: Model, shown: list[tuple[str, str, list[str], list[float]]]) -> go.Figure:
+    """All figures side by side, one bar per revision."""
+    lowest = floor(model)
+    figure = make_subplots(rows=1, cols=len(shown), subplot_titles=[t.replace(" [", "<br>[") for _, t, _, _ in shown])
+    for k, (key, _, names, values) in enumerate(shown, 1):
+        colours = [*["#b8c4ce"] * (len(values) - 1), COLOURS[0]]
+        bars = go.Bar(
+            x=list(range(len(values))), y=values, text=[f"{v:.3g}" for v in values], hovertext=names, marker_color=colours, showlegend=False,
         )  # fmt: skip
-    figure.update_layout(height=360, showlegend=False)
+        figure.add_trace(bars, row=1, col=k)
+        ticks = [n.replace(":", "<br>").replace("first identification", "first") for n in names]
+        figure.update_xaxes(tickvals=list(range(len(values))), ticktext=ticks, row=1, col=k)
+        if key == "held_out_torque_rmse" and lowest is not None:
+            figure.add_hline(y=lowest["arm"], line_dash="dot", row=1, col=k)
+    figure.update_yaxes(rangemode="tozero")
+    figure.update_annotations(font_size=11)
+    figure.update_layout(height=360, margin={"t": 70})
     return figure

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from stopset.artifact import Model
+from stopset.offline.report.arm import drawn_arm
 from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
 from stopset.offline.stops.shown import (
     NAMES,
     QUANTITIES,
+    answered,
     axis_name,
     extrapolations,
     joints_of,
     lines,
     of_category,
+    over_speed,
     poses,
+    refusals,
+    remarks,
     seen,
     terms,
     up,
@@ -25,6 +32,7 @@ from stopset.offline.stops.shown import (
 from stopset.offline.stops.table import Row, holding
 from stopset.reach.stops import Category
 
+DASHES = ("solid", "dash", "dot", "dashdot")  # of categories
 HEAD = ("axis", "speed %", "payload kg", "extension %", "time s", "angle rad", "TCP m", "remark")
 
 
@@ -32,38 +40,94 @@ def build_page(
     model: Model, rows: Sequence[Row], assumptions: Sequence[str], measured: Sequence[Measured],
     separations: Sequence[Separation],
 ) -> Page:  # fmt: skip
-    """The page: verdict, worst stops, separation, pictures, measured stops, assumptions, then every row and pose."""
-    page = Page(f"Stops of {model.robot.name}")
+    """The page: answer, one picture, what to do, worst stops, separation; then pictures, assumptions, every row, folded."""
+    page = Page(f"Stops of {model.robot.name}", model)
     proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
-    rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
-    page.verdict(
-        f"{proved} of {len(rows)} stops proved for the assumptions below{rest}.", "good" if proved == len(rows) else ""
-    )  # fmt: skip
+    page.verdict(answered(rows), "good" if proved == len(rows) else "")
+    page.next(_next(proved, len(rows), beyond))
+    _overview(page, rows)
+    number = refusals(rows)
+    if number:
+        page.heading("What the rows say")
+        page.points([f"[{index}] {why}" for why, index in number.items()])
     page.heading("Worst stops")
     page.table(("category", "axis", "time s", "angle rad", "TCP m", "proved"), list(worst(rows)))
     page.text("Upper bounds from the stop request to rest, over all rows, rounded up. No number where a row is not proved.")
+    _worst_pose(page, model, rows)
     for sentence in holding(model, rows):
         page.text(sentence[0].upper() + sentence[1:] + ".")
     for standard, head, table in terms(separations):
         page.heading(f"Separation distance, {standard}")
         page.table(head, table)
-    for category in dict.fromkeys(r.category for r in rows):
-        _pictures(page, model, rows, measured, category)
     if measured:
         _measured_part(page, measured, model)
     page.heading("What the numbers rest on")
     page.points([sentence[0].upper() + sentence[1:] for sentence in assumptions])
     for category in dict.fromkeys(r.category for r in rows):
-        page.heading(f"Every row of {NAMES[category]}")
-        page.table(HEAD, [_cells(r) for r in of_category(rows, category)])
-    page.heading("Test poses")
-    page.table(*poses(rows, model))
+        _pictures(page, model, rows, measured, category)
+        with page.fold(f"{NAMES[category]}: every row"):
+            page.table(HEAD, [_cells(r, number) for r in of_category(rows, category)])
+    with page.fold("Test poses"):
+        page.table(*poses(rows, model))
     return page
 
 
-def _cells(r: Row) -> list[object]:
+def _next(proved: int, total: int, beyond: str) -> str:
+    if beyond:
+        return "do not certify from the extrapolated rows; record motions at those speeds and payloads and identify again."
+    if proved < total:
+        return "see below why some rows have no number; what is missing is named there."
+    return "measure stops at these poses (ISO 10218-1, annex B) and hold them against the bounds with `stopset stops --data`."
+
+
+def _cells(r: Row, number: Mapping[str, int]) -> list[object]:
     numbers = ["-" if x is None else up(x, 4) for x in (r.time_s, r.angle_rad, r.tcp_m)]
-    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, r.why]
+    said = " ".join(f"[{number[part]}]" for part in remarks(r))
+    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, said]
+
+
+def _overview(page: Page, rows: Sequence[Row]) -> None:
+    """Distance and time over speed: one line per payload and category, the worst axis, full extension."""
+    from plotly.subplots import make_subplots
+
+    figure = make_subplots(1, 2, subplot_titles=("way of the flange [m]", "time to rest [s]"))
+    drawn = False
+    for k, category in enumerate(dict.fromkeys(r.category for r in rows)):
+        for m, what in enumerate(("tcp_m", "time_s"), 1):
+            for p, (name, speeds, values) in enumerate(over_speed(rows, category, what)):
+                line = {"color": COLOURS[p % len(COLOURS)], "dash": DASHES[k % len(DASHES)]}
+                figure.add_scatter(
+                    x=speeds, y=values, mode="lines+markers", line=line, name=f"STOP {category}, {name}", legendgroup=f"{category} {name}",
+                    showlegend=m == 1, row=1, col=m,
+                )  # fmt: skip
+                drawn = True
+    if not drawn:
+        return
+    figure.update_xaxes(title_text="speed [% of the largest]", rangemode="tozero")
+    figure.update_yaxes(rangemode="tozero")
+    figure.update_layout(height=400, legend={"orientation": "h", "y": -0.2}, margin={"t": 40})
+    page.figure(
+        figure, f"Upper bounds, the worst of all axes and extensions; a line ends where one has no number.{_beyond(rows)}"
+    )
+
+
+def _beyond(rows: Sequence[Row]) -> str:
+    """What stands below a picture of rows with numbers that no recording supports."""
+    return f" {beyond}." if (beyond := extrapolations(rows)) else ""
+
+
+def _worst_pose(page: Page, model: Model, rows: Sequence[Row]) -> None:
+    """The pose of the longest way of the flange, drawn from the side and from above."""
+    told = [r for r in rows if r.tcp_m is not None and r.pose]
+    if not told:
+        return
+    r = max(told, key=lambda r: r.tcp_m or 0.0)
+    page.picture(
+        drawn_arm(model, np.asarray(r.pose), r.tcp_m or 0.0),
+        f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg: "
+        f"within {up(r.tcp_m or 0.0, 3)} m (circle) of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. From the side and from "
+        "above; the axes of the links are drawn.",
+    )  # fmt: skip
 
 
 def _pictures(page: Page, model: Model, rows: Sequence[Row], measured: Sequence[Measured], category: Category) -> None:
@@ -100,8 +164,10 @@ def _pictures(page: Page, model: Model, rows: Sequence[Row], measured: Sequence[
     height = 140 + 270 * len(joints)
     legend = {"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0.0}  # above the pictures' titles
     figure.update_layout(height=height, margin={"t": 70}, legend=legend)
-    page.heading(NAMES[category])
-    page.figure(figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension.")
+    with page.fold(f"{NAMES[category]}: time and angle of every axis over speed"):
+        page.figure(
+            figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension."
+        )
 
 
 def _measured_part(page: Page, measured: Sequence[Measured], model: Model) -> None:

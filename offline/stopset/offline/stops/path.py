@@ -19,8 +19,10 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBound, StopBounds
 from stopset.reach.stops.setting import Setting, beyond_domain
+from stopset.reach.stops.tube import Plant
 from stopset.reach.stops.words import NO_REST, UNSEEN, ramp_assumptions
 from stopset.robot.rigid import link_frames, torque
+from stopset.sets import Box
 from stopset.types import Array
 
 GRID = 60
@@ -28,6 +30,8 @@ DENSE = 4  # times as many points in the check
 BISECTIONS = 18  # of the length: a quarter of a millionth of the path
 FARTHEST = 1e3  # [rad] of an angle: beyond, it is no angle
 RESERVE = 0.02  # share of the torque kept for what happens between grid points
+
+Errors = tuple[Array, Array]  # (n,) [rad], [rad/s] by which the arm may be off its path
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +130,9 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
             f"the path ends before braking begins (row {begin:.4g} of {path.length:.4g}); it starts too fast: give a lower --path-rate"
         )
     _check_limits(bounds.model, path, s0, ds)
-    shortest, profile = _shortest(setting, path, begin, ds)
-    q, rates, room = _dense(setting, path, begin, profile)
+    off = (ramp.q_error + setting.noise.radius[: bounds.model.n], ramp.dq_error + setting.noise.radius[bounds.model.n :])
+    shortest, profile = _shortest(setting, path, begin, ds, off)
+    q, rates, room = _dense(setting, path, begin, profile, off)
     early = np.linspace(s0, begin, GRID)
     poses = np.vstack([path.p(early, 0), q])
     speeds = np.vstack([path.p(early, 1) * ds, rates])
@@ -183,15 +188,20 @@ def _check_speeds(model: Model, speeds: Array) -> None:
         )
 
 
-def _friction(setting: Setting, dq: Array) -> Array:
-    p = setting.plant
+def _there(setting: Setting, poses: Array, speeds: Array, off: Errors) -> Plant:
+    """What the effects give where the arm passes, its errors ``off`` the path included: not where identification was."""
+    region = Box(poses.min(axis=0) - off[0], poses.max(axis=0) + off[0])
+    return setting.near(setting.plant, region, np.abs(speeds).max(axis=0) + off[1])
+
+
+def _friction(p: Plant, dq: Array) -> Array:
     extra = p.coulomb_hi + p.viscous_hi * np.abs(dq) + np.maximum(np.abs(p.u_lo), np.abs(p.u_hi))
     return np.asarray(extra)
 
 
-def _room(setting: Setting, dq_top: Array) -> Array:
+def _room(setting: Setting, plant: Plant, dq_top: Array) -> Array:
     """(n,) [N m]: torque the rigid body may use; friction helps or not, disturbance and reserve are taken off."""
-    room = setting.model.robot.torque_limit * (1.0 - RESERVE) - _friction(setting, dq_top)
+    room = setting.model.robot.torque_limit * (1.0 - RESERVE) - _friction(plant, dq_top)
     if np.any(room <= 0):
         j = int(np.argmin(room))
         raise NotCovered(
@@ -200,10 +210,10 @@ def _room(setting: Setting, dq_top: Array) -> Array:
     return np.asarray(room)
 
 
-def _shortest(setting: Setting, path: Path, begin: float, ds: float) -> tuple[float, tuple[Array, Array]]:
+def _shortest(setting: Setting, path: Path, begin: float, ds: float, off: Errors) -> tuple[float, tuple[Array, Array]]:
     """Least stopping length, and its profile (s, ds) at the grid points."""
     longest = path.length - begin
-    whole = _profile(setting, path, begin, longest, ds)
+    whole = _profile(setting, path, begin, longest, ds, off)
     if whole is None:
         raise NotCovered(
             f"the path starts too fast: at {ds:.4g} 1/s it cannot stop within its remaining {longest:.4g} with the drives' torque"
@@ -211,7 +221,7 @@ def _shortest(setting: Setting, path: Path, begin: float, ds: float) -> tuple[fl
     lo, hi, best = 0.0, longest, whole
     for _ in range(BISECTIONS):
         middle = 0.5 * (lo + hi)
-        found = _profile(setting, path, begin, middle, ds)
+        found = _profile(setting, path, begin, middle, ds, off)
         if found is None:
             lo = middle
         else:
@@ -219,15 +229,16 @@ def _shortest(setting: Setting, path: Path, begin: float, ds: float) -> tuple[fl
     return hi, best
 
 
-def _profile(setting: Setting, path: Path, begin: float, length: float, ds: float) -> tuple[Array, Array] | None:
+def _profile(setting: Setting, path: Path, begin: float, length: float, ds: float, off: Errors) -> tuple[Array, Array] | None:
     import toppra
     from toppra import algorithm, constraint
 
     logging.getLogger("toppra").setLevel(logging.CRITICAL)
     toppra.setup_logging("CRITICAL")
     robot, plant = setting.model.robot, setting.plant
-    top = np.abs(path.p(np.linspace(begin, begin + length, 40), 1)).max(axis=0) * ds
-    room = _room(setting, top)
+    ahead = np.linspace(begin, begin + length, 40)
+    top = np.abs(path.p(ahead, 1)).max(axis=0) * ds
+    room = _room(setting, _there(setting, path.p(ahead, 0), top[None], off), top)
 
     class Piece(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
         def __call__(self, s: Array, order: int = 0) -> Array:
@@ -266,7 +277,7 @@ def _profile(setting: Setting, path: Path, begin: float, length: float, ds: floa
     return grid, np.asarray(sd, float)
 
 
-def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Array]) -> tuple[Array, Array, float]:
+def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Array], off: Errors) -> tuple[Array, Array, float]:
     """Poses and speeds along the stop, and the least torque left, `DENSE` times as finely as the grid.
 
     Raises `NotCovered` if that is negative.
@@ -274,7 +285,7 @@ def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Arr
     s, sd = profile
     robot, plant = setting.model.robot, setting.plant
     x = sd**2
-    poses, speeds, left = [], [], np.inf
+    passed, speeds, used = [], [], []
     for k in range(len(s) - 1):
         acceleration = (x[k + 1] - x[k]) / (2.0 * (s[k + 1] - s[k]))
         for here in np.linspace(s[k], s[k + 1], DENSE, endpoint=False):
@@ -283,15 +294,17 @@ def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Arr
             q, d1, d2 = path.p(at, 0)[0], path.p(at, 1)[0], path.p(at, 2)[0]
             v, a = d1 * rate, d1 * acceleration + d2 * rate**2
             for pi in (plant.pi - plant.pi_half, plant.pi + plant.pi_half):
-                tau = torque(robot.chain, pi, q, v, a) + plant.rotor * a
-                left = min(left, float(np.min(robot.torque_limit - np.abs(tau) - _friction(setting, v))))
-            poses.append(q)
+                used.append((np.abs(torque(robot.chain, pi, q, v, a) + plant.rotor * a), v))
+            passed.append(q)
             speeds.append(v)
-    poses.append(path.p(np.array([begin + s[-1]]), 0)[0])
+    passed.append(path.p(np.array([begin + s[-1]]), 0)[0])
     speeds.append(np.zeros(robot.n))
+    poses = np.array(passed)
+    there = _there(setting, poses, np.array(speeds), off)
+    left = min(float(np.min(robot.torque_limit - tau - _friction(there, v))) for tau, v in used)
     if left < 0.0:
         raise NotCovered(f"between its grid points the stop asks {-left:.3g} N m more than a drive has: not credible; slow down")
-    return np.array(poses), np.array(speeds), left
+    return poses, np.array(speeds), left
 
 
 def _bound(

@@ -43,6 +43,47 @@ def lines(rows: Sequence[Row], category: Category, joint: str, what: str) -> lis
     return out
 
 
+def over_speed(rows: Sequence[Row], category: Category, what: str) -> list[Curve]:
+    """One line per payload over the speed [%]: the worst axis at the largest extension, up to where all axes have a number."""
+    mine = [r for r in rows if r.category == category]
+    out = []
+    for kg in sorted({r.payload for r in mine}):
+        points: list[tuple[float, float]] = []
+        for speed in sorted({r.speed_percent for r in mine}):
+            values = [getattr(r, what) for r in mine if r.payload == kg and r.speed_percent == speed]
+            if not values or any(v is None for v in values):
+                break
+            points.append((speed, max(values)))
+        if points:
+            out.append((f"{kg:.3g} kg", [p[0] for p in points], [p[1] for p in points]))
+    return out
+
+
+def answered(rows: Sequence[Row]) -> str:
+    """How many stops are proved, and the longest of them; nothing shorter than a row without a number is called the longest."""
+    proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
+    rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
+    said = [f"{proved} of {len(rows)} stops proved for the assumptions below{rest}."]
+    for category in dict.fromkeys(r.category for r in rows):
+        mine = [r for r in rows if r.category == category]
+        if all(r.certified for r in mine) and all(r.tcp_m is not None and r.time_s is not None for r in mine):
+            far, long = max(r.tcp_m or 0.0 for r in mine), max(r.time_s or 0.0 for r in mine)
+            where = ", in the directions that are covered" if any(r.why for r in mine) else ""
+            said.append(f"STOP {category}: at rest within {up(long, 3)} s and {up(far, 3)} m of the flange{where}.")
+    return " ".join(said)
+
+
+def refusals(rows: Sequence[Row]) -> dict[str, int]:
+    """Every remark of the rows once, numbered in the order of the rows."""
+    said = dict.fromkeys(part for r in rows for part in remarks(r))
+    return {part: k for k, part in enumerate(said, 1)}
+
+
+def remarks(row: Row) -> list[str]:
+    """What a row says of itself, one thing at a time."""
+    return [part for part in row.why.split("; ") if part]
+
+
 def seen(
     measured: Sequence[Measured], model: Model, category: Category, joint: str, what: str
 ) -> tuple[list[float], list[float]]:

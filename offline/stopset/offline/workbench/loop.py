@@ -5,6 +5,7 @@ The loop calls what the commands of the same names call and adds nothing to them
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 import traceback
@@ -17,17 +18,23 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.effects import names
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable
-from stopset.offline.compare.compare import answer, check_effort, compare
+from stopset.offline.compare.compare import answer, check_effort, compare, inputs
+from stopset.offline.compare.dependence import Explained, explained, partial_residual
 from stopset.offline.compare.page import page as compare_page
+from stopset.offline.compare.verdict import verdict
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose.page import page as diagnose_page
 from stopset.offline.report.page import DISCLAIMER, Page
-from stopset.offline.revise.page import FIGURES
+from stopset.offline.report.thin import spread
+from stopset.offline.revise.page import FIGURES, floor
 from stopset.offline.revise.page import page as history_page
 from stopset.offline.revise.revise import add
 from stopset.recording import read_recordings, stream_recordings
 
 Answer = dict[str, Any]
+REVISION = re.compile(r"\.r\d+(-\d+)?$")  # what this adds to a file's name
+TRIES = 100
+POINTS = 800  # drawn of a partial residual
 
 
 @dataclass(slots=True)
@@ -56,6 +63,7 @@ class Loop:
         self._models: list[tuple[Path, Model]] = [(Path(model), load_model(model))]
         self._answers: list[dict[str, Answer]] = [{}]  # per model: action -> answer
         self._pages: dict[str, Page] = {}
+        self._shares: Explained | None = None  # of the model at hand
         self._job: Job | None = None
         check_effort(self._models[0][1], self.data)
         for path in self.data:  # what cannot be read is refused now, not at the first click
@@ -71,7 +79,8 @@ class Loop:
         with self._lock:
             if self.busy:
                 return False
-            self._job = job = Job(" ".join((action, *(str(v) for v in options.values() if v))), time.monotonic())
+            said = " ".join(str(v) for v in options.values() if v and v is not True)
+            self._job = job = Job(f"{action} {said}".strip(), time.monotonic())
         threading.Thread(target=self._run, args=(job, ACTIONS[action], options), daemon=True, name=action).start()
         return True
 
@@ -92,6 +101,26 @@ class Loop:
             page = self._pages.get(name)
         return None if page is None else page.html()
 
+    def model_text(self, number: str) -> str | None:
+        """The model file of a revision made or opened here, by its place in the list; None where there is none."""
+        with self._lock:
+            at = int(number) if number.isascii() and number.isdecimal() and len(number) < 6 else -1
+            path = self._models[at][0] if 0 <= at < len(self._models) else None
+        return None if path is None else path.read_text(encoding="utf-8")
+
+    def partial(self, joint: str, variable: str) -> Answer | None:
+        """Torque error of a joint over a variable, what the next best one explains taken off; None where it is unknown."""
+        with self._lock:
+            shares, joints = self._shares, self._models[-1][1].joints
+        if shares is None or joint not in joints or variable not in shares.variables:
+            return None
+        p = partial_residual(shares, joints.index(joint), shares.variables.index(variable))
+        keep = spread(p.x, p.y, POINTS)
+        return {
+            "joint": joint, "variable": p.variable, "other": p.other, "x": p.x[keep].tolist(), "y": p.y[keep].tolist(),
+            "line": p.line.tolist(),
+        }  # fmt: skip
+
     def history(self) -> Page:
         """The waterfall of the last model's revisions."""
         return history_page(self._models[-1][1])
@@ -110,6 +139,7 @@ class Loop:
                 "data": [str(p) for p in self.data],
                 "effects": names(),
                 "figures": [{"key": key, "title": title} for key, title in FIGURES],
+                "floor": floor(self._models[-1][1]),
                 "models": [
                     {
                         "file": str(path),
@@ -129,13 +159,34 @@ class Loop:
         job.says = "comparing the model with every recording"
         model = self._models[-1][1]
         found = compare(model, self.data)
-        self._keep("compare", answer(model, found), compare_page(model, found, self.data))
+        job.says = "looking for what the error depends on"
+        shares = explained(model, inputs(model, self.data, found.survey, model.powered.dt), found.survey)
+        said = verdict(found)
+        with self._lock:
+            self._shares = shares
+        self._keep("dependence", {"variables": list(shares.variables), "share": shares.share.tolist()})
+        self._keep("verdict", {"text": said.text, "kind": said.kind})
+        self._keep("compare", answer(model, found), compare_page(model, found, self.data, shares))
+
+    def _undo(self, job: Job) -> None:
+        """Back to the model before; the revision's file stays, nothing is deleted."""
+        with self._lock:
+            if len(self._models) == 1:
+                raise OutputError("nothing was added here yet; expected a revision to go back from: add an effect first")
+            number = len(self._models) - 1
+            path, _ = self._models.pop()
+            self._answers.pop()
+            self._shares = None
+            for name in [n for n in self._pages if n.endswith(f"-{number}")]:
+                del self._pages[name]
+            self._pages["history"] = self.history()
+        job.says = f"back to {self._models[-1][0]}; {path} stays where it is"
 
     def _diagnose(self, job: Job) -> None:
         job.says = "trying every effect of the catalogue at every joint"
         model = self._models[-1][1]
         found, against = diagnose_model(model, read_recordings(self.data, model.robot), None)
-        self._keep("diagnose", found.as_json() | {"against": against}, diagnose_page(model, found, against))
+        self._keep("diagnose", found.as_json() | {"against": against}, diagnose_page(model, found, against, self.data))
 
     def _add(self, job: Job, effect: str = "", joint: str | None = None, force: bool = False) -> None:
         def tell(text: str) -> None:
@@ -154,7 +205,9 @@ class Loop:
         with self._lock:
             self._models.append((target, saved))
             self._answers.append({"add": row})
+            self._shares = None
             self._pages["history"] = self.history()
+        self._compare(job)
 
     def _keep(self, action: str, found: Answer, page: Page | None = None) -> None:
         with self._lock:
@@ -164,18 +217,22 @@ class Loop:
                 self._pages[f"{action}-{number}"] = page
 
     def _next_file(self) -> Path:
+        """A name that is free: what an earlier session left, or an undone revision, stays."""
         path, model = self._models[-1]
         number = model.revisions[-1].number + 1 if model.revisions else 1
-        name = path.name.removesuffix(".json").removesuffix(".model")
-        target = self.folder / f"{name.removesuffix(f'.r{number - 1}')}.r{number}.model.json"
-        if target.exists():
+        stem = REVISION.sub("", path.name.removesuffix(".json").removesuffix(".model"))
+        tries = (f"{stem}.r{number}{f'-{k}' if k else ''}.model.json" for k in (0, *range(2, TRIES)))
+        target = next((t for t in (self.folder / name for name in tries) if not t.exists()), None)
+        if target is None:
             raise OutputError(
-                f"{target} exists already; expected a place for revision {number}: choose another folder with --out"
+                f"{self.folder} holds {TRIES - 1} files for revision {number}; expected a free name: choose another folder with --out"
             )
         return target
 
 
-ACTIONS: dict[str, Callable[..., None]] = {"compare": Loop._compare, "diagnose": Loop._diagnose, "add": Loop._add}
+ACTIONS: dict[str, Callable[..., None]] = {
+    "compare": Loop._compare, "diagnose": Loop._diagnose, "add": Loop._add, "undo": Loop._undo,
+}  # fmt: skip
 
 
 def _revisions(model: Model) -> list[Answer]:

@@ -172,13 +172,12 @@ void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, doubl
 
 double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
                               const double *v_hi) {
-    const StopsetParts all = {1.0, 1.0, 1.0, 1.0};
     const double none[SN] = {0};
     Expansion E;
     Local at;
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
     stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &all, &at);
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &stops_whole, &at);
     return stops_largest(&at, v_lo, v_hi);
 }
 

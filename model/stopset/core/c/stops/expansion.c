@@ -1,7 +1,10 @@
-/* Inertia, gravity and Christoffel symbols near a pose: value and exact slope, by turning composite bodies about each axis.
+/* Inertia, gravity and Christoffel symbols near a pose: value, exact slope and the inertia's exact second slope, by turning
+ * composite bodies about each axis; and the levers that bound its third slopes.
  *
- * Source: Featherstone (2008), ch. 2; the bounds of what lies beyond are in stopset.reach.stops.expansion.
+ * Source: Featherstone (2008), ch. 2; Wensing et al. (2018) for the pseudo-inertia. The bounds of what lies beyond are told in
+ * stopset.reach.stops.expansion.
  */
+#include <math.h>
 #include <string.h>
 
 #include "../vectors.h"
@@ -66,22 +69,95 @@ static double along(const Bodies *b, int i, const Wrench *f) {
     return z[0] * f->l[0] + z[1] * f->l[1] + z[2] * f->l[2] + s[0] * f->p[0] + s[1] * f->p[1] + s[2] * f->p[2];
 }
 
-/* The bodies from k > j on turn under joint j's motion: its momentum less that of a motion that turns along. */
-static Wrench behind(const Bodies *b, int j, int k) {
-    const double *zj = b->z + 3 * j, *sj = b->s + 3 * j, *zk = b->z + 3 * k, *sk = b->s + 3 * k;
-    double tw[3], tv[3], x[3];
-    const Wrench f = momentum_of(b, k, zj, sj);
-    Wrench d = turned(b, k, &f);
-    cross(zk, zj, tw);
-    cross(zk, sj, tv);
-    cross(sk, zj, x);
-    for (int r = 0; r < 3; r++) tv[r] += x[r];
-    const Wrench g = momentum_of(b, k, tw, tv);
+static Wrench less(Wrench a, const Wrench *b) {
     for (int r = 0; r < 3; r++) {
-        d.l[r] -= g.l[r];
-        d.p[r] -= g.p[r];
+        a.l[r] -= b->l[r];
+        a.p[r] -= b->p[r];
     }
-    return d;
+    return a;
+}
+
+/* How the twist (w, v) changes when it turns along with the twist of joint k. */
+static void moved(const Bodies *b, int k, const double *w, const double *v, double *dw, double *dv) {
+    double x[3];
+    cross(b->z + 3 * k, v, dv);
+    cross(b->s + 3 * k, w, x);
+    cross(b->z + 3 * k, w, dw);
+    for (int r = 0; r < 3; r++) dv[r] += x[r];
+}
+
+/* The bodies from k on turn under a motion (w, v) that does not: its momentum less that of a motion that turns along. */
+static Wrench behind(const Bodies *b, int k, const double *w, const double *v) {
+    double dw[3], dv[3];
+    const Wrench f = momentum_of(b, k, w, v);
+    moved(b, k, w, v, dw, dv);
+    const Wrench along_with = momentum_of(b, k, dw, dv);
+    return less(turned(b, k, &f), &along_with);
+}
+
+/* Second slopes of M: what turns about axis k gives its momentum's rate, and that picture turns about axis o <= k. */
+static void bends(const Bodies *b, double *ddM) {
+    const int n = b->n;
+    for (int j = 0; j < n; j++) {
+        const double *zj = b->z + 3 * j, *sj = b->s + 3 * j;
+        const Wrench own = momentum_of(b, j, zj, sj);
+        for (int k = 1; k < n; k++) {
+            const Wrench rate = k <= j ? turned(b, k, &own) : behind(b, k, zj, sj);
+            for (int o = 1; o <= k; o++) {
+                Wrench y = turned(b, o, &rate);
+                if (o > j) {
+                    double w[3], v[3];
+                    moved(b, o, zj, sj, w, v);
+                    const Wrench along_with = behind(b, k, w, v);
+                    y = less(y, &along_with);
+                }
+                for (int i = 0; i <= j && i < o; i++) ddM[pair(i, j) * PAIRS + pair(o, k)] = along(b, i, &y);
+            }
+        }
+    }
+}
+
+/* Share of a pseudo-inertia's trace by which its least eigenvalue may be below zero: what rounding leaves of a point mass. */
+static const double thin = 1e-12;
+
+/* Half the trace of the inertia tensor, and the mass: the trace of the pseudo-inertia [[S, h], [h', m]], S = that - tensor. */
+static double trace_of(const double *P) { return P[0] + 0.5 * (P[4] + P[6] + P[9]); }
+
+/* Whether a link's parameters are those of a body of positive masses: pseudo-inertia + thin * trace positive definite. */
+static int is_body(const double *P) {
+    const double half = 0.5 * (P[4] + P[6] + P[9]), trace = trace_of(P), shift = thin * trace;
+    double A[4][4] = {{half - P[4] + shift, -P[5], -P[7], P[1]},
+                      {-P[5], half - P[6] + shift, -P[8], P[2]},
+                      {-P[7], -P[8], half - P[9] + shift, P[3]},
+                      {P[1], P[2], P[3], P[0] + shift}};
+    if (!(trace > 0.0)) {
+        for (int r = 0; r < 10; r++)
+            if (P[r] != 0.0) return 0;
+        return 1;
+    }
+    for (int c = 0; c < 4; c++) {
+        if (!(A[c][c] > 0.0)) return 0;
+        for (int r = c + 1; r < 4; r++)
+            for (int k = c + 1; k < 4; k++) A[r][k] -= A[r][c] / A[c][c] * A[c][k];
+    }
+    return 1;
+}
+
+/* Squares of the levers, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
+ * is a body, and what was put on it is one too: eight times `thin`; the rest is for rounding. */
+static void levers(const Bodies *b, const double *pi, Expansion *E) {
+    const int n = b->n;
+    double slack[SN] = {0};
+    for (int k = n - 1; k >= 0; k--) {
+        const double *P = pi + 10 * k, *o = b->o + 3 * k, trace = most(trace_of(P), 0.0), away = sqrt(dot(o, o));
+        E->solid[k] = E->solid[k] && (k + 1 == n || E->solid[k + 1]) && is_body(P);
+        for (int a = 0; a <= k; a++) {
+            const double *za = b->z + 3 * a, *sa = b->s + 3 * a, *oa = b->o + 3 * a, far = 1.0 + away + sqrt(dot(oa, oa));
+            const Wrench f = momentum_of(b, k, za, sa);
+            slack[a] += 10.0 * thin * trace * far * far;
+            E->lever[a * n + k] += most(along(b, a, &f), 0.0) + slack[a];
+        }
+    }
 }
 
 static void slopes(Bodies *b, const double *pi, const double *gravity, double *M, double *dM, double *g, double *dg, double *Gamma) {
@@ -103,7 +179,7 @@ static void slopes(Bodies *b, const double *pi, const double *gravity, double *M
             const Wrench w = momentum_of(b, j > k ? j : k, rest, x);
             dg[j * n + k] = along(b, j, &w);
             if (k <= j) continue;
-            const Wrench own = momentum_of(b, k, rest, gravity), t = turned(b, k, &own), d = behind(b, j, k);
+            const Wrench own = momentum_of(b, k, rest, gravity), t = turned(b, k, &own), d = behind(b, k, b->z + 3 * j, b->s + 3 * j);
             dg[j * n + k] -= along(b, j, &t);
             for (int i = 0; i <= j; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &d);
         }
@@ -117,26 +193,33 @@ static void slopes(Bodies *b, const double *pi, const double *gravity, double *M
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E) {
     const int n = arm->n;
     Bodies b;
-    int loaded = 0;
     b.n = E->n = n;
+    E->loaded = 0;
     stopset_link_frames(arm, 1, q, b.R, b.o);
     memcpy(E->q, q, (size_t)n * sizeof *q);
     for (int i = 0; i < n; i++) {
         times(b.R + 9 * i, arm->axis + 3 * i, b.z + 3 * i);
         cross(b.o + 3 * i, b.z + 3 * i, b.s + 3 * i);
     }
+    for (int i = 0; i < n; i++) E->solid[i] = 1;
+    memset(E->lever, 0, (size_t)(n * n) * sizeof *E->lever);
     slopes(&b, arm->pi, arm->gravity, E->M, E->dM, E->g, E->dg, E->Gamma);
+    bends(&b, E->ddM);
+    levers(&b, arm->pi, E);
     for (int i = 0; i < n; i++) E->M[i * n + i] += rotor[i];
-    for (int r = 0; r < 10; r++) loaded |= pi_half[10 * (n - 1) + r] != 0.0;
-    if (loaded)
+    for (int r = 0; r < 10; r++) E->loaded |= pi_half[10 * (n - 1) + r] != 0.0;
+    if (E->loaded) {
         slopes(&b, pi_half, arm->gravity, E->Mp, E->dMp, E->gp, E->dgp, E->Gammap);
-    else {
+        bends(&b, E->ddMp);
+        levers(&b, pi_half, E);
+    } else {
         memset(E->Mp, 0, sizeof E->Mp);
         memset(E->dMp, 0, sizeof E->dMp);
         memset(E->gp, 0, sizeof E->gp);
         memset(E->dgp, 0, sizeof E->dgp);
         memset(E->Gammap, 0, sizeof E->Gammap);
     }
+    for (int i = 0; i < n * n; i++) E->lever[i] = sqrt(E->lever[i]);
 }
 
 int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM, double *Mp,

@@ -1,30 +1,80 @@
 /* Inertia and torques while angles and speeds stay in a box, from the local expansion of a pose. */
+#include <string.h>
+
 #include "stops.h"
 
-static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far, double coupling,
-                    Local *out) {
+/* The levers anywhere within `far` of the pose: lever (a, b) changes with q_c, c > a, by no more than lever (c, max(b, c)). */
+static void far_levers(const Expansion *E, const double *far, double *lever) {
     const int n = E->n;
-    for (int i = 0; i < n; i++)
+    for (int a = n - 1; a >= 0; a--)
+        for (int b = a; b < n; b++) {
+            lever[a * n + b] = E->lever[a * n + b];
+            for (int c = a + 1; c < n; c++) lever[a * n + b] += far[c] * lever[c * n + (b > c ? b : c)];
+        }
+}
+
+/* of[m], m > i: sum over o, u > i of far_o far_u times a bound of the third slopes of M_i. about joints of which the last but o and u
+ * is m; pairs[c]: sum of far_o far_u over pairs of which c is the last. */
+static void third_slopes(const Expansion *E, int i, const double *far, const double *lever, double *of, double *pairs) {
+    const int n = E->n;
+    double third[SN], before = 0.0, behind = 0.0;
+    for (int c = i + 1; c < n; c++) {
+        double longest = 0.0;
+        for (int a = i; a <= c; a++) longest = most(longest, lever[a * n + c]);
+        third[c] = 8.0 * lever[c * n + c] * longest;
+        pairs[c] = far[c] * (2.0 * before + far[c]);
+        before += far[c];
+    }
+    for (int m = n - 1; m > i; m--) {
+        double so_far = 0.0;
+        for (int c = i + 1; c <= m; c++) so_far += pairs[c];
+        of[m] = third[m] * so_far + behind;
+        behind += third[m] * pairs[m];
+    }
+}
+
+static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far,
+                    const StopsetParts *parts, Local *out) {
+    const int n = E->n;
+    double lever[SN * SN], third[SN], pairs[SN], bend[SN];
+    far_levers(E, far, lever);
+    for (int i = 0; i < n; i++) {
+        third_slopes(E, i, far, lever, third, pairs);
         for (int j = i; j < n; j++) {
             const double *dM = E->dM + (i * n + j) * n, *dMp = E->dMp + (i * n + j) * n;
+            const double *ddM = E->ddM + pair(i, j) * PAIRS, *ddMp = E->ddMp + pair(i, j) * PAIRS;
             double m = E->M[i * n + j], r = 0.0, p = E->Mp[i * n + j], pr = 0.0;
+            for (int k = i + 1; k < n; k++) { /* sums over all o, of which those beyond k come later */
+                const double *row = ddM + pair(0, k), *loaded = ddMp + pair(0, k);
+                bend[k] = 0.0;
+                for (int o = i + 1; o <= k; o++) {
+                    const double second = size_of(row[o]) + (E->loaded ? size_of(loaded[o]) : 0.0);
+                    bend[k] += second * far[o];
+                    if (o < k) bend[o] += second * far[k];
+                }
+            }
             for (int k = i + 1; k < n; k++) {
+                const int last = j > k ? j : k;
+                double beyond = 0.0;
+                if (E->solid[last])
+                    beyond = third[last];
+                else /* Bernstein: no more than twice the largest second slope of all poses */
+                    for (int o = i + 1; o < n; o++) beyond += 2.0 * K->M[((i * n + j) * n + k) * n + o] * pairs[o];
                 m += dM[k] * mid[k];
                 p += dMp[k] * mid[k];
-                double second = 0.0;
-                for (int o = i + 1; o < n; o++) second += K->M[((i * n + j) * n + k) * n + o] * far[o];
-                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = second;
-                r += size_of(dM[k]) * rad[k] + 0.5 * second * far[k];
+                r += size_of(dM[k]) * rad[k] + parts->bend * (0.5 * bend[k] + beyond / 6.0) * far[k];
                 pr += size_of(dMp[k]) * rad[k];
+                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * (bend[k] + 0.5 * beyond);
             }
             for (int k = 0; k <= i; k++) out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = 0.0;
-            const double scale = i != j ? coupling : 1.0;
+            const double scale = i != j ? parts->coupling : 1.0;
             out->M[i * n + j] = out->M[j * n + i] = scale * m;
             out->M_rad[i * n + j] = out->M_rad[j * n + i] = scale * r;
             out->Mp[i * n + j] = out->Mp[j * n + i] = scale * p;
             out->Mp_rad[i * n + j] = out->Mp_rad[j * n + i] = scale * pr;
             out->dM[i * n + j] = out->dM[j * n + i] = scale * (r + size_of(p) + pr);
         }
+    }
 }
 
 /* Coriolis torque and the momentum's rate: c, e +- cr, er of joint i. */
@@ -65,7 +115,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
         va[k] = size_of(vc[k]) + vr[k];
     }
-    inertia(E, K, mid, rad, far, parts->coupling, out);
+    inertia(E, K, mid, rad, far, parts, out);
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {
@@ -81,4 +131,19 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         out->e_lo[i] = share * (v[2] - v[3]) - g - r;
         out->e_hi[i] = share * (v[2] + v[3]) - g + r;
     }
+}
+
+int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const StopsetParts *parts,
+                        double *M, double *dM, double *turn) {
+    const int n = plant->arm.n;
+    const double none[SN] = {0};
+    Expansion E;
+    Local at;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, parts, &at);
+    memcpy(M, at.M, (size_t)(n * n) * sizeof *M);
+    memcpy(dM, at.dM, (size_t)(n * n) * sizeof *dM);
+    memcpy(turn, at.turn, (size_t)(n * n * n) * sizeof *turn);
+    return STOPSET_OK;
 }

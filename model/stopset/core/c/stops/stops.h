@@ -3,19 +3,24 @@
 #define STOPSET_STOPS_H
 #include "../stopset.h"
 
-enum { SN = STOPSET_STOP_JOINTS };
+enum { SN = STOPSET_STOP_JOINTS, PAIRS = SN * (SN + 1) / 2 };
 
 /* As Python's: the second wins only where it is really smaller (larger). */
 static inline double least(double a, double b) { return b < a ? b : a; }
 static inline double most(double a, double b) { return b > a ? b : a; }
 static inline double size_of(double x) { return x < 0.0 ? -x : x; }
+/* Place of two joints, a <= b, among all pairs. */
+static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
 #define STOPS_INF (1.0 / 0.0)
 
-/* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p). */
+/* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p: all zero
+ * unless `loaded`). ddM: d2 M_ij/dq_k dq_l by pair(i, j), pair(k, l), where k > i. lever[a, b], a <= b: no less than the root of
+ * the inertia, rotors apart, about axis a of what is behind joint b, whatever the payload; solid: whether from joint b on all
+ * parameters are those of bodies of positive masses. */
 typedef struct {
-    int n;
+    int n, loaded, solid[SN];
     double q[SN], M[SN * SN], dM[SN * SN * SN], Mp[SN * SN], dMp[SN * SN * SN], g[SN], dg[SN * SN], gp[SN], dgp[SN * SN],
-        Gamma[SN * SN * SN], Gammap[SN * SN * SN];
+        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[PAIRS * PAIRS], ddMp[PAIRS * PAIRS], lever[SN * SN];
 } Expansion;
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
@@ -53,6 +58,8 @@ typedef struct {
  * lower; 6, 7 the same backward; 8, 9 forward hi and backward lo of a joint that has rested before. */
 enum { RATES = 10 };
 static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 || row == 7 || row == 9; }
+
+extern const StopsetParts stops_whole; /* nothing left out */
 
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E);
 void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,

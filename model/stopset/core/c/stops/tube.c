@@ -13,6 +13,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0};
 
 typedef struct {
     const StopsetPlant *p;

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stopset.offline.campaign.hold_out import GUARD
+from stopset.offline.campaign.hold_out import BLOCK, GUARD
 from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
 from stopset.offline.diagnose.rows.prepare import Index, Mask
 from stopset.types import Array
 
-BLOCK = 2.0  # [s] of one trial held out together where there are too few motions to hold out whole ones
 WHOLE = "motions left out in turn"
 BLOCKS = f"every sixth {BLOCK:g} s in turn, {GUARD:g} s away from what was fitted: this speaks of the same motion only"
 

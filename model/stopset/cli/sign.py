@@ -1,0 +1,53 @@
+"""``stopset sign``: vouch for a model."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+
+HELP = "sign a model with an Ed25519 key, or make such a key"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("model", nargs="?", metavar="M", help="model file; its signature is written beside it, as M.sig")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="secret key to sign with")
+    parser.add_argument(
+        "--new-key", type=Path, metavar="FILE", help="make a key: FILE (keep it secret) and FILE.pub (give it away)"
+    )
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make a key, sign a model, or both."""
+    from stopset.artifact.signature import SigningKeyError, new_key, sign, signature_path
+
+    check_outputs(args.json, args.report)
+    if args.new_key is None and (args.model is None or args.key is None):
+        raise SigningKeyError("a model to sign and --key FILE are needed; expected both, or --new-key FILE: add what is missing")
+    made = None
+    if args.new_key is not None:
+        made = new_key(args.new_key)
+        say(f"key {made}: secret {args.new_key}, public {args.new_key}.pub")
+    if args.model is None:
+        if args.json:
+            write_json(args.json, {"key": made})
+        return 0
+    statement, key = sign(args.model, args.key or args.new_key)
+    say(f"{args.model}: revision {statement.revision} of {statement.robot} signed by {key} in {signature_path(args.model)}")
+    if args.json:
+        write_json(args.json, {"key": key, **asdict(statement)})
+    if args.report:
+        from stopset.artifact import load_model
+        from stopset.offline.report.page import Page
+
+        page = Page(f"{statement.robot}: signed model", load_model(args.model))
+        page.verdict(f"Revision {statement.revision} is signed by the key {key}.", "good")
+        page.next(
+            "give the model, its .sig file and the public key to the monitor; `signed.keys` of its configuration names the key."
+        )
+        page.save(args.report)
+    return 0

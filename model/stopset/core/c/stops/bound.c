@@ -1,0 +1,214 @@
+/* One power-off stop from a box of states, as a loop asks for it: the brakes' windows, a tube of each, the tool's way.
+ *
+ * The same as stopset.reach.stops.bounds with `fast`, where friction depends on neither pose nor speed; where it does, it is that
+ * of one of a few regions made beforehand (stopset.reach.stops.regions) instead of the one the stop stays in. The windows of the
+ * brakes' common delay are told in stopset.reach.stops.windows.
+ */
+#include <string.h>
+
+#include "stops.h"
+
+enum { KNOTS = STOPSET_STOP_KNOTS, ENERGY_KNOTS = STOPSET_STOP_ENERGY_KNOTS, WINDOWS = STOPSET_STOP_WINDOWS };
+enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
+enum { STEPS = KNOTS * PATIENCE > ENERGY_KNOTS * MORE_PATIENCE ? KNOTS * PATIENCE : ENERGY_KNOTS *MORE_PATIENCE };
+static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone */
+
+int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + STEPS + 1 + SLICES * (4 * n + 6 * n + 8) + 1; }
+
+/* The next `count` numbers of the work space. */
+static double *take(double **room, int64_t count) {
+    double *out = *room;
+    *room += count;
+    return out;
+}
+
+typedef struct {
+    const StopsetStops *stops;
+    const double *q, *dq, *q_radius, *dq_radius;
+    double lasts;
+    double *lines, *cut; /* of the slices: work of stopset_slices, boxes and sets */
+    StopsetTube tube;
+    int64_t made;
+} Ask;
+
+/* Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration. */
+static double expected_stop(const StopsetPlant *p, const double *q, const double *speed) {
+    const int n = p->arm.n;
+    double g[SN], engaged = -STOPS_INF, longest = -STOPS_INF;
+    stopset_gravity_torques(&p->arm, 1, q, g);
+    for (int i = 0; i < n; i++) {
+        const double M = p->rotor[i] + most(1e-3, size_of(p->arm.pi[10 * i]) * 0.1);
+        const double authority = most(p->brake_lo[i] + p->coulomb_lo[i] - size_of(g[i]), 0.2 * p->brake_lo[i] + 1e-6);
+        engaged = most(engaged, p->delay_hi[i] + p->rise_hi[i]);
+        longest = most(longest, speed[i] * M / authority);
+    }
+    return engaged + least(0.5, longest);
+}
+
+/* Delays between `early` and `late` plus each joint's own; 0 where one joint has none there. */
+static int window(const StopsetStops *s, double early, double late, double lo[SN], double hi[SN]) {
+    for (int i = 0; i < s->plant.arm.n; i++) {
+        const double own = s->lag ? s->lag[i] : 0.0;
+        lo[i] = most(s->plant.delay_lo[i], early + own);
+        hi[i] = least(s->plant.delay_hi[i], late + own);
+        if (lo[i] > hi[i] + TINY) return 0;
+        hi[i] = most(hi[i], lo[i]);
+    }
+    return 1;
+}
+
+/* Delays (n,) of every window of the common delay, all of them where delays are independent; returns how many. */
+static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WINDOWS][SN]) {
+    const StopsetPlant *p = &s->plant;
+    const int n = p->arm.n;
+    double first = STOPS_INF, latest = -STOPS_INF, soonest = STOPS_INF, last = -STOPS_INF;
+    int made = 0;
+    for (int i = 0; i < n; i++) {
+        const double own = s->lag ? s->lag[i] : 0.0, a = p->delay_lo[i] - own, b = p->delay_hi[i] - own;
+        first = least(first, a);
+        latest = most(latest, a);
+        soonest = least(soonest, b);
+        last = most(last, b);
+    }
+    const double apart = s->apart, begin = most(first, latest - apart), end = least(soonest, most(last - apart, begin));
+    if (apart >= 0.0 && end - begin > TINY) {
+        const double pieces = (end - begin) / most(WIDTH, 0.5 * apart);
+        const int count = pieces > 1.0 ? WINDOWS : 1; /* WINDOWS is two */
+        const double step = (end - begin) / count;
+        for (int k = 0; k < count; k++) {
+            const double from = k * step + begin, to = k + 1 < count ? (k + 1) * step + begin : end;
+            made += window(s, from, to + apart, lo[made], hi[made]);
+        }
+    } else if (apart >= 0.0 && !(end < begin - TINY))
+        made = window(s, begin, end + apart, lo[0], hi[0]);
+    if (made) return made;
+    memcpy(lo[0], p->delay_lo, (size_t)n * sizeof(double));
+    memcpy(hi[0], p->delay_hi, (size_t)n * sizeof(double));
+    return 1;
+}
+
+/* Largest speed of each joint of the tube; whether it stays inside the region. */
+static int inside(const Ask *a, const StopsetRegion *r, double fastest[SN]) {
+    const StopsetTube *t = &a->tube;
+    const int n = a->stops->plant.arm.n;
+    int held = 1;
+    for (int i = 0; i < n; i++) {
+        fastest[i] = 0.0;
+        for (int64_t k = 0; k <= a->made; k++) {
+            const int64_t at = k * n + i;
+            double fast = most(size_of(t->v_lo[at]), size_of(t->v_hi[at]));
+            if (k < a->made) fast = most(fast, most(size_of(t->e_lo[at]), size_of(t->e_hi[at])));
+            fastest[i] = most(fastest[i], fast);
+            if (!(a->q[i] - a->q_radius[i] + t->d_lo[at] >= r->q_lo[i] && a->q[i] + a->q_radius[i] + t->d_hi[at] <= r->q_hi[i])) held = 0;
+        }
+        if (!(fastest[i] <= r->speed[i])) held = 0;
+    }
+    return held;
+}
+
+/* One tube from the box with the friction of the first region that it does not leave; whether there is one that comes to rest.
+ * A continuous motion that stays inside while it has not left cannot leave. */
+static int march(Ask *a, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]) {
+    const StopsetStops *s = a->stops;
+    const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, steps = knots * (energetic ? MORE_PATIENCE : PATIENCE);
+    double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN];
+    for (int i = 0; i < n; i++) {
+        q_lo[i] = a->q[i] - a->q_radius[i];
+        q_hi[i] = a->q[i] + a->q_radius[i];
+        v_lo[i] = a->dq[i] - a->dq_radius[i];
+        v_hi[i] = a->dq[i] + a->dq_radius[i];
+    }
+    for (int k = 0; k < s->regions; k++) {
+        const StopsetRegion *r = s->region + k;
+        StopsetPlant plant = s->plant;
+        int fits = 1;
+        for (int i = 0; i < n; i++) fits = fits && most(size_of(v_lo[i]), size_of(v_hi[i])) <= r->speed[i];
+        if (!fits) continue;
+        plant.delay_lo = delay_lo;
+        plant.delay_hi = delay_hi;
+        plant.coulomb_lo = r->coulomb_lo;
+        plant.coulomb_hi = r->coulomb_hi;
+        plant.viscous_lo = r->viscous_lo;
+        plant.viscous_hi = r->viscous_hi;
+        plant.u_lo = r->u_lo;
+        plant.u_hi = r->u_hi;
+        if (stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / knots, steps, &stops_whole, energetic, &a->tube, &a->made)) return 0;
+        if (inside(a, r, fastest)) return 1;
+    }
+    return 0;
+}
+
+/* The first knot from which joint i's speed bounds are zero [s]. */
+static double stopped_after(const Ask *a, int i) {
+    const StopsetTube *t = &a->tube;
+    const int n = a->stops->plant.arm.n;
+    int64_t last = -1;
+    for (int64_t k = 0; k <= a->made; k++) {
+        const int64_t at = k * n + i;
+        /* the momenta may show that a joint rests at a knot, having moved since the one before */
+        if (t->v_lo[at] != 0.0 || t->v_hi[at] != 0.0 || (k < a->made && (t->e_lo[at] != 0.0 || t->e_hi[at] != 0.0))) last = k;
+    }
+    return t->t[last + 1 < a->made ? last + 1 : a->made];
+}
+
+/* How far the tool gets from where it was [m], and how fast it is [m/s]. */
+static void tool_motion(const Ask *a, double *far, double *fast) {
+    const StopsetArm *arm = &a->stops->plant.arm;
+    const StopsetTube *t = &a->tube;
+    const int n = arm->n, m = 3 * (n + 1);
+    double *room = a->cut, border[SLICES + 1], box[6];
+    double *dl = take(&room, SLICES * n), *dh = take(&room, SLICES * n), *vl = take(&room, SLICES * n), *vh = take(&room, SLICES * n);
+    double *way = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *way_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
+    const int64_t cut =
+        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, SLICES, border, a->lines, dl, dh, vl, vh);
+    stopset_point_sets(arm, a->q, a->q_radius, cut, dl, dh, vl, vh, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
+    stopset_point_motion(arm, cut, n - 1, a->stops->tool, way, way_ball, pace, pace_ball, far, fast, box);
+}
+
+/* The bound so far widened by the tube just made. */
+static void widen(const Ask *a, const double fastest[SN], const StopsetBound *out) {
+    const StopsetTube *t = &a->tube;
+    const int n = a->stops->plant.arm.n;
+    double far, fast;
+    for (int i = 0; i < n; i++) {
+        out->time[i] = most(out->time[i], stopped_after(a, i));
+        out->speed[i] = most(out->speed[i], fastest[i]);
+        for (int64_t k = 0; k <= a->made; k++) {
+            out->forward[i] = most(out->forward[i], t->d_hi[k * n + i]);
+            out->back[i] = most(out->back[i], -t->d_lo[k * n + i]);
+        }
+    }
+    tool_motion(a, &far, &fast);
+    out->tool[0] = most(out->tool[0], far);
+    out->tool[1] = most(out->tool[1], fast);
+}
+
+int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius, const double *dq_radius,
+                      double *work, const StopsetBound *out) {
+    const int n = stops->plant.arm.n;
+    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    const int64_t knots = (int64_t)(STEPS + 1) * n, lines = (int64_t)STEPS * n;
+    double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN], *room = work;
+    Ask a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    a.tube.t = take(&room, STEPS + 1);
+    double **const parts[] = {&a.tube.d_lo, &a.tube.d_hi, &a.tube.v_lo, &a.tube.v_hi};
+    for (int k = 0; k < 4; k++) *parts[k] = take(&room, knots);
+    a.tube.e_lo = take(&room, lines);
+    a.tube.e_hi = take(&room, lines);
+    for (int k = 0; k < 4; k++) a.tube.rates[k] = take(&room, lines);
+    a.tube.margin = take(&room, n);
+    a.lines = take(&room, STEPS + 1);
+    a.cut = room;
+    for (int i = 0; i < n; i++) {
+        speed[i] = size_of(dq[i]) + dq_radius[i];
+        out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;
+    }
+    out->tool[0] = out->tool[1] = 0.0;
+    a.lasts = expected_stop(&stops->plant, q, speed);
+    /* the latest brakes are the hardest: what cannot be proved is known at once */
+    for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
+        if (!march(&a, lo[k], hi[k], 0, fastest) && !march(&a, lo[k], hi[k], 1, fastest)) return 1;
+        widen(&a, fastest, out);
+    }
+    return STOPSET_OK;
+}

@@ -1,0 +1,103 @@
+"""One violation, one file: what was read before and after it, what it was held against, what the bus said, and its class."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stopset.errors import OutputError
+from stopset.files import replacing
+from stopset.monitor.evidence.cause import Cause
+from stopset.monitor.evidence.dynamics import Dynamics
+from stopset.monitor.evidence.mcap_file import McapFile, stamp
+from stopset.monitor.evidence.rows import messages, nanoseconds
+from stopset.monitor.evidence.trace import Window
+
+if TYPE_CHECKING:
+    from stopset.monitor.watch import Deviation
+
+MARGIN = 0.1  # [s] of the bus's log before the first row
+AT_ONCE = 8  # messages written before the loop may have the interpreter
+
+
+@dataclass(slots=True)
+class Incident:
+    """A sample outside its prediction: ``row`` of the trace, the worst deviation, its stamp ``t`` [s], when it was ``noticed``
+    [s, monotonic], whether it was ``tried`` to write it, and the file it was written to already."""
+
+    row: int
+    first: Deviation
+    t: float
+    noticed: float
+    tried: bool = False
+    written: Path | None = None
+
+
+def name_of(incident: Incident) -> str:
+    """By the time of the violation, in UTC."""
+    at = time.gmtime(max(0.0, min(incident.t, 4e9)))
+    return f"violation-{time.strftime('%Y%m%dT%H%M%S', at)}-{int(incident.t % 1 * 1e6):06d}-{incident.row}.mcap"
+
+
+def write_bundle(
+    folder: Path, keep_mb: float, incident: Incident, cause: Cause, w: Window, model: Dynamics | None, joints: tuple[str, ...],
+    about: Mapping[str, str], frames: list[tuple[float, int, bytes]], pause: Callable[[], None],
+) -> tuple[Path, str]:  # fmt: skip
+    """Write it and return its name and SHA-256; it is on the disk, whole, when this returns. Raises `OSError`, `OutputError`.
+
+    Bundles are never deleted: when they fill ``keep_mb`` no further one is written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = incident.written or folder / name_of(incident)
+    used = sum(p.stat().st_size for p in folder.glob("violation-*.mcap") if p != path) / 1e6
+    if used > keep_mb:
+        raise OutputError(f"{folder} holds {used:.0f} MB of violations; at most {keep_mb:g} MB are kept: take them away")
+    with replacing(path) as part, part.open("wb") as f:
+        _write(
+            McapFile(f, "stopset", {**about, "kind": "violation", "t": repr(incident.t)}),
+            incident,
+            cause,
+            w,
+            model,
+            joints,
+            frames,
+            pause,
+        )
+    _sync(folder)
+    with path.open("rb") as f:
+        return path, hashlib.file_digest(f, "sha256").hexdigest()
+
+
+def _write(
+    file: McapFile, incident: Incident, cause: Cause, w: Window, model: Dynamics | None, joints: tuple[str, ...],
+    frames: list[tuple[float, int, bytes]], pause: Callable[[], None],
+) -> None:  # fmt: skip
+    age = 1 if model is None else max(1, round(incident.first.age / model.dt))
+    for k, (topic, t, message) in enumerate(messages(w, 0, model, joints, age)):
+        file.add(topic, t, message)
+        if k % AT_ONCE == 0:
+            pause()
+    first, last = (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
+    for k, (t_frame, identifier, data) in enumerate(frames):
+        if first <= t_frame <= last:
+            t = nanoseconds(t_frame)
+            file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})
+        if k % (4 * AT_ONCE) == 0:
+            pause()
+    t = nanoseconds(incident.t)
+    file.add("cause", t, cause.plain())
+    file.add("log", t, {"timestamp": stamp(t), "level": 4, "name": "stopset", "message": f"{cause.kind.value}: {cause.says}"})
+    file.finish()
+
+
+def _sync(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

@@ -1,0 +1,102 @@
+"""The one file format of what was seen: MCAP with JSON messages and a JSON schema per topic, as Foxglove and PlotJuggler show it.
+
+The topics are a table; units stand in the schemas.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+CHUNK = 65536  # bytes that a loss of power can cost
+_STAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+
+
+def _row(means: str) -> dict[str, Any]:
+    return {"type": "array", "items": {"type": ["number", "null"]}, "description": means}
+
+
+def _word(means: str) -> dict[str, Any]:
+    return {"type": "string", "description": means}
+
+
+def _object(title: str, required: tuple[str, ...], **properties: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object",
+        "properties": properties, "required": list(required),
+    }  # fmt: skip
+
+
+TOPICS: dict[str, dict[str, Any]] = {
+    "joint_states": _object(
+        "stopset.JointStates", ("timestamp", "k", "name", "position", "velocity", "effort"),
+        timestamp=_STAMP, k={"type": "integer", "description": "cycle number; a lost cycle leaves one out"},
+        name={"type": "array", "items": {"type": "string"}}, position=_row("rad"), velocity=_row("rad/s"),
+        effort=_row("N m"), temperature=_row("degC"), input=_row("what the model is driven by, N m"),
+    ),
+    "tube": _object(
+        "stopset.Tube", ("timestamp", "age_s", "q_lo", "q_hi", "dq_lo", "dq_hi"),
+        timestamp=_STAMP, age_s={"type": "number", "description": "age of the prediction [s]"},
+        q_lo=_row("rad"), q_hi=_row("rad"), dq_lo=_row("rad/s"), dq_hi=_row("rad/s"),
+    ),
+    "verdict": _object(
+        "stopset.Verdict", ("timestamp", "conformance", "state"),
+        timestamp=_STAMP, conformance=_word("of this sample"), state=_word("as published"),
+        room_q=_row("distance to the nearest bound over the half width: 1 centre, 0 on the bound, negative outside"),
+        room_dq=_row("as room_q"),
+    ),
+    "can": _object(
+        "stopset.CanFrame", ("timestamp", "id", "data"),
+        timestamp=_STAMP, id={"type": "integer", "description": "COB-ID"}, data=_word("bytes in hexadecimal"),
+    ),
+    "state": _object("stopset.State", ("state",), state=_word("the state message in words, with the stop bounds in force")),
+    "event": _object("stopset.Event", ("kind",), kind=_word("what happened"), t_ns={"type": "integer"}),
+    "health": _object("stopset.Health", ()),
+    "cause": _object(
+        "stopset.Cause", ("kind", "says"), kind=_word("class of the violation"), says=_word("in a sentence"),
+        joint=_word("where it shows"), signal=_word("q, dq or tau"), size={"type": "number"}, unit=_word("of size"),
+        t={"type": "number", "description": "onset [s]"}, torque_Nm=_row("push on every joint"), depends_on=_word("a signal"),
+    ),
+    "log": _object(  # a well-known schema of Foxglove's: shown in its log panel
+        "foxglove.Log", ("timestamp", "level", "message"), timestamp=_STAMP, level={"type": "integer"},
+        message=_word(""), name=_word(""),
+    ),
+}  # fmt: skip
+_encode = msgspec.json.Encoder(enc_hook=float).encode
+
+
+class McapFile:
+    """Writes messages on the `TOPICS` of ``prefix`` into a file that the caller opens and closes; ``about``: what holds for all."""
+
+    def __init__(self, stream: BinaryIO, prefix: str, about: Mapping[str, str]) -> None:
+        self._writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library="stopset")
+        self._writer.add_metadata("stopset", {k: str(v) for k, v in about.items()})
+        self._prefix, self._channels = prefix, dict[str, int]()
+        self._sequence = 0
+
+    def add(self, topic: str, t_ns: int, message: Mapping[str, Any] | bytes) -> None:
+        """One message at ``t_ns`` since the epoch; bytes are JSON already."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            schema = TOPICS[topic]
+            text = json.dumps(schema).encode()
+            number = self._writer.register_schema(schema["title"], "jsonschema", text)
+            channel = self._channels[topic] = self._writer.register_channel(f"{self._prefix}/{topic}", "json", number)
+        data = message if isinstance(message, bytes) else _encode(message)
+        t_ns = max(0, t_ns)
+        self._sequence += 1
+        self._writer.add_message(channel, log_time=t_ns, publish_time=t_ns, data=data, sequence=self._sequence & 0xFFFFFFFF)
+
+    def finish(self) -> None:
+        """The index, and the mark that the file is whole."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+def stamp(t_ns: int) -> dict[str, int]:
+    """As Foxglove reads times."""
+    return {"sec": t_ns // 1_000_000_000, "nsec": t_ns % 1_000_000_000}

@@ -1,0 +1,114 @@
+"""The largest part of its present speed at which the arm, where it is, can stop within wanted limits; all slower parts too.
+
+Found by proofs, in a process of its own: the speeds from rest to the present are cut into stretches, and each is bounded as one
+box. The answer is where the first stretch keeps its limits no more. It is advice to whoever sets the speed, seconds old.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing as mp
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stopset.monitor.certificates import Numbers
+from stopset.monitor.config import Limits, Stops
+from stopset.types import Array
+
+if TYPE_CHECKING:
+    from stopset.monitor.config import Config
+
+STRETCHES = 10
+FEWEST = 1e-3  # [rad/s] slower joints count as standing still
+Bound = Callable[[Array, Array], Numbers]  # of a box of states, its least and largest (2n,)
+
+
+def keeps(numbers: Numbers, limits: Limits) -> bool:
+    """Whether a proven stop stays within the limits."""
+    if not numbers.provable.all():
+        return False
+    angle = max(float(numbers.forward.max()), float(numbers.back.max()))
+    return bool(numbers.time.max() <= limits.time_s and angle <= limits.angle_rad and numbers.tcp <= limits.tcp_m)
+
+
+def largest_override(bound: Bound, q: Array, dq: Array, limits: Limits) -> float:
+    """Between 0 and 1: ``bound`` proves every speed from rest to this part of ``dq`` (n,) [rad/s] at ``q`` (n,) [rad]."""
+    for k in range(STRETCHES):
+        a, b = k / STRETCHES * dq, (k + 1) / STRETCHES * dq
+        lo, hi = np.concatenate([q, np.minimum(a, b)]), np.concatenate([q, np.maximum(a, b)])
+        if not keeps(bound(lo, hi), limits):
+            return k / STRETCHES
+    return 1.0
+
+
+def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: Limits, pipe: Connection) -> None:
+    """The other process: takes a state, gives its override."""
+    from stopset.monitor.stopworker import answer_for, prepare
+
+    parent = os.getppid()
+    prepared, refusal = prepare(model_path, payload, stops, sha256)
+    while True:
+        while not pipe.poll(0.5):
+            if os.getppid() != parent:
+                return
+        try:
+            request = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if request is None:
+            return
+        t, q, dq = request
+
+        def bound(lo: Array, hi: Array) -> Numbers:
+            return (
+                Numbers.none(len(lo) // 2, refusal) if prepared is None else answer_for(prepared, limits.category, lo, hi).numbers
+            )
+
+        with contextlib.suppress(OSError):
+            pipe.send((t, largest_override(bound, q, dq, limits)))
+
+
+@dataclass(slots=True)
+class Advisor:
+    """Asks every ``limits.override_every_s``; ``said``: stamp of the state [s] and the part of its speed, None before the first."""
+
+    config: Config
+    sha256: str  # of the model that is watched
+    said: tuple[float, float] | None = None
+    _pipe: Connection = field(init=False)
+    _process: Any = field(init=False)
+    _waiting: bool = False
+    _next: float = float("-inf")
+
+    def __post_init__(self) -> None:
+        context = mp.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        c = self.config
+        args = (c.model, self.sha256, c.payload_kg, c.stops, c.limits, theirs)
+        self._process = context.Process(target=_advise, args=args, daemon=True, name="override")
+        self._process.start()
+        theirs.close()
+
+    def offer(self, now: float, t: float, q: Array, dq: Array) -> None:
+        """The newest state, at ``now`` [s, monotonic]; takes an answer if there is one. Never waits, never raises."""
+        try:
+            if self._pipe.poll(0):
+                self.said, self._waiting = self._pipe.recv(), False
+            if not self._waiting and now >= self._next:
+                self._next, self._waiting = now + self.config.limits.override_every_s, True
+                self._pipe.send((t, np.array(q), np.where(np.abs(dq) < FEWEST, 0.0, dq)))
+        except (OSError, EOFError):
+            self.said = None  # the process is gone: no advice
+
+    def close(self) -> None:
+        """End the process."""
+        with contextlib.suppress(OSError):
+            self._pipe.send(None)
+        self._process.join(timeout=1.0)
+        if self._process.is_alive():
+            self._process.kill()

@@ -1,0 +1,115 @@
+// What came over a bus enters this page as text alone: nothing here makes markup of a string.
+'use strict';
+const $ = id => document.getElementById(id);
+const el = (tag, props, ...inside) => { const e = Object.assign(document.createElement(tag), props || {}); e.append(...inside.filter(x => x != null)); return e; };
+const fill = (id, ...inside) => $(id).replaceChildren(...inside);
+const figure = (...inside) => el('td', {className: 'n'}, ...inside);
+const heads = (...names) => el('tr', null, ...names.map((n, k) => el('th', {className: k && n !== 'what' ? 'n' : '', scope: 'col'}, n)));
+const number = x => typeof x === 'number' && isFinite(x);
+// bounds are rounded to the safe side: what is shown never promises more than what was proved
+const num = (x, f, u, d) => number(x) ? (Math.ceil(x * f * 10 ** d - 1e-9) / 10 ** d).toFixed(d) + ' ' + u : 'not provable';
+const count = (n, what) => `${n} ${what}${n === 1 ? '' : 's'}`;
+const SIGN = {OK: '✓', DEGRADED: '!', VIOLATION: '✕', UNKNOWN: '?', FAULT: '⚠', 'NO DATA': '–', INIT: '…', SHUTDOWN: '■'};
+const MEANS = {
+  OK: 'the arm is inside every prediction', DEGRADED: 'bounds hold, but less is known than should be', VIOLATION: 'the ARM has left its model: do not rely on it',
+  UNKNOWN: 'cannot be judged here', FAULT: 'the MONITOR or its bus fails: treat as unsafe', 'NO DATA': 'NOTHING is heard: treat as unsafe',
+  INIT: 'starting', SHUTDOWN: 'the monitor was ended: treat as unsafe',
+};
+let past = [], last = 0, shownTwin = null, shot = {};
+
+function show(s) {
+  const stale = s.word === 'NO DATA' || !s.fresh || !s.twin;
+  $('word').textContent = s.word; $('sign').textContent = SIGN[s.word] || '?'; $('means').textContent = MEANS[s.word] || '';
+  $('band').className = s.word.replace(' ', ''); $('why').textContent = s.why; document.title = s.word + ' · stopset';
+  document.body.classList.toggle('stale', stale);
+  if (s.twin) shownTwin = s.twin;
+  if (!shownTwin) return;
+  stops(stale ? {} : shownTwin.stops, stale);
+  joints(shownTwin, stale, s.limits);
+  violations(shownTwin);
+  drawArm(s, stale);
+  if (!stale && shownTwin.room) past.push([Date.now(), shownTwin.joints.map((j, k) => within(shownTwin, j, k))]);
+  past = past.filter(p => p[0] > Date.now() - 6e4); rooms(shownTwin.joints);
+  fill('events', ...(s.events || []).slice().reverse().map(e => el('li', null,
+    `${new Date(e.t_ns / 1e6).toLocaleTimeString()} ${e.told}` + (e.count > 1 ? `, ${e.count} times` : ''))));
+  const t = shownTwin, h = s.health || {}, late = (h.sync_to_publish_ms || {}).max;
+  $('counts').textContent = Object.entries(t.verdicts).map(([k, v]) => `${v} ${k.toLowerCase()}`).join(', ') +
+    `; ${count(t.gaps, 'gap')}; ${count(s.lost || 0, 'message')} lost, ${s.rejected || 0} rejected` +
+    (number(late) ? `; at most ${late.toFixed(1)} ms from measurement to message` : '') + (number(h.cycles_in_window) ? `; ${h.cycles_in_window} cycles in the last second` : '');
+  $('notice').textContent = `${t.notice} Model ${t.model_sha256.slice(0, 16)}, configuration ${t.config_sha256.slice(0, 16)}. ${t.guarantee}`;
+}
+function stops(all, stale) {
+  const rows = Object.entries(all).map(([c, v]) => el('tr', {title: v.why}, el('td', null, 'STOP ' + c),
+    ...(v.time_s == null && v.tcp_m == null ? [el('td', {colSpan: 2}, 'no number', el('small', null, v.why))]
+      : [figure(num(v.time_s, 1e3, 'ms', 0)), figure(num(v.tcp_m, 1e3, 'mm', 0))])));
+  if (!rows.length) rows.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
+  fill('stops', heads('', 'time', 'flange'), ...rows);
+}
+// how far a joint stays from its end stops if it is stopped now [rad]
+function left(t, k, a, limits) {
+  if (!limits || !t.q || !number(a.forward_rad) || !limits[k] || !limits[k].every(number)) return null;
+  return Math.min(limits[k][1] - t.q[k] - a.forward_rad, t.q[k] - a.back_rad - limits[k][0]);
+}
+function joints(t, stale, limits) {
+  const s0 = stale ? {} : (t.stops['0'] || {}).joints || {}, bad = {};
+  t.violations.forEach(v => { bad[v.joint] = (bad[v.joint] || 0) + v.samples; });
+  fill('joints', heads('joint', 'room', 'STOP 0', 'to its limit'), ...t.joints.map((j, k) => {
+    const r = stale || !t.room ? null : t.room[j], a = s0[j] || {};
+    const travel = number(a.forward_rad) && number(a.back_rad) ? Math.max(a.forward_rad, a.back_rad) : null;
+    const margin = stale ? null : left(t, k, a, limits);
+    const bar = el('meter', {min: 0, max: 1, low: 0.1, high: 0.3, optimum: 0.9, value: number(r) ? Math.max(0, Math.min(1, r)) : 0});
+    bar.setAttribute('aria-label', `room of ${j}`);
+    return el('tr', null, el('td', null, j, bad[j] ? el('small', {className: 'bad'}, '✕ ' + count(bad[j], 'violation')) : null),
+      figure(bar, ' ', number(r) ? r.toFixed(2) : '–'),
+      stale || (!number(a.time_s) && travel == null) ? figure(stale ? '–' : 'no number') : figure(num(a.time_s, 1e3, 'ms', 0), el('small', null, num(travel, 1, 'rad', 4))),
+      figure(margin == null ? '–' : el('span', {className: margin < 0 ? 'bad' : ''}, `${margin < 0 ? '✕ ' : ''}${(Math.floor(margin * 100) / 100).toFixed(2)} rad`)));
+  }));
+}
+function violations(t) {
+  $('violated').hidden = !t.violations.length;
+  fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
+    el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind}${v.in_domain ? '' : ', outside the domain'}`),
+    figure(number(v.excess) ? `${v.excess.toPrecision(3)} ${v.unit}` : ''), figure(String(v.samples)))));
+}
+function drawArm(s, stale) {
+  const all = shownTwin.stops, of = c => (stale || !all[c] || !all[c].capsules) ? [] : all[c].capsules;
+  const first = of('1 guaranteed').length ? of('1 guaranteed') : of('1'), bad = shownTwin.violations.map(v => shownTwin.joints.indexOf(v.joint));
+  Arm.draw($('arm'), s.arm, [[first, '#7db8e8'], [of('0'), '#f0a202']], bad);
+  $('armsays').textContent = !s.arm ? 'no picture: the model has not been heard' : stale ? 'last known pose'
+    : of('0').length || first.length ? "swept by the links' axes; add the links' own size" : 'no volume: no stop is proved';
+}
+// where in its prediction a joint is: 0 on its lower bound, 1 on its upper one
+function within(t, j, k) {
+  const lo = t.tube && t.tube.lo[k], hi = t.tube && t.tube.hi[k];
+  return t.q && number(lo) && number(hi) && hi > lo ? (t.q[k] - lo) / (hi - lo) : number(t.room[j]) ? t.room[j] / 2 : null;
+}
+function rooms(names) {
+  if ($('rooms').children.length !== names.length) fill('rooms', ...names.map(j => el('figure', null, el('canvas', {width: 300, height: 90, ariaLabel: `room of ${j} over the last minute`, role: 'img'}), el('figcaption', null, j))));
+  [...$('rooms').children].forEach((f, k) => {
+    const c = f.firstChild, g = c.getContext('2d'), y = v => c.height * (1 - (Math.max(-0.3, Math.min(1.3, v)) + 0.3) / 1.6), x = t => c.width * (1 - (Date.now() - t) / 6e4);
+    g.clearRect(0, 0, c.width, c.height);
+    g.fillStyle = '#e3ece5'; g.fillRect(0, y(1), c.width, y(0) - y(1));
+    g.strokeStyle = '#b00020'; g.setLineDash([5, 4]); g.beginPath(); for (const b of [0, 1]) { g.moveTo(0, y(b)); g.lineTo(c.width, y(b)); } g.stroke(); g.setLineDash([]);
+    g.strokeStyle = '#14532d'; g.lineWidth = 2; g.beginPath();
+    let before = 0;
+    past.forEach(([t, r]) => { const v = r[k]; if (!number(v)) return; if (t - before < 2000) g.lineTo(x(t), y(v)); else g.moveTo(x(t), y(v)); before = t; });
+    g.stroke();
+  });
+}
+const TOKEN = document.querySelector('meta[name=token]').content;
+$('reset').hidden = !TOKEN;
+$('reset').onsubmit = async e => {
+  e.preventDefault();
+  const reason = $('reason').value.trim();
+  if (!reason) { $('resetsays').textContent = 'a reason is needed'; return; }
+  let r;
+  try { r = await fetch('/reset', {method: 'POST', headers: {'X-Stopset-Token': TOKEN, 'Content-Type': 'application/json'}, body: JSON.stringify({reason})}); }
+  catch (x) { $('resetsays').textContent = 'the viewer does not answer'; return; }
+  $('resetsays').textContent = r.ok ? 'sent; the event tells whether it was taken' : await r.text();
+};
+Arm.steer($('arm'));
+const heard = s => { last = Date.now(); shot = s; show(s); };
+fetch('/now').then(r => r.json()).then(heard);
+new EventSource('/stream').onmessage = e => heard(JSON.parse(e.data));
+// the page's own connection may fail as well: then nothing on it is true any more
+setInterval(() => { if (last && Date.now() - last > 700) show({...shot, word: 'NO DATA', why: 'the viewer does not answer', fresh: false}); }, 200);

@@ -1,0 +1,229 @@
+"""Pages for everybody: axe-core finds nothing serious on any of them, and what is stale is grey in time."""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from rich.console import Console
+
+from monitor_arm import known_model
+from stopset.artifact.store import model_text
+from stopset.cli.main import main
+from stopset.monitor.layout import State
+from stopset.monitor.report import _stops
+from stopset.monitor.stopworker import answer_for
+from stopset.monitor.viewer import Page, View, terminal
+from stopset.offline.report.page import Page as Report
+from stopset.offline.workbench import Loop, Server
+from stopset.reach.stops import StopBounds
+from test_page_security import Alive, twin
+
+AXE = Path(__file__).with_name("node_modules") / "axe-core" / "axe.min.js"
+
+
+@pytest.fixture(scope="session")
+def axe() -> str:
+    if not AXE.exists():
+        pytest.skip("axe-core is not installed: npm --prefix tests install")
+    return AXE.read_text(encoding="utf-8")
+
+
+def serious(browser: Any, axe: str) -> list[str]:
+    """What axe-core calls serious or critical on the page that is open."""
+    browser.set_script_timeout(60)
+    browser.execute_script(axe)
+    found = browser.execute_async_script(
+        "const done = arguments[0]; axe.run().then(r => done(r.violations), e => done([{impact: 'critical', id: String(e)}]))"
+    )
+    return [
+        f"{v['id']}: {v['nodes'][0]['html'][:150]} {v['nodes'][0].get('failureSummary', '')[:300]}"
+        for v in found
+        if v["impact"] in ("serious", "critical")
+    ]
+
+
+def moving(state: State) -> Alive:
+    """A daemon of a real model's arm with real bounds, heard by a view."""
+    model = known_model()
+    text = model_text(model)
+    q = np.array([0.3, 0.5, 0.2, 0.9, 0.1, 0.4])
+    x, r = np.concatenate([q, np.full(6, 0.2)]), np.full(12, 0.004)
+    prepared = StopBounds.of(model, fast=True)
+    numbers = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1")}
+    joints = model.joints
+    left = [{"joint": joints[3], "samples": 3, "state": "q", "side": "above", "unit": "rad", "excess": 0.01}]
+    told = twin("fine") | {
+        "state": state.name, "joints": list(joints), "q": q.tolist(), "model_sha256": json.loads(text)["sha256"],
+        "room": dict.fromkeys(joints, 0.5), "stops": _stops(numbers, joints), "violations": left if state is State.VIOLATION else [],
+    }  # fmt: skip
+    out = Alive(state)
+    view = out.view
+    out.words = json.dumps(told).encode()
+    out.speak()
+    view.take_model(text.encode())
+    view.take_event("", b'{"kind": "gap", "why": "gap of 2 samples", "t_ns": 5}')
+    view.challenge()
+    return out
+
+
+@contextmanager
+def shown(view: View, browser: Any, word: str) -> Iterator[Page]:
+    """The live page in a browser, once it shows ``word`` and its joints."""
+    page = Page(view, "127.0.0.1", 0)
+    page.start()
+    try:
+        browser.get(page.url)
+        end = time.monotonic() + 10
+        while browser.find_element("id", "word").text != word or not browser.find_element("id", "joints").text:
+            assert time.monotonic() < end, browser.find_element("tag name", "body").text
+            time.sleep(0.02)
+        yield page
+    finally:
+        browser.get("about:blank")
+        page.shutdown()
+        page.server_close()
+
+
+@pytest.mark.parametrize("state", [State.OK, State.DEGRADED, State.VIOLATION, State.UNKNOWN, State.FAULT])
+def test_the_live_page_is_for_everybody(state: State, browser: Any, axe: str) -> None:
+    view = moving(state).view
+    shot = view.snapshot()
+    assert shot["arm"] is not None and len(shot["arm"]) == 8, "base, six joints, flange"
+    assert shot["twin"]["stops"]["0"]["capsules"], "what it sweeps is drawn"
+    with shown(view, browser, state.name):
+        assert serious(browser, axe) == []
+
+
+def test_bad_states_are_told_apart_without_colour(browser: Any) -> None:
+    """By sign and by words; what is bad for another reason looks otherwise."""
+    marks = {}
+    for state in (State.OK, State.DEGRADED, State.VIOLATION, State.UNKNOWN, State.FAULT):
+        with shown(moving(state).view, browser, state.name):
+            marks[state.name] = tuple(browser.find_element("id", x).text for x in ("sign", "means"))
+            ground = browser.execute_script(
+                "const s = getComputedStyle(document.getElementById('band')); return s.backgroundColor + s.backgroundImage"
+            )
+            marks[f"{state.name} ground"] = ground
+    assert len(set(marks.values())) == len(marks)
+
+
+def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
+    """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
+    daemon = moving(State.OK)
+    told = json.loads(daemon.words)
+    stop = {"time_s": 0.0800001, "forward_rad": 0.00001, "back_rad": 0.0}
+    told["stops"] = {"0": {"time_s": 0.0800001, "tcp_m": 0.0120001, "why": "", "joints": dict.fromkeys(told["joints"], stop)}}
+    daemon.words = json.dumps(told).encode()
+    daemon.speak()
+    console = Console(width=150, record=True, file=io.StringIO())
+    console.print(terminal(daemon.view))
+    with shown(daemon.view, browser, "OK"):
+        page = browser.find_element("id", "stops").text + browser.find_element("id", "joints").text
+    for text in (page, console.export_text()):
+        assert "81 ms" in text and "13 mm" in text and "0.0001 rad" in text
+        assert "80 ms" not in text and "12 mm" not in text and "0.0000 rad" not in text
+
+
+def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:
+    """Killed: within its watchdog and a look no bar is coloured and no distance stands."""
+    daemon = moving(State.OK)
+    view = daemon.view
+    assert view.consumer is not None
+    view.consumer.watchdog = 10**9 // 2
+    living = threading.Event()
+
+    def speak() -> None:
+        while not living.wait(0.05):
+            daemon.speak()
+
+    threading.Thread(target=speak, daemon=True).start()
+    left = (
+        "return [...document.querySelectorAll('#joints meter')].filter(m => m.value > 0).length"
+        " + (document.getElementById('stops').innerText.match(/ mm/g) || []).length"
+    )
+    with shown(view, browser, "OK"):
+        end = time.monotonic() + 5
+        while browser.execute_script(left) < 7:
+            assert time.monotonic() < end, "six bars and a distance while it lives"
+            time.sleep(0.02)
+        view.ask = None
+        living.set()
+        begin = time.monotonic()
+        while browser.execute_script(left) or browser.find_element("id", "word").text != "NO DATA":
+            assert time.monotonic() - begin < 1.5
+            time.sleep(0.02)
+        assert "grayscale" in browser.execute_script("return getComputedStyle(document.querySelector('main')).filter")
+
+
+def test_a_violation_is_on_the_page_within_a_fifth_of_a_second(browser: Any) -> None:
+    daemon = moving(State.OK)
+    watch = (
+        "const word = document.getElementById('word'); window.seen = {};"
+        "new MutationObserver(() => { window.seen[word.textContent] ??= Date.now(); })"
+        ".observe(word, {childList: true, characterData: true, subtree: true})"
+    )
+    took = []
+    with shown(daemon.view, browser, "OK"):
+        for state in (State.VIOLATION, State.OK, State.VIOLATION, State.OK, State.VIOLATION):
+            browser.execute_script(watch)
+            daemon.state = state
+            begin = time.time()
+            daemon.speak()
+            while not (at := browser.execute_script("return window.seen[arguments[0]]", state.name)):
+                assert time.time() < begin + 5
+                time.sleep(0.01)
+            took.append(at / 1e3 - begin)
+    assert sorted(took)[2] < 0.2, took
+
+
+def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path: Path) -> None:
+    folder = planar[0]
+    assert (
+        main(
+            ["compare", str(folder / "m.model.json"), "--data", str(folder / "rec.parquet"), "--report", str(tmp_path / "c.html")]
+        )
+        == 0
+    )
+    page = Report("All of it")
+    for kind in ("", "good", "bad"):
+        page.verdict("A sentence", kind)
+    page.next("`stopset diagnose`")
+    page.figure(go.Figure(go.Bar(x=[1.0], y=[2.0])), "A figure")
+    with page.fold("More"):
+        page.table(("joint", "n"), [("a", 1.0)], "A table")
+    page.save(tmp_path / "all.html")
+    for name in ("c.html", "all.html"):
+        browser.get((tmp_path / name).as_uri())
+        browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+        time.sleep(0.5)
+        assert serious(browser, axe) == [], name
+    browser.get("about:blank")
+
+
+def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp_path: Path) -> None:
+    folder = planar[0]
+    s = Server(Loop(folder / "m.model.json", [folder / "rec.parquet"], tmp_path), "127.0.0.1", 0)
+    s.start()
+    try:
+        s.loop.start("compare")
+        browser.get(s.url)
+        end = time.monotonic() + 60
+        while not browser.find_elements("css selector", ".heat button") or s.loop.busy:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        time.sleep(0.7)  # until its buttons know that nothing runs
+        assert serious(browser, axe) == []
+    finally:
+        browser.get("about:blank")
+        s.shutdown()
+        s.server_close()
