@@ -61,7 +61,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.explain.identifiable",
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),
-    ("stopset.offline.diagnose.explain.residual", "BINS BLOCK", SHOWN),
+    ("stopset.offline.diagnose.explain.residual", "BINS FEW_BINS BLOCK", SHOWN),
     ("stopset.offline.diagnose.search.held_out", "WHOLE BLOCKS", WORDS),
     ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
     ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),

@@ -81,7 +81,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
         rows=sum(r.size for r in engine.rows),
-        notes=(SINGLE,) if len(engine.data.trials) == 1 else (),
+        notes=(*engine.data.sampling, *((SINGLE,) if len(engine.data.trials) == 1 else ())),
     )
 
 

@@ -32,6 +32,7 @@ PATTERN = 100.0  # gain in twice the log likelihood
 PATTERN_SHARE = 0.2  # of the claims' score
 TOGETHER = 1.5  # times the best variable alone
 RESTLESS = 0.06  # relative
+SCATTERED = 3  # trials
 STANDING = 0.02  # [rad]
 
 GAIN = (0.5, 2.0)  # recorded over described torque
@@ -119,6 +120,8 @@ TABLE = (
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",
               "chosen"),
     Threshold("RESTLESS", "friction scatter", "", "healthy: 0.02 to 0.03"),
+    Threshold("SCATTERED", "trials from which on the scatter of friction between them is estimated; of fewer it is taken as 2 %", "",
+              "chosen: one trial tells no scatter at all"),
     Threshold("STANDING", "a trial in which no joint leaves this range stands still", "rad",
               "chosen"),
     Threshold("GAIN", "identified over described gravity torque that passes for a scale of the drives' torque", "",
