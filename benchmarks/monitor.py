@@ -36,7 +36,7 @@ from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.source import CanSource
-from stopset.monitor.stopdesk import StopDesk
+from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.recording import Recording, read_recordings, write_recordings
 from stopset.sets import Box
 
@@ -110,7 +110,7 @@ def prepared(model: Model, model_path: Path, trial: Recording) -> tuple[Daemon, 
     bus = Frames(trial, clock, CYCLES)
     source = CanSource(bus, profile, profile.cycle_s, clock=clock)
     config = Config(str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32, publish=Publish(json_hz=1e-9))
-    desk = Desk(str(model_path), np.ones(model.n), config.stops, 0.0, source.quantum, clock=clock)
+    desk = Desk(str(model_path), seen_by(model), config.stops, 0.0, source.quantum, clock=clock)
     daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=desk)
     daemon._next_json = daemon._next_health = 1e18
     return daemon, bus, clock

@@ -15,8 +15,10 @@ from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.stopdesk import LEFT, NARROW, WIDE, Motion, StopDesk
 from stopset.monitor.watch import Quantum
+from stopset.sets import Box
 from test_monitor_stops import prbt_like
 
+SEEN = Box.symmetric(np.repeat([3.0, 2.0], 6))
 N = 6
 NONE = np.zeros(2 * N)
 
@@ -46,7 +48,7 @@ def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
 
 
 def test_the_box_ahead_holds_the_motion_it_was_made_for() -> None:
-    motion, rng = Motion(np.full(N, 2.0)), np.random.default_rng(3)
+    motion, rng = Motion(SEEN), np.random.default_rng(3)
     q0, v0, a = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N), rng.uniform(-4, 4, N)
     for k in range(20):
         t = 0.004 * k
@@ -82,9 +84,7 @@ class Hand:
 @pytest.fixture
 def desk(tmp_path: Path) -> StopDesk:
     save_model(prbt_like(), tmp_path / "m.model.json")
-    return StopDesk(
-        str(tmp_path / "m.model.json"), np.full(N, 2.0), Stops(("0",), rate_hz=1000.0), 0.0, Quantum.none(N), clock=Hand()
-    )
+    return StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",), rate_hz=1000.0), 0.0, Quantum.none(N), clock=Hand())
 
 
 def passed(desk: StopDesk, period: float = 1.0) -> list[bool]:

@@ -17,10 +17,12 @@ from stopset.monitor.watch import Quantum
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box, tube_of
+from stopset.sets import Box
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like, ur5_like
 
+SEEN = Box.symmetric(np.repeat([3.0, 2.0], 6))
 Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
 DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
 BOX = np.full(6, 0.02), np.full(6, 0.08)
@@ -76,7 +78,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     assert layers.count("energy") >= 4, "these states need the kinetic energy"
     assert np.median(spent[True]) < 0.5 * np.median(spent[False])
     save_model(ur5_like(), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), np.full(6, 2.0), Stops(("0",)), 0.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), 0.0, Quantum.none(6))
     try:
         until, busy, told = time.monotonic() + 60.0, [], 0
         while told < 20 and time.monotonic() < until:
@@ -93,7 +95,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
 
 def test_a_payload_the_model_does_not_cover_has_no_bound_and_one_sentence(tmp_path: Path) -> None:
     save_model(prbt_like((0.0, 0.25)), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), np.full(6, 2.0), Stops(("0",)), 3.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), 3.0, Quantum.none(6))
     try:
         until, numbers, fresh = time.monotonic() + 60.0, {}, False
         while not fresh and time.monotonic() < until:

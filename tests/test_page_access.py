@@ -117,6 +117,21 @@ def test_bad_states_are_told_apart_without_colour(browser: Any) -> None:
     assert len(set(marks.values())) == len(marks)
 
 
+def test_every_number_is_in_sight_on_a_telephone(browser: Any) -> None:
+    """No table is wider than what holds it: the flange's distance was cut off once."""
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        with shown(moving(State.VIOLATION).view, browser, "VIOLATION"):
+            wide = browser.execute_script(
+                "return [...document.querySelectorAll('.wide')]"
+                ".map(d => [d.firstElementChild.id, d.scrollWidth - d.clientWidth]).filter(x => x[1] > 0)"
+            )
+            assert wide == []
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
     """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
     daemon = moving(State.OK)

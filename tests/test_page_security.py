@@ -139,6 +139,19 @@ def test_only_the_own_origin_is_answered(served: Page | Server) -> None:
         assert b" 200 " in ask(served, path, Host=own(served), Origin=f"http://{own(served)}").splitlines()[0]
 
 
+def test_elements_of_other_sites_are_not_answered(served: Page | Server) -> None:
+    """A script or picture element sends no origin; the browser tells all the same whose it is. A link may be followed."""
+    for path in paths(served):
+        for site in ("cross-site", "same-site", "odd"):
+            fetch = {"Host": own(served), "Sec-Fetch-Site": site}
+            assert b" 403 " in ask(served, path, **fetch, **{"Sec-Fetch-Mode": "no-cors"}).splitlines()[0]
+            assert b" 403 " in ask(served, path, **fetch).splitlines()[0]
+        fetch = {"Host": own(served), "Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors"}
+        assert b" 200 " in ask(served, path, **fetch).splitlines()[0]
+    link = {"Host": own(served), "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert b" 200 " in ask(served, "/", **link).splitlines()[0]
+
+
 def test_every_answer_carries_a_policy_without_inline_script(served: Page | Server) -> None:
     for path in (*paths(served), "/nothing"):
         head = ask(served, path, Host=own(served)).partition(b"\r\n\r\n")[0].decode()

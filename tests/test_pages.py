@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nominal_cases import arm
+from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.offline.plan import Wishes, design
 from stopset.offline.plan.page import page as plan_page
@@ -70,6 +71,9 @@ def test_the_comparison_draws_itself_from_its_own_file(browser, planar, tmp_path
     text = drawn(browser, page)
     assert figures(browser) > 0, "no figure was drawn"
     assert "Identified sets" in text
+    model = load_model(folder / "m.model.json")
+    for told in (model.sha256, "rec.parquet", "0 first identification"):  # what, of what, with which history
+        assert told in text, told
     assert crosses(browser) == 0
 
 

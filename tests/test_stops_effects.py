@@ -50,6 +50,7 @@ REFUSED = {
     "gone": ((Fitted("gone", JOINTS[0], {"k0": 1.0}),), "gone:arm_1_joint: it is in no catalogue"),
     "unbounded": ((Fitted("wrapped", JOINTS[0], {"k0": np.inf, "k1": 0.0}),), "wrapped:arm_1_joint: its k0 has no bound"),
 }
+SEEN = Box.symmetric(np.repeat([3.0, 2.0], 6))
 Q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
 DQ = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
 
@@ -224,7 +225,7 @@ def test_the_refusal_reaches_who_runs_an_fmu_a_command_or_a_monitor(tmp_path: Pa
     save_model(model, path)
     assert main(["stops", str(path)]) == 2
     assert "no stop is bounded with elasticity:arm_2_joint" in capsys.readouterr().err
-    desk = StopDesk(str(path), np.full(6, 2.0), Stops(("0",)), 0.0, Quantum.none(6))
+    desk = StopDesk(str(path), SEEN, Stops(("0",)), 0.0, Quantum.none(6))
     try:
         until, numbers, fresh = time.monotonic() + 120.0, {}, False
         while not fresh and time.monotonic() < until:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from stopset.artifact import load_model
@@ -104,6 +106,25 @@ def test_a_wrong_request_gets_a_sentence(server: Server, action: str, body: byte
     assert code == 400 and says in text
 
 
+def test_the_arm_over_a_recording(server: Server) -> None:
+    """Every recording can be looked at; the line keeps its extremes, and lies in the band where nothing is violated."""
+    assert call(server, "scene/anything")[0] == 404, "nothing compared yet"
+    do(server, "compare")
+    rows = wait(server)["models"][-1]["answers"]["recordings"]["listed"]
+    label = rows[0]["label"]
+    code, text = call(server, "scene/" + urllib.parse.quote(label))
+    found = json.loads(text)
+    assert code == 200 and found["label"] == label and found["violation"] is None
+    assert len(found["arm"]) == len(found["t"]) and len(found["arm"][0]) == 4, "base, two joints, flange"
+    for j in found["joints"]:
+        inside = (
+            np.interp(j["t"], j["band_t"], j["lo"]) - 1e-5 <= j["y"],
+            np.interp(j["t"], j["band_t"], j["hi"]) + 1e-5 >= j["y"],
+        )
+        assert np.all(inside)
+    assert call(server, "scene/nothing")[0] == 404
+
+
 def test_it_refuses_before_it_serves(planar: Any, tmp_path: Path) -> None:
     folder = planar[0]
     with pytest.raises(OutputError, match="does not exist"):
@@ -177,6 +198,10 @@ def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
         time.sleep(0.1)
     text = browser.execute_script("return document.body.innerText")
     assert "Monitoring aid. Not a safety function" in text
+    assert browser.find_element("id", "stage").is_displayed()
+    before = browser.find_element("id", "now").text
+    browser.execute_script("const t = document.getElementById('time'); t.value = 50; t.dispatchEvent(new Event('input'))")
+    assert browser.find_element("id", "now").text != before, "the arm goes through the recording"
     browser.find_element("css selector", ".heat tbody button").click()
     while not browser.find_element("id", "cloudsays").text:
         assert time.monotonic() < end

@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     loop = Loop(args.model, args.data, args.out or Path(args.model).parent)
     server = Server(loop, args.host, args.port)
     server.start()
+    loop.start("compare")  # what everybody asks first
     say(f"workbench: {server.url}  (Ctrl-C ends it)")
     end = time.monotonic() + (args.seconds or float("inf"))
     try:

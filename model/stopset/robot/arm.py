@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stopset.errors import RobotError
-from stopset.robot.rigid import Chain
+from stopset.robot.rigid import Chain, link_frames
 from stopset.types import Array
 
 STANDARD_GRAVITY = 9.81  # [m/s^2] as in most URDF tools; the data sheet's "gravity" overrides it
@@ -67,6 +67,11 @@ class Robot:
     def rotor(self) -> Array:
         """(n,) reflected rotor inertia [kg m^2]; 0 where the data sheet gives none."""
         return np.asarray(np.nan_to_num(np.array([d.rotor_inertia for d in self.drives]), nan=0.0))
+
+    def outline(self, q: Array) -> Array:
+        """(n + 2, 3) [m] base, joints and flange in space at ``q`` (n,) [rad]: what a picture of the arm joins by lines."""
+        R, o = link_frames(self.chain, np.ascontiguousarray(q, dtype=float))
+        return np.vstack([np.zeros(3), o, o[-1] + R[-1] @ self.tip])
 
     def with_payload(self, mass: float, com: Array, inertia: Array | None = None) -> Robot:
         """The same arm with a rigid load in the last link: ``mass`` [kg], ``com`` (3,) [m] in the last link frame.

@@ -205,20 +205,9 @@ def _build(kind: Any, x: Any, where: str) -> Any:
     return x
 
 
-def load_config(path: str | Path) -> Config:
-    """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
-    p = Path(path)
-    try:
-        text = p.read_text(encoding="utf-8")
-        raw = tomllib.loads(text)
-    except FileNotFoundError as e:
-        raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
-        raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
-    config: Config = _build(Config, raw, "")
-    if (config.bus is None) == (config.joint_states is None):
-        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
-    limits = (
+def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
+    """Every number with its name, least and largest value."""
+    return (
         ("bus.time_scale", config.bus.time_scale if config.bus else 1.0, 1e-3, 1e3),
         ("joint_states.cycle_s", config.joint_states.cycle_s if config.joint_states else 1.0, 1e-4, 1.0),
         ("publish.json_hz", config.publish.json_hz, 0.1, 50.0),
@@ -250,7 +239,22 @@ def load_config(path: str | Path) -> Config:
         ("fallback.angle_rad", config.fallback.angle_rad, 1e-6, math.inf),
         ("fallback.tcp_m", config.fallback.tcp_m, 1e-6, math.inf),
     )
-    for name, value, lo, hi in limits:
+
+
+def load_config(path: str | Path) -> Config:
+    """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
+    p = Path(path)
+    try:
+        text = p.read_text(encoding="utf-8")
+        raw = tomllib.loads(text)
+    except FileNotFoundError as e:
+        raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
+        raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
+    config: Config = _build(Config, raw, "")
+    if (config.bus is None) == (config.joint_states is None):
+        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
+    for name, value, lo, hi in _ranges(config):
         if not lo <= value <= hi:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}: mend it")
     if not (len(config.warm) == 2 and 0.0 <= config.warm[0] <= config.warm[1] <= 1.0):

@@ -35,7 +35,7 @@ from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.source import NoSource, Source
 from stopset.monitor.status import Limits, Recovery, Situation, believable, decide, stop_fields
-from stopset.monitor.stopdesk import StopDesk
+from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.monitor.watch import Conformance, Sample, Verdict, Watch, check_cycle
 
 CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2, Conformance.FAULT: 3}
@@ -105,8 +105,7 @@ class Daemon:
         text = Path(c.model).read_bytes()
         watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
         if desk is None:
-            fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
-            desk = StopDesk(c.model, fastest, c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
+            desk = StopDesk(c.model, seen_by(model), c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)
 
     def _use(self, loaded: Loaded) -> None:

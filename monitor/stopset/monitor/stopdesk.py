@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from stopset.artifact import Model
 from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.stopworker import work
 from stopset.monitor.watch import Quantum
+from stopset.sets import Box
 from stopset.types import Array
 
 LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
@@ -37,6 +39,7 @@ KEPT_WIDE = 256  # certificates of wide boxes, per category
 PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
 SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
 RESTARTS = 5  # of the other process, then it stays ended
+TINY = 1e-9  # [rad, rad/s]
 LEFT = "the arm has left the states the last bounds were computed for"
 PATH = np.linspace(0.0, 1.0, 5)[:, None]  # instants at which the motion ahead is looked at, as parts of it
 
@@ -57,18 +60,22 @@ WIDE, NARROW = Size(0.2, 1.0, True), Size(0.04, 0.2, False)
 
 @dataclass(slots=True)
 class Motion:
-    """Where the arm goes, from its last readings; it may always be as fast as ``fastest`` (n,) [rad/s] within `START`."""
+    """Where the arm goes, from its last readings, as far as it is ``seen`` (2n,) [rad, rad/s] to go at all; it may always reach
+    the largest of these speeds within `START`."""
 
-    fastest: Array
+    seen: Box
     q: Array = field(init=False)
     dq: Array = field(init=False)
     a: Array = field(init=False)
     _past: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=64))
     _most: Array = field(init=False)  # (n,) [rad/s^2] largest acceleration seen of late
-    _seen: float = 0.0
+    _fastest: Array = field(init=False)
+    _when: float = 0.0
 
     def __post_init__(self) -> None:
-        self.q, self.dq, self.a, self._most = (np.zeros_like(self.fastest) for _ in range(4))
+        n = len(self.seen.lo) // 2
+        self.q, self.dq, self.a, self._most = (np.zeros(n) for _ in range(4))
+        self._fastest = np.maximum(np.abs(self.seen.lo[n:]), np.abs(self.seen.hi[n:]))
 
     def see(self, t: float, q: Array, dq: Array) -> None:
         """A reading at ``t`` [s]: ``q`` [rad], ``dq`` [rad/s], (n,) each."""
@@ -86,23 +93,27 @@ class Motion:
         before, was = past[0]
         dq = self.dq
         self.a = (dq - was) / (now - before) if 0.0 < now - before < 2 * LOOK_BACK else np.zeros_like(dq)
-        forgotten = max(0.0, 1.0 - max(now - self._seen, 0.0) / MEMORY)
-        self._most, self._seen = np.maximum(forgotten * self._most, np.abs(self.a)), now
+        forgotten = max(0.0, 1.0 - max(now - self._when, 0.0) / MEMORY)
+        self._most, self._when = np.maximum(forgotten * self._most, np.abs(self.a)), now
 
     def at(self, after: float) -> Array:
         """(2n,) where the arm is expected ``after`` [s]."""
-        return np.concatenate([self.q + after * (self.dq + 0.5 * after * self.a), self.dq + after * self.a])
+        x = np.concatenate([self.q + after * (self.dq + 0.5 * after * self.a), self.dq + after * self.a])
+        out: Array = np.clip(x, self.seen.lo, self.seen.hi)
+        return out
 
     def box(self, until: float, size: Size) -> tuple[Array, Array]:
         """(2n,) least and largest of what it may do from now ``until`` [s] from now."""
         t = PATH * until
-        most = np.maximum(self._most, self.fastest / START) if size.starts else self._most
+        most = np.maximum(self._most, self._fastest / START) if size.starts else self._most
         swerved = SPARE_SPEED + size.swerve * t * most
         v = self.dq + t * self.a
         q = self.q + t * (self.dq + 0.5 * t * self.a)
         off = SPARE_ANGLE + 0.5 * t * swerved
         lo, hi = np.hstack([q - off, v - swerved]).min(axis=0), np.hstack([q + off, v + swerved]).max(axis=0)
-        return lo, hi
+        inner_lo, inner_hi = np.maximum(lo, self.seen.lo), np.minimum(hi, self.seen.hi)
+        apart = inner_lo > inner_hi  # the arm is where it never was: what then is answered says so
+        return np.where(apart, lo, inner_lo), np.where(apart, hi, inner_hi)
 
 
 @dataclass(slots=True)
@@ -165,7 +176,7 @@ class StopDesk:
     """Asks for bounds, keeps the answers, says what holds for the state now."""
 
     model_path: str
-    fastest: Array  # (n,) [rad/s] seen in identification
+    seen: Box  # (2n,) [rad, rad/s] angles and speeds of identification, see `seen_by`
     stops: Stops
     payload: float
     quantum: Quantum
@@ -183,15 +194,19 @@ class StopDesk:
     _inbox: deque[Answer | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
+    _turn: int = 0
 
     def __post_init__(self) -> None:
         self.counters = {c: Counter.of(self.n) for c in self.categories}
-        self._motion, self._slack = Motion(self.fastest), np.concatenate([self.quantum.q, self.quantum.dq])
+        self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
+        # a reading on the border lies inside with all that rounding may hide
+        room = 2.0 * self._slack + TINY
+        self._motion = Motion(Box(self.seen.lo - room, self.seen.hi + room))
         self._start()
 
     @property
     def n(self) -> int:
-        return len(self.fastest)
+        return len(self.seen.lo) // 2
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -222,14 +237,16 @@ class StopDesk:
         self._motion.see(t, q, dq)
         self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
-        if not self._ready or now - self._looked < period:
+        if not self._ready or now - self._looked < period / len(self.counters):
             return
-        self._looked = now
+        # one category at a time, so that no cycle has to look for all of them
+        self._looked, self._turn = now, (self._turn + 1) % len(self.counters)
+        category, c = list(self.counters.items())[self._turn]
+        if c.waiting is not None or self._pipe is None:
+            return
         self._motion.settle()
-        for category, c in self.counters.items():
-            wanted = c.lacks(self._motion, self._slack, period) if c.waiting is None else None
-            if wanted is None or self._pipe is None:
-                continue
+        wanted = c.lacks(self._motion, self._slack, period)
+        if wanted is not None:
             try:
                 self._pipe.send((category, *self._motion.box(*wanted)))
                 c.waiting = wanted[1]
@@ -287,6 +304,13 @@ class StopDesk:
             self._process.join(timeout=0.2)
             if self._process.is_alive():
                 self._process.kill()
+
+
+def seen_by(model: Model) -> Box:
+    """(2n,) the angles and speeds that the model's bounds hold for, as far as the robot can go there."""
+    domain, limit = model.domain, model.robot.q_limit
+    lo, hi = np.maximum(domain.q.lo, limit[:, 0]), np.minimum(domain.q.hi, limit[:, 1])
+    return Box(np.concatenate([lo, domain.dq.lo]), np.concatenate([np.maximum(lo, hi), domain.dq.hi]))
 
 
 def _receive(pipe: Connection, inbox: deque[Answer | str | None]) -> None:

@@ -39,11 +39,14 @@ function show(s) {
   $('notice').textContent = `${t.notice} Model ${t.model_sha256.slice(0, 16)}, configuration ${t.config_sha256.slice(0, 16)}. ${t.guarantee}`;
 }
 function stops(all, stale) {
-  const rows = Object.entries(all).map(([c, v]) => el('tr', {title: v.why}, el('td', null, 'STOP ' + c),
-    ...(v.time_s == null && v.tcp_m == null ? [el('td', {colSpan: 2}, 'no number', el('small', null, v.why))]
-      : [figure(num(v.time_s, 1e3, 'ms', 0)), figure(num(v.tcp_m, 1e3, 'mm', 0))])));
-  if (!rows.length) rows.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
-  fill('stops', heads('', 'time', 'flange'), ...rows);
+  const told = [], refused = new Map();  // a reason stands once, whatever it is the reason for
+  Object.entries(all).forEach(([c, v]) => {
+    if (v.time_s != null || v.tcp_m != null) told.push(el('tr', {title: v.why}, el('td', null, 'STOP ' + c), figure(num(v.time_s, 1e3, 'ms', 0)), figure(num(v.tcp_m, 1e3, 'mm', 0))));
+    else refused.set(v.why, [...(refused.get(v.why) || []), c]);
+  });
+  refused.forEach((names, why) => told.push(el('tr', null, el('td', null, 'STOP ' + names.join(', ')), el('td', {colSpan: 2}, 'no number', el('small', null, why)))));
+  if (!told.length) told.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
+  fill('stops', heads('', 'time', 'flange'), ...told);
 }
 // how far a joint stays from its end stops if it is stopped now [rad]
 function left(t, k, a, limits) {
@@ -68,7 +71,7 @@ function joints(t, stale, limits) {
 function violations(t) {
   $('violated').hidden = !t.violations.length;
   fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
-    el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind}${v.in_domain ? '' : ', outside the domain'}`),
+    el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind.replaceAll('_', ' ')}${v.in_domain ? '' : ', outside the domain'}`),
     figure(number(v.excess) ? `${v.excess.toPrecision(3)} ${v.unit}` : ''), figure(String(v.samples)))));
 }
 function drawArm(s, stale) {

@@ -6,17 +6,17 @@ import json
 import secrets
 import time
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 from stopset.errors import StopsetError
 from stopset.monitor.viewer.view import View
-from stopset.serving import Handler, PageServer
+from stopset.serving import Handler, PageServer, own_file
 
 PERIOD = 0.05  # [s] between two looks that are sent
+HERE, SHARED = "stopset.monitor.viewer", "stopset.serving"
 FILES = {
-    "/": ("page.html", "text/html; charset=utf-8"), "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"), "/arm.js": ("arm.js", "text/javascript; charset=utf-8"),
+    "/": (HERE, "page.html", "text/html; charset=utf-8"), "/page.css": (HERE, "page.css", "text/css; charset=utf-8"),
+    "/page.js": (HERE, "page.js", "text/javascript; charset=utf-8"), "/arm.js": (SHARED, "arm.js", "text/javascript; charset=utf-8"),
 }  # fmt: skip
 
 
@@ -36,8 +36,8 @@ class _Handler(Handler):
 
     def get(self, path: str) -> None:
         if path in FILES:
-            name, kind = FILES[path]
-            text = (resources.files("stopset.monitor.viewer") / name).read_text(encoding="utf-8")
+            package, name, kind = FILES[path]
+            text = own_file(package, name)
             self.answer(kind, text.replace("@TOKEN@", self.server.token) if path == "/" else text)
         elif path == "/now":
             self.answer("application/json", json.dumps(self.server.view.snapshot()))

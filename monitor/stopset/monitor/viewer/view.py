@@ -22,7 +22,6 @@ from stopset.errors import ModelFileError
 from stopset.monitor.consumer import MS, SAYS, Consumer, Doubt, Expected
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
-from stopset.robot.rigid import link_frames
 
 SLOW = 2.0  # [s] without ``state/json`` before its content is withdrawn
 LARGEST = 1 << 20  # bytes of any message in words
@@ -172,8 +171,7 @@ class View:
         m = self.model
         if m is None or q is None or len(q) != m.n or self.twin is None or m.sha256 != self.twin["model_sha256"]:
             return None
-        R, o = link_frames(m.robot.chain, np.array(q))
-        points: list[list[float]] = np.vstack([np.zeros(3), o, o[-1] + R[-1] @ m.robot.tip]).round(4).tolist()
+        points: list[list[float]] = m.robot.outline(np.array(q)).round(4).tolist()
         return points
 
     def challenge(self) -> None:

@@ -110,7 +110,7 @@ def _left(figure: go.Figure, model: Model, seen: tuple[Violation, Recording, Arr
         lo, hi = predicted_tube(model.abstraction, sets, x[first], u[first : first + steps])
     t: Array = np.arange(first, first + steps + 1, dtype=np.float64) * dt
     if np.isfinite(hi[:, i]).all():
-        _band(figure, t, lo[:, i], hi[:, i], *place, "rgba(150,150,150,0.45)", "predicted")
+        _band(figure, t, (lo[:, i], hi[:, i]), place, "rgba(150,150,150,0.45)", "predicted")
     around = slice(max(0, first - steps // 4), first + steps + 1)
     at = dt * np.arange(len(x))[around]
     line = {"width": 1.5, "color": "#0072b2"}
@@ -131,14 +131,14 @@ def _states(model: Model) -> list[str]:
     return [f"{s}_{j}" for s in ("q", "dq") for j in model.joints]
 
 
-def _band(figure: go.Figure, t: Array, lo: Array, hi: Array, row: int, column: int, colour: str, name: str) -> None:
-    keep, low, high = hulls(lo, hi, POINTS)
+def _band(figure: go.Figure, t: Array, ends: tuple[Array, Array], place: tuple[int, int], colour: str, name: str) -> None:
+    keep, low, high = hulls(*ends, POINTS)
     figure.add_trace(
         go.Scatter(
             x=np.concatenate([t[keep], t[keep][::-1]]), y=np.concatenate([high, low[::-1]]), fill="toself", fillcolor=colour,
             line={"width": 0}, hoverinfo="skip", name=name, showlegend=False,
         ),
-        row=row, col=column,
+        row=place[0], col=place[1],
     )  # fmt: skip
 
 
@@ -146,11 +146,11 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     n, dt = model.n, model.powered.dt
     figure = make_subplots(rows=2, cols=n, shared_xaxes=True, subplot_titles=model.joints, vertical_spacing=0.06)
     for sets, colour in _cases(model):
-        lo, hi = _around(model, sets, trials)
+        lo, hi = around(model, sets, trials)
         t: Array = np.arange(len(lo), dtype=np.float64) * dt
         for i in range(2 * n):
             if np.isfinite(hi[:, i]).all():
-                _band(figure, t, lo[:, i], hi[:, i], 1 + i // n, 1 + i % n, colour, sets.conform)
+                _band(figure, t, (lo[:, i], hi[:, i]), (1 + i // n, 1 + i % n), colour, sets.conform)
     for (r, _), colour in zip(trials, _shades([r for r, _ in trials]), strict=True):
         for i, y in enumerate(np.hstack([r.q, r.dq]).T):
             keep = extremes(y, POINTS)
@@ -166,7 +166,7 @@ def _tube_figure(model: Model, trials: list[tuple[Recording, Array]]) -> go.Figu
     return figure
 
 
-def _around(model: Model, sets: UncertaintySets, trials: list[tuple[Recording, Array]]) -> tuple[Array, Array]:
+def around(model: Model, sets: UncertaintySets, trials: list[tuple[Recording, Array]]) -> tuple[Array, Array]:
     """Lower and upper edge (N, 2n) of what is predicted from the trials' starts, over the longest trial or the horizon.
 
     Each trial is held against the prediction from its own measured start; one picture takes the hull of the starts.

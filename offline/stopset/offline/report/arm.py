@@ -6,7 +6,6 @@ import numpy as np
 from markupsafe import escape
 
 from stopset.artifact import Model
-from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
 SIZE = 300.0  # [px] of each view
@@ -15,8 +14,7 @@ VIEWS = (("from the side", (0, 2)), ("from above", (0, 1)))
 
 def drawn_arm(model: Model, q: Array, within: float) -> str:
     """SVG of the arm at ``q`` (n,) [rad] with a circle of radius ``within`` [m] about its flange."""
-    R, o = link_frames(model.robot.chain, q)
-    points = np.vstack([np.zeros(3), o, o[-1] + R[-1] @ model.robot.tip])
+    points = model.robot.outline(q)
     reach = float(np.abs(points).max()) + within
     scale = 0.46 * SIZE / reach
     parts = []

@@ -5,6 +5,7 @@ The loop calls what the commands of the same names call and adds nothing to them
 
 from __future__ import annotations
 
+import os
 import re
 import threading
 import time
@@ -18,7 +19,7 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.effects import names
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable
-from stopset.offline.compare.compare import answer, check_effort, compare, inputs
+from stopset.offline.compare.compare import Comparison, answer, check_effort, compare, inputs
 from stopset.offline.compare.dependence import Explained, explained, partial_residual
 from stopset.offline.compare.page import page as compare_page
 from stopset.offline.compare.verdict import verdict
@@ -29,6 +30,7 @@ from stopset.offline.report.thin import spread
 from stopset.offline.revise.page import FIGURES, floor
 from stopset.offline.revise.page import page as history_page
 from stopset.offline.revise.revise import add
+from stopset.offline.workbench.scene import listed, scene
 from stopset.recording import read_recordings, stream_recordings
 
 Answer = dict[str, Any]
@@ -64,6 +66,8 @@ class Loop:
         self._answers: list[dict[str, Answer]] = [{}]  # per model: action -> answer
         self._pages: dict[str, Page] = {}
         self._shares: Explained | None = None  # of the model at hand
+        self._found: Comparison | None = None  # likewise
+        self._usual: dict[str, float] = {}  # [s] what each action took last
         self._job: Job | None = None
         check_effort(self._models[0][1], self.data)
         for path in self.data:  # what cannot be read is refused now, not at the first click
@@ -90,10 +94,17 @@ class Loop:
             do(self, job, **options)
         except StopsetError as e:
             error = str(e)
-        except Exception:  # noqa: BLE001 -- a fault of ours: the whole of it belongs on the page, not into a lost thread
-            error = traceback.format_exc()
+        except Exception as e:  # noqa: BLE001 -- a fault of ours: it belongs on the page, not into a lost thread
+            if os.environ.get("STOPSET_DEBUG"):
+                traceback.print_exception(e)
+            error = (
+                f"{job.what} failed inside ({type(e).__name__}: {e}); this is a defect of stopset, not an answer: start the workbench "
+                "with STOPSET_DEBUG=1 in the environment and report what it prints"
+            )
         with self._lock:
             job.error, job.seconds = error, time.monotonic() - job.started
+            if not error:
+                self._usual[job.what.partition(" ")[0]] = job.seconds
 
     def report(self, name: str) -> str | None:
         """The self-contained page of an answer as HTML; None where there is none."""
@@ -121,6 +132,12 @@ class Loop:
             "line": p.line.tolist(),
         }  # fmt: skip
 
+    def scene(self, label: str) -> Answer | None:
+        """What there is to see of a recording; None where it is unknown or nothing was compared yet."""
+        with self._lock:
+            found, model = self._found, self._models[-1][1]
+        return None if found is None else scene(model, found, self.data, label)
+
     def history(self) -> Page:
         """The waterfall of the last model's revisions."""
         return history_page(self._models[-1][1])
@@ -132,7 +149,8 @@ class Loop:
             if self._job is not None:
                 j = self._job
                 took = time.monotonic() - j.started if j.seconds is None else j.seconds
-                job = {"what": j.what, "says": j.says, "running": j.seconds is None, "seconds": round(took, 1), "error": j.error}
+                job = {"what": j.what, "says": j.says, "running": j.seconds is None, "seconds": round(took, 1), "error": j.error,
+                       "usual": self._usual.get(j.what.partition(" ")[0])}  # fmt: skip
             return {
                 "robot": self._models[-1][1].robot.name,
                 "joints": list(self._models[-1][1].joints),
@@ -163,7 +181,8 @@ class Loop:
         shares = explained(model, inputs(model, self.data, found.survey, model.powered.dt), found.survey)
         said = verdict(found)
         with self._lock:
-            self._shares = shares
+            self._shares, self._found = shares, found
+        self._keep("recordings", {"listed": listed(found)})
         self._keep("dependence", {"variables": list(shares.variables), "share": shares.share.tolist()})
         self._keep("verdict", {"text": said.text, "kind": said.kind})
         self._keep("compare", answer(model, found), compare_page(model, found, self.data, shares))
@@ -176,7 +195,7 @@ class Loop:
             number = len(self._models) - 1
             path, _ = self._models.pop()
             self._answers.pop()
-            self._shares = None
+            self._shares = self._found = None
             for name in [n for n in self._pages if n.endswith(f"-{number}")]:
                 del self._pages[name]
             self._pages["history"] = self.history()
@@ -205,7 +224,7 @@ class Loop:
         with self._lock:
             self._models.append((target, saved))
             self._answers.append({"add": row})
-            self._shares = None
+            self._shares = self._found = None
             self._pages["history"] = self.history()
         self._compare(job)
 

@@ -47,7 +47,7 @@ function show(s) {
   $('says').textContent = a.verdict ? a.verdict.text : 'not compared yet: Compare tells where the model fails';
   $('says').className = a.verdict ? a.verdict.kind : '';
   fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, f.key === 'held_out_torque_rmse' ? s.floor : null)));
-  compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); added(a.add, s.figures);
+  compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); stage(a, s.joints); added(a.add, s.figures);
   fill('history', table('Revisions', ['revision', 'added', 'note'], m.revisions.map(r => [figure(String(r.number)), words(r.added || 'first identification'), words(r.note)])));
   fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: x.file.split('/').pop()}, x.file.split('/').pop()), ' '])),
     s.reports.length ? el('p', null, 'Pages: ', ...s.reports.flatMap(n => [link(n, '/report/' + n), ' '])) : null);
@@ -62,7 +62,7 @@ function compare(c, full) {
     table('Errors per joint', ['joint', 'torque error [N m]', 'repeatability floor [N m]', 'times the floor', 'velocity [rad/s]', 'position [rad]'],
       Object.entries(c.joints).sort((x, y) => (ratio(y[1]) || 0) - (ratio(x[1]) || 0)).map(([j, r]) => [words(j), figure(num(r.torque_rmse)), figure(num(r.torque_rmse_floor)),
         figure(el('span', {className: ratio(r) >= 2 ? 'bad' : ''}, ratio(r) == null ? '–' : ratio(r).toFixed(1))), figure(num(r.velocity_rmse)), figure(num(r.position_rmse))])),
-    small(c.guarantee.text));
+    small(c.guarantee.motions ? `A new motion leaves the sets with probability of at most ${(Math.ceil(1000 * c.guarantee.upper_bound - 1e-9) / 10).toFixed(1)} %, at ${Math.round(100 * c.guarantee.confidence)} % confidence; the full page explains it beside its curve.` : c.guarantee.text));
 }
 function heat(d, joints) {
   if (!d) { $('partial').hidden = true; return fill('heat', small('Compare shows it')); }
@@ -145,6 +145,59 @@ function waterfall(f, revisions, floor) {
   if (level) { g.strokeStyle = '#b3261e'; g.setLineDash([6, 5]); g.beginPath(); g.moveTo(0, Y(level)); g.lineTo(460, Y(level)); g.stroke(); g.setLineDash([]); g.textAlign = 'left'; g.fillStyle = '#b3261e'; g.fillText('repeatability floor', 6, Y(level) - 5); }
   return el('figure', null, caption, c);
 }
+// ---- the arm over a recording
+let scene = null, sceneOf = '', playing = 0;
+function stage(a, joints) {
+  const told = a.recordings;
+  $('stage').hidden = $('tubes').hidden = !told; $('nostage').hidden = !!told;
+  if (!told) { scene = null; sceneOf = ''; return; }
+  const before = $('recording').value;
+  fill('recording', ...told.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
+  if (told.listed.some(r => r.label === before)) $('recording').value = before;
+  if ($('shownjoint').options.length !== joints.length) fill('shownjoint', ...joints.map(j => el('option', {value: j}, j)));
+  load();
+}
+async function load() {
+  const label = $('recording').value, r = await fetch('/scene/' + encodeURIComponent(label));
+  if (!r.ok) return;
+  scene = await r.json();
+  $('time').max = scene.t.length - 1;
+  if (sceneOf !== label) {
+    $('time').value = scene.violation ? Math.max(0, scene.t.findIndex(t => t >= scene.violation.t)) : 0;
+    const j = scene.violation ? scene.violation.state.replace(/^d?q_/, '') : scene.fails;
+    if (j) $('shownjoint').value = j;
+  }
+  sceneOf = label; moment();
+}
+function moment() {
+  if (!scene) return;
+  const k = Number($('time').value), names = [...$('shownjoint').options].map(o => o.value), chosen = names.indexOf($('shownjoint').value);
+  $('now').textContent = scene.t[k].toFixed(2) + ' s'; $('leaves').textContent = scene.violation ? '✕ ' + scene.violation.says : '';
+  Arm.draw($('arm'), scene.arm[k], [], scene.fails ? [names.indexOf(scene.fails)] : []);
+  tube($('tube'), scene.joints[Math.max(0, chosen)], scene.t[k], scene.violation && scene.violation.state === 'q_' + names[chosen] ? scene.violation.t : null);
+}
+function tube(c, j, now, cross) {
+  const g = c.getContext('2d'), w = c.width, h = c.height, L = 80, B = 40, all = [...j.y, ...j.lo, ...j.hi], y0 = Math.min(...all), y1 = Math.max(...all), x1 = j.t[j.t.length - 1] || 1;
+  const X = t => L + (w - L - 16) * t / x1, Y = y => h - B - (h - B - 14) * (y - y0) / (y1 - y0 || 1);
+  const path = (ts, ys) => ts.forEach((t, k) => k ? g.lineTo(X(t), Y(ys[k])) : g.moveTo(X(t), Y(ys[k])));
+  g.clearRect(0, 0, w, h); g.font = '20px system-ui,sans-serif'; g.fillStyle = '#4d5866'; g.lineWidth = 1;
+  for (let k = 0; k <= 4; k++) {
+    const y = y0 + k * (y1 - y0) / 4, x = k * x1 / 4;
+    g.strokeStyle = '#e4e9ee'; g.beginPath(); g.moveTo(L, Y(y)); g.lineTo(w - 16, Y(y)); g.stroke();
+    g.textAlign = 'right'; g.fillText(num(y), L - 8, Y(y) + 6); g.textAlign = 'center'; g.fillText(num(x) + ' s', X(x), h - 10);
+  }
+  if (j.band_t.length) { g.fillStyle = 'rgba(120,130,140,.35)'; g.beginPath(); path(j.band_t, j.hi); [...j.band_t].reverse().forEach((t, k) => g.lineTo(X(t), Y(j.lo[j.lo.length - 1 - k]))); g.fill(); }
+  g.strokeStyle = '#0072b2'; g.lineWidth = 3; g.beginPath(); path(j.t, j.y); g.stroke();
+  g.strokeStyle = '#d55e00'; g.lineWidth = 2; g.beginPath(); g.moveTo(X(now), 10); g.lineTo(X(now), h - B); g.stroke();
+  if (cross != null) { g.fillStyle = '#b3261e'; g.font = 'bold 28px system-ui,sans-serif'; g.textAlign = 'center'; const k = j.t.findIndex(t => t >= cross); g.fillText('✕', X(cross), Y(j.y[k < 0 ? j.y.length - 1 : k]) + 10); }
+}
+Arm.steer($('arm'));
+$('recording').onchange = load; $('shownjoint').onchange = moment; $('time').oninput = moment;
+$('play').onclick = () => {
+  if (playing) { clearInterval(playing); playing = 0; $('play').textContent = 'Play'; return; }
+  $('play').textContent = 'Pause';
+  playing = setInterval(() => { if (!scene) return; $('time').value = (Number($('time').value) + 1) % scene.t.length; moment(); }, 40);
+};
 async function poll() {
   if (asked) return;
   asked = true;

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import json
 import secrets
-from importlib import resources
 from typing import Any
 from urllib.parse import unquote
 
 from stopset.offline.workbench.loop import ACTIONS, Loop
-from stopset.serving import Handler, PageServer
+from stopset.serving import Handler, PageServer, own_file
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "compare": {}, "diagnose": {}, "undo": {}, "add": {"effect": str, "joint": str | None, "force": bool},
 }  # fmt: skip
-FILES = {"/page.css": "text/css; charset=utf-8", "/page.js": "text/javascript; charset=utf-8"}
+HERE, SHARED = "stopset.offline.workbench", "stopset.serving"
+FILES = {
+    "/page.css": (HERE, "text/css; charset=utf-8"), "/page.js": (HERE, "text/javascript; charset=utf-8"),
+    "/arm.js": (SHARED, "text/javascript; charset=utf-8"),
+}  # fmt: skip
 # a report is one file with its own script and policy inside; it may be looked at, not framed
 REPORT = "frame-ancestors 'none'; connect-src 'none'; form-action 'none'"
 
@@ -38,17 +41,19 @@ class _Handler(Handler):
         loop = self.server.loop
         kind, _, name = path.removeprefix("/").partition("/")
         if path == "/":
-            page = _file("page.html").decode()
-            self.answer("text/html; charset=utf-8", page.replace("@TOKEN@", self.server.token))
+            self.answer("text/html; charset=utf-8", own_file(HERE, "page.html").replace("@TOKEN@", self.server.token))
         elif path in FILES:
-            self.answer(FILES[path], _file(path[1:]))
+            package, what = FILES[path]
+            self.answer(what, own_file(package, path[1:]))
         elif path == "/state":
             self.answer("application/json", json.dumps(loop.snapshot(), allow_nan=False))
         elif kind == "report" and (html := loop.report(name)) is not None:
             self.answer("text/html; charset=utf-8", html, policy=REPORT)
         elif kind == "model" and (text := loop.model_text(name)) is not None:
             self.answer("application/json", text)
-        elif kind == "partial" and (found := loop.partial(*unquote(name).partition("/")[::2])) is not None:
+        elif (kind == "partial" and (found := loop.partial(*unquote(name).partition("/")[::2])) is not None) or (
+            kind == "scene" and (found := loop.scene(unquote(name))) is not None
+        ):
             self.answer("application/json", json.dumps(found, allow_nan=False))
         else:
             self.refuse(404, f"there is nothing at {path[:80]!r}; the page is at /")
@@ -67,7 +72,3 @@ class _Handler(Handler):
             self.answer("application/json", b"{}")
         else:
             self.refuse(409, "another action is running; wait for its end")
-
-
-def _file(name: str) -> bytes:
-    return (resources.files("stopset.offline.workbench") / name).read_bytes()

@@ -13,6 +13,7 @@ import secrets
 import socket
 import sys
 import threading
+from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -20,6 +21,7 @@ from stopset.errors import BusError
 
 LONGEST = 4096  # [byte] of a request's body: an order with its options is far shorter
 PATIENCE = 10.0  # [s] for a request to arrive
+STRANGER = "another site asks; only the page's own origin is answered: open it in a tab of its own"
 CONNECTIONS = 64  # served at once; a page takes two
 # script and style from the page's own files alone: what came over a bus or stands in a file cannot become either
 POLICY = (
@@ -106,7 +108,12 @@ class Handler(http.server.BaseHTTPRequestHandler):
             self.refuse(403, f"this page answers to {self.server.url} only; open it under that name")
             return False
         if any(o.lower() != f"http://{hosts[0].lower()}" for o in origins):
-            self.refuse(403, "another site asks; only the page's own origin is answered: open it in a tab of its own")
+            self.refuse(403, STRANGER)
+            return False
+        # a picture or script element of another site sends no origin, but browsers tell where it stands; a link may be followed
+        site, mode = self.headers.get("Sec-Fetch-Site", "none"), self.headers.get("Sec-Fetch-Mode", "")
+        if site not in ("none", "same-origin") and not (mode == "navigate" and self.command == "GET"):
+            self.refuse(403, STRANGER)
             return False
         return True
 
@@ -172,6 +179,11 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Quiet: the terminal belongs to the command."""
+
+
+def own_file(package: str, name: str) -> str:
+    """A text file that lies beside the modules of ``package``."""
+    return (resources.files(package) / name).read_text(encoding="utf-8")
 
 
 def loopback(host: str) -> bool:

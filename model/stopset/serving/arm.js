@@ -36,8 +36,9 @@ const Arm = (() => {
       g.strokeStyle = '#fff'; g.lineWidth = 17; line(a, b);
       g.strokeStyle = '#26323d'; g.lineWidth = 12; line(a, b);
     });
-    joints.slice(1, -1).forEach((p, i) => {  // the first is the base, the last the flange
-      const [x, y] = at(p), bad = marked.includes(i);
+    // the first is the base, the last the flange; several joints may share a place: the marked ones come last
+    joints.slice(1, -1).map((p, i) => [p, marked.includes(i)]).sort((a, b) => a[1] - b[1]).forEach(([p, bad]) => {
+      const [x, y] = at(p);
       g.beginPath(); g.arc(x, y, bad ? 17 : 9, 0, 2 * Math.PI);
       g.fillStyle = bad ? '#b00020' : '#fff'; g.fill(); g.lineWidth = 3; g.strokeStyle = bad ? '#fff' : '#26323d'; g.stroke();
       if (bad) { g.fillStyle = '#fff'; g.font = 'bold 22px system-ui,sans-serif'; g.textAlign = 'center'; g.textBaseline = 'middle'; g.fillText('!', x, y); }
