@@ -86,15 +86,13 @@ class Nominal:
 
     def taken_out(self) -> tuple[dict[str, Any], ...]:
         """What was taken off the recordings before the fit: the lag of the torque, common (``joint`` None) or of single joints."""
-        lag, out = self.delay, []
+        lag, out = self.delay, list[tuple[str | None, float, float]]()
         own = [j for j in range(len(self.joints)) if self.delay_applied[j] != lag.common]
         if len(own) < len(self.joints):
-            out.append((None, lag.common, lag.common_std))
-        out += [(self.joints[j], self.delay_applied[j], lag.std[j]) for j in own]
+            out.append((None, float(lag.common), float(lag.common_std)))
+        out += [(self.joints[j], float(self.delay_applied[j]), float(lag.std[j])) for j in own]
         said = "lag of the recorded torque against the motion"
-        return tuple(
-            {"what": said, "joint": joint, "value": float(d), "std": float(std), "unit": "s"} for joint, d, std in out if d != 0.0
-        )
+        return tuple({"what": said, "joint": joint, "value": d, "std": std, "unit": "s"} for joint, d, std in out if d != 0.0)
 
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""

@@ -171,7 +171,7 @@ def prepare(recordings: Recordings) -> Prepared:
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
     session = Session.of(recordings)
-    fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm", "torn")}
+    fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
     temps: list[Array] = []
     trials, centres, offset, rows = [], [], 0, 0
     for r, g in grids:
@@ -184,7 +184,6 @@ def prepare(recordings: Recordings) -> Prepared:
         fine_parts["dq"].append(_at(padded, inside, light.h1))
         fine_parts["tau"].append(g.tau)
         fine_parts["t"].append(g.t)
-        fine_parts["torn"].append(g.torn)
         fine_parts["warm"].append(np.full(m, session.warm(r)))
         if g.temp is not None:
             temps.append(g.temp)
@@ -206,7 +205,7 @@ def prepare(recordings: Recordings) -> Prepared:
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
-        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(fine["torn"], centre, kernel),
+        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(np.concatenate([g.torn for _, g in grids]), centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
