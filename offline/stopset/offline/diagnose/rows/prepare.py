@@ -193,7 +193,7 @@ def prepare(recordings: Recordings) -> Prepared:
         offset, rows = offset + m, rows + len(centre)
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
     temp_fine = np.concatenate(temps) if len(temps) == len(grids) else None
-    centre = np.concatenate(centres)
+    centre, torn = np.concatenate(centres), np.concatenate([g.torn for _, g in grids])
     dq, way = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
@@ -205,7 +205,7 @@ def prepare(recordings: Recordings) -> Prepared:
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
-        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(np.concatenate([g.torn for _, g in grids]), centre, kernel),
+        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(torn, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
