@@ -71,9 +71,7 @@ def _logged(cell: Cell, job: Job, rate: float, trouble: Trouble) -> Recording:
     tau[:, 0] += trouble.drift * (t / t[-1] - 0.5)
     kept = rng.random(len(t)) >= trouble.lost
     stamps = np.maximum.accumulate(t + trouble.scatter * rng.normal(0.0, 1.0, len(t)))[kept] + 1e-9 * np.arange(kept.sum())
-    return Recording(
-        "closed_loop", job.suite, 0, 0, stamps, log.q[::every][kept], log.dq[::every][kept], tau[kept], place=job.suite
-    )
+    return Recording("closed_loop", job.suite, 0, job.suite, stamps, log.q[::every][kept], log.dq[::every][kept], tau[kept])
 
 
 CASES: dict[str, tuple[tuple[float, ...], Trouble]] = {

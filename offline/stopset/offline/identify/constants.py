@@ -143,7 +143,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP GOLDEN"),
-    ("diagnosis sampling", sampling, "EVEN FOLLOW GAP"),
+    ("diagnosis sampling", sampling, "EVEN FOLLOW GAP WORTH"),
     ("diagnosis poses", rows, "FEW_POSES"),
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
-from stopset.offline.diagnose.rows.sampling import in_words, sampled
+from stopset.offline.diagnose.rows.sampling import in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
 from stopset.types import Array
 
@@ -163,7 +163,7 @@ def prepare(recordings: Recordings) -> Prepared:
     moving = [c for r in recordings if r.phase != "static" and (c := _before_brake(r)) is not None]
     if not moving:
         raise RecordingError("no moving trial longer than 0.1 s in these recordings; diagnosis needs closed- or open-loop motion")
-    dt = float(np.median([np.median(np.diff(r.t)) for r in moving]))
+    dt = period_of(moving)
     kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
     step = max(1, round(ROW_STEP / dt))
     grids = [(r, sampled(r, dt, _white)) for r in moving]
@@ -199,7 +199,7 @@ def prepare(recordings: Recordings) -> Prepared:
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    told = [(r.phase, _white(g.tau), _white(g.q)) for r, g in grids if len(g.t) > 20]
+    told = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > 20]
     noise = [[x for p, x, _ in told if p == phase] or [x for _, x, _ in told] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
@@ -251,6 +251,12 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
     tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in kept])
     spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in kept])
     return q, tau, spread
+
+
+def _noise(x: Array, recorded: Array) -> Array:
+    """(n,) white noise of a signal; no less than the steps it was recorded in leave open, also where it was read between samples."""
+    steps = np.array([_step(c) for c in recorded.T])
+    return np.asarray(np.maximum(_white(x), steps / np.sqrt(12.0)))
 
 
 def _white(x: Array) -> Array:

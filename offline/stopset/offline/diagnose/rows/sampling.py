@@ -18,6 +18,7 @@ from stopset.types import Array
 
 EVEN = 0.1  # of a period: stamps no farther off are as even as clocks are
 FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
+WORTH = 1e-5  # [s] of scatter is worth a word
 GAP = 1.5  # periods from which on samples were lost
 
 
@@ -34,16 +35,29 @@ class Sampled:
     lost: int = 0
 
 
+def period_of(trials: Sequence[Recording]) -> float:
+    """Time between samples [s]: of the even clock that the stamps scatter about where there is one, else the usual one."""
+    usual = float(np.median([np.median(np.diff(r.t)) for r in trials]))
+    uneven = [r.t for r in trials if not _even(r.t, usual)]
+    clocks = [clock for t in uneven if (clock := _clock(t, usual)[0]) is not None]
+    if not clocks or 2 * len(uneven) < len(trials):
+        return usual
+    return float(np.median([np.min(np.diff(clock)) for clock in clocks]))
+
+
 def sampled(r: Recording, dt: float, noise: Callable[[Array], Array]) -> Sampled:
     """A trial on an even grid of step ``dt`` [s]; ``noise`` of a signal's columns tells which reading of the stamps is smoother."""
-    gaps = np.diff(r.t)
-    if np.max(np.abs(gaps - dt)) < EVEN * dt:
+    if _even(r.t, dt):
         return Sampled(r.t, r.q, r.tau, r.temp, np.zeros(len(r.t), np.bool_))
     clock, lost = _clock(r.t, dt)
     readings = [_read(r, r.t, dt, 0.0, lost)]
     if clock is not None:
         readings.append(_read(r, clock, dt, float(np.std(r.t - clock)), lost))
     return min(readings, key=lambda x: float(np.sum(np.log(np.maximum(noise(x.q), 1e-12)))))
+
+
+def _even(t: Array, dt: float) -> bool:
+    return bool(np.max(np.abs(np.diff(t) - dt)) < EVEN * dt)
 
 
 def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
@@ -64,7 +78,7 @@ def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
 
 def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampled:
     """The trial as sampled at the times ``t``."""
-    grid = np.arange(t[0], t[-1], dt)
+    grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
     before = np.clip(np.searchsorted(t, grid, "right") - 1, 0, len(t) - 2)
 
     def between(x: Array) -> Array:
@@ -79,7 +93,7 @@ def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampl
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:
     """What was made of the stamps, where they were not as even as a clock."""
     out, samples = [], sum(len(x.t) for x in read)
-    uneven = [x.scatter for x in read if x.scatter]
+    uneven = [x.scatter for x in read if x.scatter > WORTH]
     if uneven:
         out.append(
             f"stamps scatter by {1e3 * float(np.median(uneven)):.2g} ms about an even clock in {len(uneven)} of {len(read)} trials: "
