@@ -198,7 +198,8 @@ def _plainer(engine: Engine, best: Settled, hyper: Hyper) -> list[Settled]:
     h, p = engine.fit(hyper)
     where = list(c.joints) or list(range(engine.data.n))
     before, finer = (np.asarray(_excess(engine, p.theta, h))[where], np.asarray(_excess_with(engine, best))[where])
-    for effect in map(get, c.effect.refines):
+    claimed = {x.key for x in engine.active}
+    for effect in (e for e in map(get, c.effect.refines) if (e.name, c.joints) not in claimed):
         s = score_new(engine, effect, c.joints, {}, hyper)
         if s is None or not s.admissible:
             continue
