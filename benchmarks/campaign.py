@@ -1,7 +1,7 @@
 """The paper's whole campaign, synthesised, and what it costs to identify a model from it.
 
-2,280 trials in 152 suites of 38 motions, 5 s at 250 Hz, 6 joints (Liu & Althoff 2018, sec. V-B).  Prints wall time, memory
-and the cost per recording at a tenth, a third and all of it.  Run: python benchmarks/campaign.py [--trials 2280]
+2,280 trials in 152 suites of 38 motions, 5 s at 250 Hz, 6 joints (Liu & Althoff 2018, sec. V-B).  Prints wall and processor
+time, memory and the cost per recording at a tenth, a third and all of it.  Run: python benchmarks/campaign.py [--trials 2280]
 """
 
 from __future__ import annotations
@@ -60,24 +60,25 @@ def record(path: Path, count: int, seed: int = 0) -> Path:
     return path
 
 
-def identify(*words: str | Path) -> tuple[float, float]:
-    """Wall seconds of `stopset identify` in a process of its own, and the highest peak MiB of any such process so far."""
-    start = time.monotonic()
+def identify(*words: str | Path) -> tuple[float, float, float]:
+    """Wall and processor seconds of `stopset identify` in a process of its own, and the highest peak MiB of any such process so far."""
+    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "stopset.cli.main", "identify", *map(str, words)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+    return time.monotonic() - start, processor, used.ru_maxrss / 1024.0
 
 
 def kept(folder: Path, old: Path, new: Path, how: str) -> None:
     """What keeping costs, and what an update by the trials in ``new``."""
     state, model = folder / how, folder / f"{how}.json"
-    seconds, memory = identify("--robot", "lwa4p", "--data", old, "--out", model, "--keep", state, "--keep-as", how)
+    seconds, processor, memory = identify("--robot", "lwa4p", "--data", old, "--out", model, "--keep", state, "--keep-as", how)
     size = state.stat().st_size / 1e6
-    print(
-        f"keep {how}: {seconds:.1f} s, peak {memory:.0f} MiB, state {size:.1f} MB (recordings {old.stat().st_size / 1e6:.1f} MB)"
-    )
-    seconds, memory = identify("--update", model, "--state", state, "--data", new, "--out", folder / "updated.json")
-    print(f"  update: {seconds:.1f} s, peak {memory:.0f} MiB")
+    print(f"keep {how}: {seconds:.1f} s, {processor:.1f} s of processor time, peak {memory:.0f} MiB")
+    print(f"  state {size:.1f} MB (recordings {old.stat().st_size / 1e6:.1f} MB)")
+    seconds, processor, memory = identify("--update", model, "--state", state, "--data", new, "--out", folder / "updated.json")
+    print(f"  update: {seconds:.1f} s, {processor:.1f} s of processor time, peak {memory:.0f} MiB")
 
 
 def main() -> None:
@@ -89,9 +90,10 @@ def main() -> None:
         folder = Path(name)
         for count in (args.trials // 10, args.trials // 3, args.trials):
             data = record(folder / f"{count}.parquet", count)
-            seconds, memory = identify("--robot", "lwa4p", "--data", data, "--out", folder / "m.json")
+            seconds, processor, memory = identify("--robot", "lwa4p", "--data", data, "--out", folder / "m.json")
             print(
-                f"{count:6d} trials: {seconds:7.1f} s, {1e3 * seconds / count:6.1f} ms per trial, peak {memory:6.0f} MiB",
+                f"{count:6d} trials: {seconds:7.1f} s, {processor:.1f} s of processor time, {1e3 * seconds / count:6.1f} ms per trial, "
+                f"peak {memory:6.0f} MiB",
                 flush=True,
             )
         if args.kept:

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+import resource
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -99,10 +100,22 @@ def ours(model: Model, test: Sequence[Recording]) -> np.ndarray:
 
 
 def stopset(*words: str) -> tuple[int, str, float]:
-    """Exit code, all that was said, and seconds of a command."""
-    start = time.perf_counter()
+    """Exit code, all that was said, and seconds of processor time of a command: a shared machine's clock says little."""
+    start = used()
     done = subprocess.run([sys.executable, "-m", "stopset.cli.main", *words], capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr, time.perf_counter() - start
+    return done.returncode, done.stdout + done.stderr, used() - start
+
+
+def used() -> float:
+    """Processor time [s] of all children so far."""
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
+
+
+def median(said: str) -> str:
+    """The median tightness that `identify` printed."""
+    found = re.search(r"after 0\.1 s: ([\d.]+)", said)
+    return found[1] if found else "-"
 
 
 def judge(folder: Path, work: Path) -> dict[str, Any]:
@@ -137,10 +150,12 @@ def judge(folder: Path, work: Path) -> dict[str, Any]:
         return out
     out["stopset"] = ours(load_model(model), test).round(3).tolist()
     answer = work / "compare.json"
-    code, _, _ = stopset("compare", str(model), "--data", str(paths["test"]), "--json", str(answer))
+    code, _, out["compare seconds"] = stopset("compare", str(model), "--data", str(paths["test"]), "--json", str(answer))
     compared = json.loads(answer.read_text()) if answer.exists() else {}
     out["held-out inside"] = code == 0
-    out["tightness"] = compared.get("tightness")
+    out["left"] = f"{compared.get('violations')} of {compared.get('recordings')}"
+    out["U"] = float(load_model(model).powered.U.width.sum())
+    out["tightness"] = median(text)
     answer = work / "diagnose.json"
     code, text, seconds = stopset("diagnose", str(model), "--data", str(paths["fit"]), "--json", str(answer))
     found = json.loads(answer.read_text()) if code == 0 else {"verdict": text.strip().splitlines()[-1], "ranked_effects": []}
@@ -156,16 +171,19 @@ def table(results: Sequence[dict[str, Any]]) -> str:
         "inspect",
         "identify",
         "held-out error: least squares / with load, cubic / stopset",
+        "tightness at 0.1 s, U [N m]",
         "inside",
         "diagnosis",
-        "s",
+        "processor time [s]: identify, compare, diagnose",
     )
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for r in results:
         errors = [sum(r[k]) if k in r else float("nan") for k in ("least squares", "least squares, load and cubic", "stopset")]
         cells = (
-            r["robot"], r["inspect"], r["identify"], " / ".join(f"{e:.2f}" for e in errors), "yes" if r.get("held-out inside") else "no",
-            f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}", f"{r['identify seconds']} + {r.get('diagnose seconds', 0)}",
+            r["robot"], r["inspect"], r["identify"], " / ".join(f"{e:.2f}" for e in errors),
+            f"{r.get('tightness', '-')}, {r.get('U', float('nan')):.0f}", "yes" if r.get("held-out inside") else "no",
+            f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}",
+            f"{r['identify seconds']:.0f}, {r.get('compare seconds', 0):.0f}, {r.get('diagnose seconds', 0):.0f}",
         )  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)

@@ -19,7 +19,7 @@ from stopset.errors import EffectError
 from stopset.monitor.layout import outward
 from stopset.ring import Tape
 from stopset.robot import load_robot
-from stopset.robot.rigid import gravity_torques
+from stopset.robot.rigid import gravity_torques, torques
 from stopset.types import Array
 
 ARM = load_robot("lwa4p")
@@ -33,7 +33,8 @@ def plainly(m: InputMap, q: Array, dq: Array, tau: Array, temp: Array, warm: flo
     """Eq. (11) with numpy, effect by effect."""
     u = tau / m.gain - m.offset
     if m.effort != "compensated_torque":
-        u = u - gravity_torques(m.robot.chain, m.robot.pi, q)
+        c, pi = m.robot.chain, m.robot.pi
+        u = u - (torques(c, pi, q, dq, np.zeros_like(q)) if m.swift else gravity_torques(c, pi, q))
     memories = memories_along(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t)
     moving = u - effect_torques(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t, memories=memories)
     if m.effort == "compensated_torque":
@@ -46,20 +47,26 @@ def plainly(m: InputMap, q: Array, dq: Array, tau: Array, temp: Array, warm: flo
     return np.where(np.abs(dq) <= m.standstill, u - held, moving)
 
 
-def with_effect(name: str, effort: str) -> InputMap:
+def with_effect(name: str, effort: str, swift: bool = False) -> InputMap:
     e = catalogue()[name]
     values = {x.symbol: RNG.uniform(max(x.lo, -2.0), min(x.hi, 2.0)) for x in e.terms} | {x.symbol: x.grid[0] for x in e.shapes}
     at = [None] if e.scope == "arm" else ["+".join(ARM.joints[1:3])] if e.scope == "pair" else ARM.joints[:4:2]
     return InputMap(
-        ARM, tuple(Fitted(name, j, values) for j in at), effort, np.full(ARM.n, 1.1), RNG.normal(size=ARM.n), np.full(ARM.n, 0.3)
+        ARM,
+        tuple(Fitted(name, j, values) for j in at),
+        effort,
+        np.full(ARM.n, 1.1),
+        RNG.normal(size=ARM.n),
+        np.full(ARM.n, 0.3),
+        swift,
     )
 
 
-@pytest.mark.parametrize("effort", ["motor_torque", "compensated_torque"])
+@pytest.mark.parametrize(("effort", "swift"), [("motor_torque", False), ("motor_torque", True), ("compensated_torque", False)])
 @pytest.mark.parametrize("name", catalogue())
-def test_the_input_is_that_of_the_laws(name: str, effort: str) -> None:
+def test_the_input_is_that_of_the_laws(name: str, effort: str, swift: bool) -> None:
     """Rows beyond one block of the core, and joints at rest among them."""
-    m = with_effect(name, effort)
+    m = with_effect(name, effort, swift)
     got, want = m(Q, DQ, TAU, TEMP, 0.3, T), plainly(m, Q, DQ, TAU, TEMP, 0.3, T)
     if "dtau" in get(name).needs:  # at rest no torque changes, whatever the recording did before and after
         got, want = (np.where(np.abs(DQ) <= m.standstill, 0.0, x) for x in (got, want))
@@ -151,6 +158,27 @@ def test_checksums_and_rounding() -> None:
             len(x), view(x), ffi.from_buffer("int8_t[]", np.full(len(x), side, np.int8)), ffi.from_buffer("uint32_t[]", bits)
         )
         assert np.array_equal(bits.view(np.float32).astype(float), [outward(v, "up" if side > 0 else "down") for v in x])
+
+
+def test_the_nearest_float_and_what_is_no_number() -> None:
+    x = np.array([0.1, -0.1, 1e-60, 1e300, -math.inf, math.nan, 0.5])
+    bits = np.empty(len(x), np.uint32)
+    lib.stopset_outward(
+        len(x), view(x), ffi.from_buffer("int8_t[]", np.zeros(len(x), np.int8)), ffi.from_buffer("uint32_t[]", bits)
+    )
+    with np.errstate(over="ignore"):
+        assert np.array_equal(bits.view(np.float32), x.astype(np.float32), equal_nan=True)
+
+
+def test_a_law_of_no_steps_gives_nothing_and_a_speed_that_is_none_stays_visible() -> None:
+    out = np.ones(3)
+    empty = ffi.new("StopsetProgram *", (0, ffi.NULL, ffi.NULL))
+    lib.stopset_law(empty, 3, view(np.zeros(3 * lib.STOPSET_SIGNALS)), view(out))
+    assert not out.any()
+    dq = DQ.copy()
+    dq[5, 2] = math.nan
+    u = with_effect("coulomb", "motor_torque")(Q, dq, TAU)
+    assert np.isnan(u[5, 2]) and np.isfinite(np.delete(u, 5, axis=0)).all()
 
 
 def test_what_counts_bounds_passed_and_finds_a_certificate() -> None:

@@ -6,8 +6,10 @@ import ctypes
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ import stopset.effects.registry as registry
 from stopset.artifact.inputs import entry
 from stopset.core import build
 from stopset.effects import Effect, Signals, catalogue, check, get
+from stopset.effects.selection import base, of_part, usual, usual_friction
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError
 from stopset.ring import CText, Interval
@@ -235,3 +238,26 @@ def test_a_foreign_object_is_refused(monkeypatch: pytest.MonkeyPatch, value: obj
     finally:
         monkeypatch.undo()
         registry.catalogue.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "word"),
+    [
+        ("stribeck", {"usual": 4}, "tried unasked"),
+        ("hysteresis", {"usual": 1}, "tried unasked"),
+        ("spring", {"periodic": True}, "cycles per turn"),
+        ("coulomb", {"part": "rust"}, "is the part 'rust'; expected one of"),
+    ],
+)
+def test_what_an_effect_says_of_itself_must_be_so(name: str, change: dict[str, Any], word: str) -> None:
+    with pytest.raises(EffectError, match=word):
+        check(replace(catalogue()[name], **change), name)
+
+
+def test_the_plain_arms_parts_and_what_is_tried_unasked() -> None:
+    """Nothing else of stopset names them: these are the answers it gets."""
+    parts = ("dry friction", "damping", "constant torque", "torque scale", "load")
+    assert [of_part(p).name for p in parts] == ["coulomb", "viscous", "asymmetric_coulomb", "torque_gain", "payload"]
+    assert base() == ("coulomb", "viscous")
+    assert usual() == ("load_coulomb", "cubic_viscous", "asymmetric_coulomb") and usual("pair") == ("coupled_wrist",)
+    assert usual_friction() == ("coulomb", "viscous", "load_coulomb", "cubic_viscous")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import keyword
 import re
 import subprocess
 import sys
@@ -80,6 +81,14 @@ def test_the_namespace_has_no_file_of_its_own() -> None:
     assert not [p for part in PARTS for p in (ROOT / part / "stopset").glob("__init__.py")]
     for part in PARTS:
         assert [p.name for p in (ROOT / part).iterdir() if p.is_dir() and p.name != "__pycache__"] == ["stopset"]
+
+
+def test_types_are_shipped_and_written_once() -> None:
+    """``py.typed`` for those who check their own code against ours; one alias for arrays; no module that `import` cannot name."""
+    assert (ROOT / "model" / "stopset" / "py.typed").is_file()
+    written = [m for m, p in modules().items() if re.search(r"^Array\b.*=", p.read_text(encoding="utf-8"), re.MULTILINE)]
+    assert written == ["stopset.types"]
+    assert not [m for m in modules() if any(keyword.iskeyword(part) for part in m.split("."))]
 
 
 def test_imports_go_down_only() -> None:
@@ -169,7 +178,7 @@ MANY_ARGUMENTS = {
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
     "offline.abstraction.identified.best_order": 9,
-    "offline.compare.page._band": 8,
+    "offline.compare.tubes._band": 8,
     "offline.conform.bands.band_sets": 12,
     "offline.conform.gather.sums_of": 10,
     "offline.conform.linear_program.fit_sets": 8,
@@ -290,6 +299,7 @@ OTHER_MEANINGS = (
     ("stopset.offline.brakes.power_off", "delay", "the brakes'"),
     ("stopset.offline.identify.constants", "delay", "a stage of the identification"),
     ("stopset.fmu.variables", "viscous", "the damping of the abstraction"),
+    ("stopset.monitor.rtde", "payload", "a column of the controller"),
 )
 
 

@@ -25,6 +25,7 @@ from stopset.errors import RecordingError
 from stopset.monitor.config import Records
 from stopset.monitor.evidence.cause import Kind
 from stopset.monitor.evidence.mcap_file import McapFile
+from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import AFTER, Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.latch import Latch
@@ -32,6 +33,7 @@ from stopset.monitor.layout import State
 from stopset.monitor.watch import Conformance, Quantum, Sample, Watch
 from stopset.recording import read_recordings, write_recordings
 from stopset.sets import Box
+from test_monitor_daemon import Wire
 
 SECONDS = 1.35  # of a life with a fault
 
@@ -108,10 +110,10 @@ def test_an_arm_that_is_not_where_it_was_left_is_said(tmp_path: Path) -> None:
     """An encoder homed wrongly by 0.05 rad shows to nobody else."""
     r = motion(1, 120)
     back = replace(r, q=r.q[::-1].copy(), dq=-r.dq[::-1], tau=-r.tau[::-1])
-    assert not record(tmp_path, known_model(), Records(violations=False), r).notes
-    assert not [n for n in record(tmp_path, known_model(), Records(violations=False), back).notes if "home" in n]
+    assert not record(tmp_path, known_model(), Records(), r).notes
+    assert not [n for n in record(tmp_path, known_model(), Records(), back).notes if "home" in n]
     off = replace(r, q=r.q + np.array([0.0, 0.05, 0, 0, 0, 0]))
-    (words,) = [n for n in record(tmp_path, known_model(), Records(violations=False), off).notes if "home" in n]
+    (words,) = [n for n in record(tmp_path, known_model(), Records(), off).notes if "home" in n]
     assert "arm_2_joint by +0.05" in words and "arm_3" not in words
 
 
@@ -267,6 +269,24 @@ def test_old_records_make_room_and_violations_stay(tmp_path: Path, monkeypatch: 
     recorder = record(tmp_path, known_model(), Records(keep_mb=1.0), altered())
     assert not recorder.answers[0].file and "take them away" in recorder.answers[0].trouble
     assert recorder.answers[0].cause.kind is Kind.MISSING_EFFECT, "it is classed all the same"
+
+
+def test_events_reach_the_journal_one_line_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under systemd with a priority, without the evidence; whatever an event holds, a line stays a line."""
+    monkeypatch.setenv("JOURNAL_STREAM", "8:1")
+    recorder = Recorder(Trace(6), Records(), tmp_path, DT)
+    outlet = Overheard(Wire(), recorder)
+    outlet.put("event", b'{"kind": "violation", "why": "arm_1\\n<0>out", "evidence": [1, 2], "t_ns": 1, "seq": 2}')
+    outlet.put("event", b'{"kind": "started"}')
+    outlet.put("echo", b"{}")
+    recorder.overhear("event", b"{broken")
+    recorder.turn()
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("<2>stopset violation ") and "evidence" not in first and "why" in first
+    assert second.startswith("<5>stopset started")
+    assert len(recorder.trace.window(0, 9)) == 0
 
 
 # ---- the disk

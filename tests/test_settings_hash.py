@@ -66,6 +66,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
     ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
+    ("stopset.offline.identify.second_reading", "STATES AGREES FAST", GATE),
     ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
     ("stopset.offline.nominal.model", "NO_TRACE", WORDS),

@@ -86,7 +86,7 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     numbers |= stop.numbers
     whole = {
         "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",
-        "motor_torque": model.effort != "compensated_torque", "has_domain_temp": d.temp is not None, "has_brakes": not stop.refusal,
+        "motor_torque": model.effort != "compensated_torque", "swift": a.swift, "has_domain_temp": d.temp is not None, "has_brakes": not stop.refusal,
     }  # fmt: skip
     rows = [f"    .{k} = {array(v)}," for k, v in numbers.items()]
     rows += [f"    .{k} = {int(v)}," for k, v in whole.items()]

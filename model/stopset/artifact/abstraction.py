@@ -27,7 +27,8 @@ class Abstraction:
     ``Minv``: (n, n) [1/(kg m^2)], the inverse of ``M(q_a) + J_rotor``; ``viscous``: (n, r) coefficients of
     ``dq, dq^2, ..., dq^r`` [N m (s/rad)^k]; ``coriolis``: n polynomials in ``(dq, sin q, cos q)`` (3n variables), empty
     in model 1; ``acceleration``: n polynomials in ``(dq, sin q, cos q, u)`` (4n variables), only in model 3.
-    ``offset``: (n,) constant torque [N m] taken off the input by `stopset.artifact.inputs.InputMap` (empty: none).
+    ``offset``: (n,) constant torque [N m] taken off the input by `stopset.artifact.inputs.InputMap` (empty: none);
+    ``swift``: so is Coriolis and centrifugal torque at the measured speed (model 1 of motor torque).
     """
 
     kind: int
@@ -38,6 +39,7 @@ class Abstraction:
     acceleration: tuple[Polynomial, ...] = ()
     offset: Array = field(default_factory=lambda: np.zeros(0))
     standstill: Array = field(default_factory=lambda: np.zeros(0))
+    swift: bool = False
 
     @property
     def n(self) -> int:

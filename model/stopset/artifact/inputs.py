@@ -51,7 +51,8 @@ class InputMap:
 
     ``effects``: those whose torque is taken off, see `compensated`; ``gain``: (n,) recorded torque per true torque;
     ``offset``: (n,) constant torque [N m] that every motion shows; ``standstill``: (n,) speed [rad/s] below which a joint
-    counts as still: there friction is set-valued and balances what it can, so only the rest of the torque is input.
+    counts as still: there friction is set-valued and balances what it can, so only the rest of the torque is input;
+    ``swift``: Coriolis and centrifugal torque at the measured speed is taken off like gravity.
     """
 
     robot: Robot
@@ -60,6 +61,7 @@ class InputMap:
     gain: Array
     offset: Array
     standstill: Array
+    swift: bool
 
     def __call__(
         self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
@@ -84,7 +86,7 @@ def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstractio
             gain[robot.joints.index(f.joint)] += f.values[effect.terms[0].symbol]
     offset = abstraction.offset if abstraction.offset.size else none
     standstill = abstraction.standstill if abstraction.standstill.size else none
-    return InputMap(robot, compensated(effects, abstraction), effort, gain, offset, standstill)
+    return InputMap(robot, compensated(effects, abstraction), effort, gain, offset, standstill, abstraction.swift)
 
 
 def effect_torques(

@@ -19,7 +19,7 @@ from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
 from stopset.types import Array
 
-SCHEMA_VERSION = 3  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag
+SCHEMA_VERSION = 4  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag; 4: swift inputs
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,11 @@ from stopset.robot.arm import robot_from_text
 from stopset.sets import Box
 
 FORMAT = "stopset model"
-FIRST_SCHEMA, ZONOTOPES, LAGS = 1, 2, 3  # before zonotopes; with them; brakes with lags
+FIRST_SCHEMA, ZONOTOPES, LAGS = (
+    1,
+    2,
+    3,
+)  # before zonotopes; with them; brakes with lags. The newest: inputs without Coriolis torque
 
 
 def _plain(x: Any) -> Any:
@@ -71,17 +75,20 @@ def _digest(body: Mapping[str, Any]) -> str:
 def model_text(model: Model) -> str:
     """The model file's text; its ``sha256`` covers everything else in it.
 
-    It is of the oldest schema that can hold the model: a file without zonotopes, or brakes cut by one stage, is what it was
-    before there were any.
+    It is of the oldest schema that can hold the model: a file without zonotopes, brakes cut by one stage, or swift inputs is what it
+    was before there were any.
     """
     together = model.brakes is not None and model.brakes.apart is not None
     shaped = any(s.zonotope is not None for s in model.sets.values())
-    schema = SCHEMA_VERSION if together else ZONOTOPES if shaped else FIRST_SCHEMA
+    swift = model.abstraction.swift
+    schema = SCHEMA_VERSION if swift else LAGS if together else ZONOTOPES if shaped else FIRST_SCHEMA
     body: dict[str, Any] = {"format": FORMAT, "schema": schema, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
     body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
     if schema == FIRST_SCHEMA:
         for sets in body["sets"].values():
             del sets["zonotope"]
+    if not swift:
+        del body["abstraction"]["swift"]
     if not together and body["brakes"] is not None:
         del body["brakes"]["apart"], body["brakes"]["lag"]
     body["sha256"] = _digest(body)

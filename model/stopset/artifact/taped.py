@@ -120,7 +120,7 @@ class Taped:
         if "dtau" in needs:
             mask |= lib.STOPSET_NEEDS_LINK
         struct = ffi.new("StopsetInputs *", (
-            arm, int(m.effort != "compensated_torque"), mask, columns, len(laws), table,
+            arm, int(m.effort != "compensated_torque"), int(m.swift), mask, columns, len(laws), table,
             kept.array(m.gain), kept.array(m.offset), kept.array(m.standstill), REFERENCE_TEMPERATURE,
         ))  # fmt: skip
         kept.held += [table]

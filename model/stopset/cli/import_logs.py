@@ -1,4 +1,4 @@
-"""``stopset import``: CAN logs to recordings."""
+"""``stopset import``: logs of buses, ROS 2 bags and tables of controllers to recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stopset.cli.common import add_output_options, check_outputs, progress, say, write_json
 
-HELP = "turn CAN logs, ROS 2 bags or MCAP files into recordings"
+HELP = "turn CAN logs, ROS 2 bags, MCAP files or RTDE tables into recordings"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder",
+        help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder; RTDE .csv",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="REC.parquet", help="the recording to write")
     parser.add_argument("--profile", default="lwa4p/monitor", help="CAN: bus profile, name or path (default: %(default)s)")
@@ -26,7 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what the torque signal is, which a log does not tell (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--topic", default="/joint_states", help="MCAP, bags: topic of JointState (default: %(default)s)")
-    parser.add_argument("--joints", metavar="A,B,..", help="MCAP, bags: joints to keep, in this order (default: all)")
+    parser.add_argument(
+        "--joints", metavar="A,B,..",
+        help="MCAP, bags: joints to keep, in this order (default: all); RTDE: names of the six (default: the maker's)",
+    )  # fmt: skip
+    parser.add_argument("--torque-constant", metavar="K,K,..", help="RTDE: torque per current of each joint, link side [N m/A]")
     add_output_options(parser)
 
 
@@ -35,19 +39,25 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.bags import is_bag, meta_of_bag, trials_of_bag
     from stopset.monitor.logs import log_meta, trials_of_log
     from stopset.monitor.profile import load_profile
+    from stopset.monitor.rtde import is_rtde, read_rtde
     from stopset.recording import Meta, Recording, write_recordings
 
     check_outputs(args.out, args.json, args.report)
     if args.cycle is not None and not 1e-4 <= args.cycle <= 1.0:
         raise RecordingError(f"--cycle is {args.cycle}; expected seconds, from 0.0001 to 1")
+    joints = tuple(args.joints.split(",")) if args.joints else None
+    constants = _numbers(args.torque_constant) if args.torque_constant else None
     trials: list[Recording] = []
     meta: Meta | None = None
     for suite, path in enumerate(args.log):
         if is_bag(path):
-            joints = tuple(args.joints.split(",")) if args.joints else None
             found = list(progress(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name))
             this = meta_of_bag(found, args.effort)
             trials += [r for r, _ in found]
+        elif is_rtde(path):
+            this, found_here, said = read_rtde(path, joints, constants, suite)
+            trials += found_here
+            say(f"{path.name}: torque is {said}")
         else:
             profile = load_profile(args.profile)
             cycle = args.cycle or profile.cycle_s
@@ -73,3 +83,15 @@ def run(args: argparse.Namespace) -> int:
         save(args.report, [args.out], None)
         say(f"report {args.report}")
     return 0
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    """Numbers between commas. Raises `RecordingError`."""
+    from stopset.errors import RecordingError
+
+    try:
+        return tuple(float(x) for x in text.split(","))
+    except ValueError as e:
+        raise RecordingError(
+            f"--torque-constant {text}: expected numbers between commas, N m/A on the link side, e.g. 11.3,11.3,9.2"
+        ) from e

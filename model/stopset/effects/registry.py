@@ -77,6 +77,13 @@ def check(effect: Any, where: str) -> None:
         raise EffectError(f"{where}: {effect.name} has the role {effect.role!r}; expected one of {', '.join(get_args(Role))}")
     if effect.part not in get_args(Part):
         raise EffectError(f"{where}: {effect.name} is the part {effect.part!r}; expected one of {', '.join(get_args(Part))}")
+    if effect.usual and (effect.states or effect.shapes or effect.scope == "arm"):
+        raise EffectError(
+            f"{where}: {effect.name} is to be tried unasked and is not linear, has a memory or is of the whole arm; expected a law of "
+            "joints that a regression holds: leave `usual` at 0"
+        )
+    if effect.periodic and (len(effect.shapes) != 1 or effect.needs != ("q",)):
+        raise EffectError(f"{where}: {effect.name} is called periodic; expected a law of q with one shape, its cycles per turn")
     if effect.role == "reading" and effect.reading is None:
         raise EffectError(f"{where}: {effect.name} misreads a position and does not say by how much; give its `reading`")
     if effect.role == "friction" and not silent_at_rest(effect):

@@ -101,17 +101,20 @@ def along(abstraction: Abstraction, x: Array, u: Array, dt: float) -> Responses:
     return Responses(dt, E1, plus, minus)
 
 
-def predicted_tube(abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array) -> tuple[Array, Array]:
+def predicted_tube(
+    abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array, path: Array | None = None
+) -> tuple[Array, Array]:
     """Where a reading may lie at ages ``0, dt, .. N dt`` after the reading ``x0`` (2n,): bounds (N + 1, 2n) over (q,
     dq).
 
-    ``u``: (N, n) inputs held over each step.  The one function identification, monitor and comparison share (trap P18).
+    ``u``: (N, n) inputs held over each step; ``path``: the `nominal` solution (N + 1, 2n), if it is known.  The one function
+    identification, monitor and comparison share (trap P18).
     """
     n = abstraction.n
     if abstraction.decoupled:
         lo, hi = two_simulations(abstraction, x0, u, sets.dt, sets.X0, sets.U)
     else:
-        x = nominal(abstraction, x0[None], u[None], sets.dt)[0]
+        x = nominal(abstraction, x0[None], u[None], sets.dt)[0] if path is None else path
         lo, hi = along(abstraction, x, u, sets.dt).hull(sets.X0.lo, sets.X0.hi, sets.U.lo, sets.U.hi)
         lo, hi = x + lo, x + hi
     lo, hi = lo + sets.V.lo, hi + sets.V.hi

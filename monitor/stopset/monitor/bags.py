@@ -107,6 +107,14 @@ def trials_of_bag(
     if len(states) < SHORTEST:
         raise RecordingError(f"{path} holds {len(states)} messages on {topic}; expected at least {SHORTEST}: name the --topic")
     names = joints or states[0].name
+    # several nodes may publish on one topic (a gripper's, say), and one may publish a message twice
+    mine = [s for s in states if any(j in s.name for j in names)]
+    states = mine[:1] + [b for a, b in pairwise(mine) if b.stamp_ns != a.stamp_ns]
+    if len(states) < SHORTEST:
+        raise RecordingError(
+            f"{path} holds {len(states)} messages of {', '.join(names)} on {topic}; expected at least {SHORTEST}: name the --joints"
+        )
+    _efforts(path, states, names)
     t = np.array([s.stamp_ns for s in states], dtype=np.int64)
     period = cycle_s or float(np.median(np.diff(t))) * 1e-9
     if not (math.isfinite(period) and period > 0):
@@ -120,25 +128,41 @@ def trials_of_bag(
             trial += 1
 
 
+def _efforts(path: Path, states: list[JointState], names: tuple[str, ...]) -> None:
+    """Refuse a bag in which nobody published a torque."""
+    told = [x for s in states for x in s.effort]
+    if not any(math.isfinite(x) and x != 0.0 for x in told):
+        what = "no effort" if not told else "an effort that is zero or not a number throughout"
+        raise RecordingError(
+            f"{path}: its joint states hold {what}; expected the torque of {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}: let the "
+            "controller publish effort, for motion alone tells nothing of inertia and friction"
+        )
+
+
 def _recording(path: Path, run: list[JointState], names: tuple[str, ...], suite: int, trial: int) -> Recording:
     tables: list[Array] = []
+    t = np.array([s.stamp_ns - run[0].stamp_ns for s in run]) * 1e-9
     for kind in ("position", "velocity", "effort"):
+        if kind == "velocity" and not any(s.velocity for s in run):
+            tables.append(np.gradient(tables[0], t, axis=0))
+            continue
         rows = []
         for s in run:
             values = dict(zip(s.name, getattr(s, kind), strict=False))
             if lacking := [j for j in names if j not in values]:
                 raise RecordingError(
-                    f"{path}: {kind} of {', '.join(lacking)} is missing in a message; expected all three of every joint"
+                    f"{path}: {kind} of {', '.join(lacking)} is missing in a message; "
+                    "expected position and effort of every joint, velocity of all or none"
                 )
             rows.append([values[j] for j in names])
         tables.append(np.array(rows))
-    t = np.array([s.stamp_ns - run[0].stamp_ns for s in run]) * 1e-9
     q, dq, tau = tables
     return Recording("closed_loop", suite, trial, trial, t, q, dq, tau)
 
 
 def meta_of_bag(found: list[tuple[Recording, tuple[str, ...]]], effort: str) -> Meta:
-    """Metadata of recordings made from a bag."""
+    """Metadata of recordings made from a bag; where nobody published speeds they were derived from positions."""
     recording, names = found[0]
+    derived = np.array_equal(recording.dq, np.gradient(recording.q, recording.t, axis=0))
     rate = 1.0 / float(np.median(np.diff(recording.t)))
-    return Meta(joints=names, effort=effort, velocity="measured", clock="recorded", rate_hz=rate)
+    return Meta(joints=names, effort=effort, velocity="derived" if derived else "measured", clock="recorded", rate_hz=rate)

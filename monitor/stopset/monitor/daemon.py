@@ -21,6 +21,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import BusError, NotCovered, StopsetError
+from stopset.monitor.along import WatchAlong, watch_for
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
@@ -50,7 +51,7 @@ class Loaded:
 
     model: Model
     text: bytes  # of its file
-    watch: Watch
+    watch: Watch | WatchAlong
     desk: StopDesk
 
 
@@ -103,7 +104,7 @@ class Daemon:
             raise NotCovered(f"the arm has {model.n} joints, the state message carries {MAX_JOINTS}; a wider layout is needed")
         check_cycle(model, self.cycle_s)
         text = Path(c.model).read_bytes()
-        watch = Watch(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]))
+        watch = watch_for(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]), self.cycle_s)
         if desk is None:
             desk = StopDesk(c.model, seen_by(model), c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
         return Loaded(model, text, watch, desk)

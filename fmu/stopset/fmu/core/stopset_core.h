@@ -36,7 +36,7 @@ typedef struct {
     double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], noise_lo[NX], noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
-    int decoupled, signed_response, position_only, motor_torque, has_domain_temp, has_brakes;
+    int decoupled, signed_response, position_only, motor_torque, swift, has_domain_temp, has_brakes;
     double start_real[N_REAL];
     int32_t start_int[N_INT];
     uint8_t start_bool[N_BOOL];
@@ -82,6 +82,7 @@ typedef struct {
     uint8_t as_identified, violated, outputs_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
+    uint8_t modes_held;      /* friction directions stay as they are, for derivatives */
 } StopsetState;
 
 void stopset_defaults(StopsetState *s);

@@ -1,6 +1,6 @@
 /* From measured torque to the input u of the abstraction: what the model knows is taken off.
  *
- * u = tau / gain - offset - gravity - effects; where a joint stands still friction is set-valued and balances what it can.
+ * u = tau / gain - offset - gravity (and Coriolis torque, where the model says so) - effects; where a joint stands still friction is set-valued and balances what it can.
  * Identification, comparison, monitor and FMU all come through here.
  *
  * Source: Liu & Althoff (2018), eq. (11).
@@ -126,11 +126,15 @@ static void block(const StopsetInputs *map, int rows, const StopsetSamples *s, d
     const int n = map->arm.n;
     StopsetRigid rigid;
     double moving[J][ROWS], ahead[J][ROWS], back[J][ROWS], g[J];
+    const double zero[J] = {0};
     int still = 0;
     memset(&rigid, 0, map->needs ? sizeof rigid : 0);
     if (map->needs) stopset_rigid_signals(map, rows, s->q, s->dq, 0, &rigid);
     for (int k = 0; k < rows; k++) {
-        if (map->motor_torque) stopset_gravity_torques(&map->arm, 1, s->q + k * n, g);
+        if (map->motor_torque && map->swift)
+            stopset_torques(&map->arm, 1, s->q + k * n, s->dq + k * n, zero, g);
+        else if (map->motor_torque)
+            stopset_gravity_torques(&map->arm, 1, s->q + k * n, g);
         for (int i = 0; i < n; i++) {
             double x = s->tau[k * n + i] / map->gain[i] - map->offset[i];
             if (map->motor_torque) x -= g[i];

@@ -112,6 +112,7 @@ enum {
 typedef struct {
     StopsetArm arm;
     int32_t motor_torque;         /* the torque holds gravity, which is taken off, and friction at rest */
+    int32_t swift;                /* and Coriolis and centrifugal torque, which is taken off too */
     int32_t needs;                /* what laws look at of the rigid body */
     int32_t memories;             /* states of all laws */
     int32_t laws;

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 AFTER = 0.6  # [s] of readings after the first contradiction that the class is taken from
 PATIENCE = 1.0  # [s] beyond that in which they must have come
+SWITCH = 5e-4  # [s] the loop waits at most for the interpreter while the recorder computes
 WAITING = 8  # incidents and words that may wait; more are dropped, counted
 SAID = frozenset({"event", "health", "state/json"})
 PRIORITY = {"violation": 2, "fault": 3, "bundle": 4, "bus": 4, "journal": 3}  # of syslog; other events are notices
@@ -93,11 +94,9 @@ class Recorder:
         self.trace.take(s, v, code, inputs)
 
     def incident(self, first: Deviation, t: float) -> None:
-        """The sample taken last was outside its prediction."""
-        if len(self._incidents) >= WAITING:
-            self.dropped += 1
-            return
-        self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
+        """The sample taken last was outside its prediction; while one waits for what comes after it, its file holds this too."""
+        if not self._incidents:
+            self._incidents.append(Incident(self.trace.head - 1, first, t, self.clock.monotonic()))
 
     def overhear(self, name: str, data: bytes) -> None:
         """What is said on the slow keys."""
@@ -111,6 +110,7 @@ class Recorder:
 
     def start(self) -> Recorder:
         """Its thread; without one somebody else calls `turn`."""
+        sys.setswitchinterval(SWITCH)
         self._thread = threading.Thread(target=self._work, daemon=True, name="recorder")
         self._thread.start()
         return self
@@ -149,22 +149,26 @@ class Recorder:
         """Whether what was read of late is plausible, and where the arm is."""
         begun, self._next_look = self._next_look > float("-inf"), self.clock.monotonic() + plausible.EVERY
         w, model = (
-            self.trace.window(self.trace.head - round(plausible.EVERY / self.cycle_s), self.trace.head),
+            self.trace.window(self.trace.head - round(plausible.SPAN / self.cycle_s), self.trace.head),
             self._looking_back(),
         )
         if not len(w) or self._model is None:
             return
-        q = w.q[-1]
+        if self.settings.violations:  # else nothing is written, and the next life knows of none before
+            self._place(w.q[-1], self._model[0].joints, begun)
+        if model is not None and not self._late_said and (late := plausible.late_torque(w, model, self.pause)) is not None:
+            self._late_said = True
+            self.notes.append(plausible.late_words(late))
+
+    def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
+        """Where the arm is, against where it was left; kept for the next life."""
         if not begun and (before := plausible.kept_position(self.folder)) is not None:
             self._position = before
-            if words := plausible.moved_words(before, q, self._model[0].joints):
+            if words := plausible.moved_words(before, q, joints):
                 self.notes.append(words)
         if self._position is None or len(self._position) != len(q) or np.any(np.abs(q - self._position) > plausible.MOVED / 5):
             plausible.keep_position(self.folder, q)
             self._position = q
-        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
-            self._late_said = True
-            self.notes.append(plausible.late_words(late))
 
     def _write(self, incident: Incident, whole: bool) -> None:
         """The bundle: at once with what there is, and once more with what came after."""

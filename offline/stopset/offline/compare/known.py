@@ -24,7 +24,9 @@ def left_over(model: Model, r: Recording, u: Array, dt: float, ddq: Array | None
     """
     ddq = np.gradient(r.dq, dt, axis=0) if ddq is None else ddq
     chain, pi, q = model.robot.chain, model.robot.pi, np.ascontiguousarray(r.q)
-    needed = torques(chain, pi, q, np.ascontiguousarray(r.dq), ddq) - gravity_torques(chain, pi, q) + model.rotor * ddq
+    dq = np.ascontiguousarray(r.dq)
+    taken_off = torques(chain, pi, q, dq, np.zeros_like(q)) if model.abstraction.swift else gravity_torques(chain, pi, q)
+    needed = torques(chain, pi, q, dq, ddq) - taken_off + model.rotor * ddq
     needed = needed + ddq @ shared_inertia(model.robot, model.effects)
     for power, v in enumerate(model.abstraction.viscous.T, start=1):
         needed = needed + v * r.dq**power

@@ -17,7 +17,7 @@ import numpy as np
 
 from stopset.effects import base, bound, get, selection, signals
 from stopset.effects.registry import catalogue
-from stopset.offline.abstraction import choose, forms, identified, models
+from stopset.offline.abstraction import choose, forms, identified, models, swift
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
 from stopset.offline.campaign import hold_out, independence, session, survey
@@ -93,19 +93,20 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
     ("shared motors", pair_choice, "TELLS LOOKED_AT"),
-    ("friction laws", friction_choice, "GAINS MOSTLY NEVER"),
-    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR"),
+    ("friction laws", friction_choice, "GAINS LOADS NEVER"),
+    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR CLEARLY"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
     ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
     ("physical", physical, "MARGIN"),
-    ("prior", prior, "DOUBT"),
+    ("prior", prior, "DOUBT CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("scale", scale, "SHARE"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
     ("abstraction choice", choose, "WINDOWS TIE"),
+    ("swift inputs", swift, "LOWERS"),
     ("abstraction forms", forms, "ROUNDING"),
     ("abstraction identified", identified, "HORIZON ORDERS"),
     ("abstraction models", models, "ORDERS ROUNDING"),

@@ -21,6 +21,7 @@ from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
+from stopset.offline.identify.second_reading import read_again
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
@@ -105,7 +106,7 @@ def packed(
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
-        provenance=_provenance(meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
+        provenance=_provenance(robot, meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
     return Identification(model, result, found, settings, tightness, tuple(x for x in odd if x.startswith("absurd")))
@@ -134,7 +135,7 @@ def _sources(meta: Meta) -> dict[str, str]:
     return out
 
 
-def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
+def _provenance(robot: Robot, meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
@@ -150,5 +151,6 @@ def _provenance(meta: Meta, found: Survey, settings: Settings, nominal: NominalP
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
         "taken_out": list(nominal.taken_out),
+        "description_read_again": None if (again := read_again(robot)) is None else asdict(again),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

@@ -13,6 +13,7 @@ from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.abstraction.swift import swift
 from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.source import Campaign, campaign_of
@@ -26,6 +27,7 @@ from stopset.offline.conform.linear_sets import Conformance, Options, Pairs
 from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
+from stopset.offline.identify.second_reading import read_again
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
@@ -63,6 +65,8 @@ def identified(
 ) -> Identification:
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
+    if read_again(robot) is None:
+        tell("the description was read once only: pinocchio is not installed, which would read it again")
     tell("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:
@@ -84,7 +88,7 @@ def identified(
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
     numbers = known_effects(robot, meta, learning, asked, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
-    nominal = abstracted(robot, meta, learning, learnt, chosen, numbers, nominal)
+    nominal = swift(abstracted(robot, meta, learning, learnt, chosen, numbers, nominal), learnt, meta.effort)
     nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(

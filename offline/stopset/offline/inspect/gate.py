@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from stopset.errors import RecordingError
-from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, velocity
+from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, torque_limits, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import Tally
@@ -34,6 +34,7 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     _refuse(f for f in speeds if f.kind != "dq_scale")
     sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
     told = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints)]
+    _refuse(torque_limits(tally, robot.joints, robot.torque_limit))
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)

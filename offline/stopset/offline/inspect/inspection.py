@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings as detect
+from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Need, needs
@@ -116,10 +117,15 @@ def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) 
 
     Raises `RecordingError` for files that are no recordings at all; content that the reader refuses becomes ``refused``.
     """
-    return [_inspect(Path(p), robot) for p in paths]
+    found = [_inspect(Path(p), robot) for p in paths]
+    if robot is None:
+        return [i for i, _ in found]
+    names = [Path(p).name for p in paths]
+    more = contradictions(robot, names, [None if i.wrong else data for i, data in found])
+    return [replace(i, findings=(*i.findings, *extra)) for (i, _), extra in zip(found, more, strict=True)]
 
 
-def _inspect(path: Path, robot: Robot | None) -> Inspection:
+def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, NormalEquations | None]:
     meta = read_meta(path)
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
@@ -136,7 +142,8 @@ def _inspect(path: Path, robot: Robot | None) -> Inspection:
     except RecordingError as e:
         refused = " ".join(str(e).split())
     found = _findings(campaign, joints, meta, robot, data)
-    return Inspection(str(path), _offers(campaign, meta, joints), tuple(_missing(campaign, meta, robot)), tuple(found), refused)
+    missing = tuple(_missing(campaign, meta, robot))
+    return Inspection(str(path), _offers(campaign, meta, joints), missing, tuple(found), refused), data
 
 
 def _findings(

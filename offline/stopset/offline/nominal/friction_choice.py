@@ -1,8 +1,8 @@
 """Which laws of friction a joint has beside Coulomb and viscous, by the error on what was not fitted.
 
 Joints share masses, so laws cannot be judged joint by joint from nothing: first the laws that the arm as a whole asks for are found
-(every subset of them, at all joints), then each joint gives up those that it does not need: whose loss raises its held-out torque error
-by less than a stated share, or in less than most of what is held out.  Held out are whole motions where there are enough, else
+(every subset of them, at all joints), then laws of single joints are taken in and out as long as that lowers the error: each must lower the
+product of all joints' held-out torque errors by a stated share.  Held out are whole motions where there are enough, else
 blocks of time with a guard interval.  One pass over the recordings is enough: everything is answered from
 the sums.
 """
@@ -26,8 +26,8 @@ from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
 
-GAINS = 0.02  # share by which a law must lower its joint's held-out torque error
-MOSTLY = 2 / 3  # of what is held out in turn in which it must lower it
+GAINS = 0.02  # share by which a law must lower the held-out torque error, joints taken together
+LOADS = 2  # times that the load is computed anew
 NEVER = 1e12  # times a column's own weight: what is not part of a model stays zero
 
 
@@ -69,15 +69,19 @@ def choose(
         for r in trials():
             yield from ([r] if whole or r.phase == "static" else _named(blocks(r)))
 
-    first = solve_nominal(robot, accumulate(robot, pieces(), (*base(), *asked)))
-    data = accumulate(robot, pieces(), (*base(), *asked, *laws), reference=first.pi)
+    # the load that friction may depend on is that of a fit that had all laws: friction left out would be taken for masses
+    reference = solve_nominal(robot, accumulate(robot, pieces(), (*base(), *asked))).pi
+    for _ in range(LOADS):
+        data = accumulate(robot, pieces(), (*base(), *asked, *laws), reference=reference)
+        richest = solve_nominal(robot, data)
+        reference = richest.pi
     # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack
-    ladder = _Ladder(robot, data, solve_nominal(robot, data))
+    ladder = _Ladder(robot, data, richest)
     allowed = {
         (j, x): p for j in range(robot.n) for x in laws
         if f"{x}:{robot.joints[j]}" not in barred and len(p := ladder.places(j, x))
     }  # fmt: skip
-    return tuple(ladder.kept(ladder.whole_arm(laws, allowed)))
+    return tuple(ladder.kept(ladder.whole_arm(laws, allowed), allowed))
 
 
 def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
@@ -118,32 +122,47 @@ class _Ladder:
         """The subset of ``laws``, at every joint that allows them, of the least held-out error, joints counting alike."""
         if len(self._folds) < 2:
             return {}
-        moved = [j for j in range(self._robot.n) if self._rows[j]]
 
-        def value(some: Sequence[str]) -> float:
-            columns = [p for (_, x), p in allowed.items() if x in some]
-            return float(np.mean([np.log(self._errors(j, columns).sum() / self._rows[j]) for j in moved]))
+        def of(some: Sequence[str]) -> Places:
+            return {key: p for key, p in allowed.items() if key[1] in some and self._rows[key[0]]}
 
-        best = min((some for k in range(len(laws) + 1) for some in combinations(laws, k)), key=value)
-        return {key: p for key, p in allowed.items() if key[1] in best and key[0] in moved}
+        subsets = [of(some) for k in range(len(laws) + 1) for some in combinations(laws, k)]
+        return min(subsets, key=lambda some: self._value(some.values()))
 
-    def kept(self, places: Places) -> list[Gain]:
-        """What is left of ``places`` when every joint has given up the laws that it does not need, with what each gains."""
-        left = dict(places)
-        for j in range(self._robot.n):
-            while mine := [key for key in left if key[0] == j]:
-                tested = {key: self._gain(key, left) for key in mine}
-                least = min(mine, key=lambda key: tested[key][0])
-                if tested[least][1] and self._possible(left[least]):
-                    break
-                del left[least]
-        return [self._told(key, left) for key in left]
+    def kept(self, places: Places, allowed: Places) -> list[Gain]:
+        """From ``places`` on, laws of single joints taken in and out as long as that lowers the held-out error and its price.
 
-    def _gain(self, key: tuple[int, str], left: Places) -> tuple[float, bool]:
-        """By what share a law lowers its joint's held-out error, and whether that is enough, in most folds."""
-        without, with_it = (self._errors(key[0], [p for k, p in left.items() if k != key or here]) for here in (False, True))
-        share = 1.0 - float(np.sqrt(with_it.sum() / max(without.sum(), 1e-300)))
-        return share, share >= GAINS and float(np.mean(with_it < without)) >= MOSTLY
+        A law that helps others only, and not the joint it acts at, stands for something else: it is left out.
+        """
+        pool = {key: p for key, p in allowed.items() if self._rows[key[0]] and self._possible(p)}
+        now = {key: p for key, p in places.items() if key in pool}
+        while True:
+            now = self._lowest(now, pool)
+            gains = {key: self._told(key, now) for key in now}
+            idle = [key for key, g in gains.items() if g.after > (1 - GAINS) * g.before]
+            if not idle:
+                return list(gains.values())
+            pool = {key: p for key, p in pool.items() if key not in idle}
+            now = {key: p for key, p in now.items() if key not in idle}
+
+    def _lowest(self, start: Places, pool: Places) -> Places:
+        """The subset of ``pool`` from which no single law more or less lowers the held-out error and its price."""
+        price = -float(np.log1p(-GAINS))
+        now, least = start, self._value(start.values()) + price * len(start)
+        while pool:
+            tried = [{k: p for k, p in pool.items() if (k in now) != (k == key)} for key in pool]
+            values = [self._value(some.values()) + price * len(some) for some in tried]
+            best = int(np.argmin(values))
+            if values[best] >= least:
+                break
+            now, least = tried[best], values[best]
+        return now
+
+    def _value(self, columns: Iterable[NDArray[np.intp]]) -> float:
+        """Logarithm of the held-out errors of all joints that move, summed: joints count alike, whatever their size."""
+        some = list(columns)
+        errors = [self._errors(j, some).sum() / self._rows[j] for j in range(self._robot.n) if self._rows[j]]
+        return 0.5 * float(np.sum(np.log(np.maximum(errors, 1e-300))))
 
     def _told(self, key: tuple[int, str], left: Places) -> Gain:
         j, effect = key

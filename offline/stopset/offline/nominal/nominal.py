@@ -242,7 +242,7 @@ def _nominal(
         undetermined=undetermined(robot, data, prior, result),
         notes=(*notes, *skipped),
         data=data,
-        prior=replace(prior, precision=prior.precision / result.prior_scale**2),
+        prior=replace(prior, precision=result.precision),
     )
 
 

@@ -36,14 +36,35 @@ class Tolerance:
 # the held-out torque error within 1 % of what 4 %, 5 mm, 20 % and 10 % leave; once raises it by up to 19 % (a rotor off its sheet).
 DOUBT = 2.0
 
+# A tool or load that the description does not have, one standard deviation: share of the arm's mass, and how far out
+CARRIED = 0.2
+CARRIED_AT = 0.3  # [m]
+
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Gaussian over ``[pi (10 n), rotor (n)]``: ``mean`` (11 n,), ``precision`` (11 n, 11 n)."""
+    """Gaussian over ``[pi (10 n), rotor (n)]``: ``mean`` (11 n,), ``precision`` (11 n, 11 n).
+
+    ``carried`` (10, 10): covariance of what the last link may carry beside what is described, if it carries anything.
+    """
 
     mean: Array
     precision: Array
     rotor_known: tuple[bool, ...]
+    carried: Array
+
+    @property
+    def last(self) -> slice:
+        """Places of the last link's parameters."""
+        n = len(self.rotor_known)
+        return slice(10 * n - 10, 10 * n)
+
+    def believed(self, scale: float, loaded: bool) -> Array:
+        """(11 n, 11 n) precision of a description off by ``scale`` times its tolerance, with or without something carried."""
+        out = self.precision / scale**2
+        if loaded:
+            out[self.last, self.last] = np.linalg.inv(np.linalg.inv(out[self.last, self.last]) + self.carried)
+        return out
 
 
 def tensor(P: Array) -> Array:
@@ -67,7 +88,9 @@ def prior_of(robot: Robot, tolerance: Tolerance | None = None) -> Prior:
     for i in range(n):
         sd = max(tolerance.rotor * rotor[i], 1e-4) if known[i] else tolerance.rotor_unknown
         precision[10 * n + i, 10 * n + i] = 1 / sd**2
-    return Prior(np.concatenate([robot.pi.ravel(), rotor]), precision, known)
+    mass = CARRIED * float(robot.pi[:, 0].sum())
+    carried = mass**2 * np.diag(np.r_[1.0, [CARRIED_AT**2] * 3, [CARRIED_AT**4] * 6])
+    return Prior(np.concatenate([robot.pi.ravel(), rotor]), precision, known, carried)
 
 
 def _link_covariance(P: Array, tolerance: Tolerance) -> Array:

@@ -79,9 +79,9 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
-    known, count = told(robot, prior.precision / result.prior_scale**2, result.covariance)
+    known, count = told(robot, result.precision, result.covariance)
     if known < count:
-        left = kept(robot, prior.precision / result.prior_scale**2, result.covariance)
+        left = kept(robot, result.precision, result.covariance)
         of = "; ".join(f"{joint}: {', '.join(p)}" for joint, p in left.items())
         out.append(
             f"{count - known} of {count} base parameters of the links stayed at the CAD, these motions do not show them"
@@ -91,7 +91,7 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
     for j in range(n):
         if data.rows_moving[:, j].sum() == 0:
             continue
-        if std[10 * n + j] ** 2 * prior.precision[10 * n + j, 10 * n + j] / result.prior_scale**2 > OPEN:
+        if std[10 * n + j] ** 2 * result.precision[10 * n + j, 10 * n + j] > OPEN:
             source = "data sheet" if prior.rotor_known[j] else "zero, no data sheet"
             out.append(f"{robot.joints[j]}: rotor inertia kept at the {source}: too little acceleration")
     return (*out, *_friction(data, result, std))

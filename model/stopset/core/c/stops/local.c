@@ -60,11 +60,18 @@ static void inertia(const Expansion *E, const StopsetCurvature *K, const double 
                     beyond = third[last];
                 else /* Bernstein: no more than twice the largest second slope of all poses */
                     for (int o = i + 1; o < n; o++) beyond += 2.0 * K->M[((i * n + j) * n + k) * n + o] * pairs[o];
+                double turn = bend[k] + 0.5 * beyond, bow = 0.5 * bend[k] + beyond / 6.0;
+                if (beyond > bend[k]) { /* a wide box: second slopes over all poses may say more */
+                    double second = 0.0;
+                    for (int o = i + 1; o < n; o++) second += K->M[((i * n + j) * n + k) * n + o] * far[o];
+                    turn = least(turn, second);
+                    bow = least(bow, 0.5 * second);
+                }
                 m += dM[k] * mid[k];
                 p += dMp[k] * mid[k];
-                r += size_of(dM[k]) * rad[k] + parts->bend * (0.5 * bend[k] + beyond / 6.0) * far[k];
+                r += size_of(dM[k]) * rad[k] + parts->bend * bow * far[k];
                 pr += size_of(dMp[k]) * rad[k];
-                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * (bend[k] + 0.5 * beyond);
+                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * turn;
             }
             for (int k = 0; k <= i; k++) out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = 0.0;
             const double scale = i != j ? parts->coupling : 1.0;

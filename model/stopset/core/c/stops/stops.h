@@ -80,6 +80,8 @@ void stops_power_excess(int n, const Energy *e, const double *u_lo, const double
                         const double *v_hi, double *w);
 int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       double h, const StopsetParts *parts, Local *at);
+int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                   const StopsetParts *parts, Local *at, double *way);
 double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
 void stops_cap_bands(int n, Bands *b, const double *cap);
 void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);

@@ -20,7 +20,7 @@ typedef struct {
     const StopsetParts *parts;
     const StopsetTube *tube;
     int n, energetic;
-    double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN];
+    double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
     double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
     Step s;
     Expansion E;
@@ -263,6 +263,8 @@ static void displace(const March *m, int64_t k) {
         const double hi = t->v_hi[at], lo = t->v_lo[at], new_hi = t->e_hi[at], new_lo = t->e_lo[at], h = m->h;
         t->d_hi[at + n] = t->d_hi[at] + h * (hi < 0.0 && new_hi >= 0.0 ? most(new_hi, 0.0) : 0.5 * (hi + new_hi));
         t->d_lo[at + n] = t->d_lo[at] + h * (lo > 0.0 && new_lo <= 0.0 ? least(new_lo, 0.0) : 0.5 * (lo + new_lo));
+        t->d_hi[at + n] = least(t->d_hi[at + n], m->farthest_hi[i]);
+        t->d_lo[at + n] = most(t->d_lo[at + n], m->farthest_lo[i]);
         if (m->parts->whole_step == 0.0) {
             t->d_hi[at + n] = t->d_hi[at] + h * new_hi;
             t->d_lo[at + n] = t->d_lo[at] + h * new_lo;
@@ -296,6 +298,12 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
+    double way[SN];
+    if (stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
+        for (int i = 0; i < n; i++) {
+            m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way[i]);
+            m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way[i]);
+        }
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
         t->v_lo[k * n + i] = most(t->v_lo[k * n + i], -m->energy.cap[i]);
@@ -362,7 +370,8 @@ static void begin(March *m, const double *q_lo, const double *q_hi, const double
         x_lo[i] = q_lo[i] - m->E.q[i];
         x_hi[i] = q_hi[i] - m->E.q[i];
         m->tube->margin[i] = -STOPS_INF;
-        m->energy.cap[i] = m->energy.end[i] = STOPS_INF;
+        m->energy.cap[i] = m->energy.end[i] = m->farthest_hi[i] = STOPS_INF;
+        m->farthest_lo[i] = -STOPS_INF;
     }
     stops_box_terms(&m->E, &m->p->curvature, x_lo, x_hi, v0_lo, v0_hi, m->parts, &m->start);
     m->at.n = n;

@@ -1,0 +1,86 @@
+"""What the first start costs: commands in a copy of the tree without any compiled Python, then again, and a fresh process's first stop.
+
+Nothing of the core is compiled at run time, so cold is: no ``__pycache__`` of stopset, libraries as they were installed.  Wall and
+processor seconds and peak memory of each process and its children, cold | warm.
+Run: python benchmarks/first_start.py [--data REC.parquet] [--demo]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("model", "offline", "monitor", "fmu")
+FIRST_STOP = """
+import sys
+import numpy as np
+from stopset.artifact import load_model
+from stopset.reach.stops import StopBounds
+model = load_model(sys.argv[1])
+bound = StopBounds.of(model).bound(model.domain.q.centre, 0.5 * model.domain.dq.hi, "0")
+print(bound.certified, bound.angle)
+"""
+
+
+def copied(where: Path) -> dict[str, str]:
+    """The tree without compiled Python, and the environment in which it is the one that runs."""
+    for part in PARTS:
+        shutil.copytree(ROOT / part, where / part, ignore=shutil.ignore_patterns("__pycache__"))
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(str(where / part) for part in PARTS), "OPENBLAS_NUM_THREADS": "1"}
+
+
+def cost(words: Sequence[str | Path], env: dict[str, str], where: Path) -> tuple[float, float, float]:
+    """Wall and processor seconds, peak MiB. Raises `RuntimeError` if the command fails."""
+    start = time.monotonic()
+    with (where / "said.txt").open("wb") as said:
+        child = subprocess.Popen([sys.executable, *map(str, words)], env=env, cwd=where, stdout=said, stderr=subprocess.STDOUT)
+        _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode not in (0, 1):  # 1: the answer is "no"
+        raise RuntimeError(f"{words}: {(where / 'said.txt').read_text()[-500:]}")
+    return time.monotonic() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, help="recordings of a real arm, with --robot; else a simulated campaign")
+    parser.add_argument("--robot", default="lwa4p")
+    parser.add_argument("--demo", action="store_true", help="the demo too, a minute or two")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        cli = ("-m", "stopset.cli.main")
+        made = work / "made"
+        plain = copied(work / "setup")
+        cost([*cli, "simulate", "--plan", "short", "--seed", "1", "--out", made], plain, work)
+        data, robot = (args.data.resolve(), args.robot) if args.data else (made / "recording.parquet", made / "robot.urdf")
+        model = work / "m.json"
+        jobs: list[tuple[str, list[str | Path]]] = [
+            ("stopset --help", [*cli, "--help"]),
+            ("inspect", [*cli, "inspect", data]),
+            ("identify", [*cli, "identify", "--data", data, "--robot", robot, "--accept-wide", "--out", model]),
+            ("stops --at, STOP 0", [*cli, "stops", model, "--category", "0", "--at", "0,0.3,0.3,0,0.3,0", "--speed", "50%"]),
+            ("first stop bound of a process", ["-c", FIRST_STOP, model]),
+        ]
+        if args.demo:
+            jobs.append(("demo", [*cli, "demo", "--out", work / "demo"]))
+        print(f"{'':32} {'cold: wall':>10} {'cpu s':>7} {'MiB':>6}   {'warm: wall':>10} {'cpu s':>7}   cold/warm cpu")
+        for k, (name, words) in enumerate(jobs):
+            env = copied(work / f"cold-{k}")
+            cold, warm = cost(words, env, work), cost(words, env, work)
+            print(
+                f"{name:32} {cold[0]:10.2f} {cold[1]:7.2f} {cold[2]:6.0f}   {warm[0]:10.2f} {warm[1]:7.2f}   {cold[1] / warm[1]:.2f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

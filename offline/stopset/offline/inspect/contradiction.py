@@ -1,0 +1,107 @@
+"""Files that cannot be of one arm in one state: what is identified from one of them fails on another, far beyond its own error.
+
+A load that some recordings carry and others do not ends in the torque sets of all; told here it can be stated instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.offline.inspect.findings import Finding
+from stopset.offline.nominal.delay import joint_reduced, lag_weights
+from stopset.offline.nominal.fit import problem_of, residual
+from stopset.offline.nominal.nominal import Nominal, solve_nominal
+from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
+from stopset.robot import Robot
+from stopset.types import Array
+
+FAILS = 3.0  # times the error that each file leaves of itself: friction of another day leaves up to twice
+NOTABLE = 0.1  # of the torque, root mean square
+LOAD = 0.5  # of what fails that a load at the flange must explain to be named
+ROWS = 200  # filtered rows of a file, ten seconds: less shows too little of the arm to fail on another
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file's sums without lags, and what they say by themselves: ``own``, ``torque`` (n,) root mean squares [N m]."""
+
+    parts: list[Array]
+    places: list[NDArray[np.intp]]
+    rows: Array
+    nominal: Nominal
+    own: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, robot: Robot, data: NormalEquations) -> _File:
+        nominal = solve_nominal(robot, data)
+        lags = [lag_weights(float(d)) for d in nominal.delay_applied]
+        moving = np.array([joint_reduced(data.moving[:, j].sum(axis=0), w) for j, w in enumerate(lags)])
+        rows = data.rows_moving.sum(axis=0)
+        p = problem_of(data.layout, moving, 0.0 * moving, rows, data.rows_still)
+        total = np.array([G[-1, -1] for G in p.moving])
+        own = np.array([residual(G, nominal.theta[at]) for G, at in zip(p.moving, p.index, strict=True)])
+        count = np.maximum(rows, 1.0)
+        return cls(p.moving, p.index, rows, nominal, np.sqrt(own / count), np.sqrt(total / count))
+
+    def error(self, theta: Array) -> Array:
+        """(n,) root mean square [N m] that parameters of another file leave of this one."""
+        left = [residual(G, theta[at]) for G, at in zip(self.parts, self.places, strict=True)]
+        return np.sqrt(np.array(left) / np.maximum(self.rows, 1.0))
+
+    def with_load(self, theta: Array) -> Array:
+        """``theta`` with what the last link must carry besides to explain this file."""
+        n, prior = len(self.rows), self.nominal.prior
+        A, b = np.linalg.inv(prior.carried), np.zeros(10)
+        for G, at, own in zip(self.parts, self.places, self.own, strict=True):
+            w = 1.0 / (TOGETHER * max(float(own), 1e-6) ** 2)
+            A += w * G[10 * n - 10 : 10 * n, 10 * n - 10 : 10 * n]
+            b += w * (G[:-1, -1] - G[:-1, :-1] @ theta[at])[10 * n - 10 : 10 * n]
+        out = theta.copy()
+        out[10 * n - 10 : 10 * n] += np.linalg.solve(A, b)
+        return out
+
+
+def contradictions(robot: Robot, names: Sequence[str], sums: Sequence[NormalEquations | None]) -> list[list[Finding]]:
+    """Per file, what contradicts the one with the most samples; ``sums`` of motor torque, None where there are none."""
+    out: list[list[Finding]] = [[] for _ in names]
+    some = {k: d for k, d in enumerate(sums) if d is not None and d.rows_moving.sum(axis=0).max() >= ROWS and not d.compensated}
+    if len(some) < 2:
+        return out
+    files = {k: _File.of(robot, d) for k, d in some.items()}
+    first = max(files, key=lambda k: float(files[k].rows.sum()))
+    base = files[first]
+    for k, f in files.items():
+        if k == first:
+            continue
+        error = f.error(base.nominal.theta)
+        least = np.maximum(FAILS * np.maximum(f.own, base.own), NOTABLE * f.torque)
+        over = np.where((f.rows > 0) & (base.rows > 0), error / np.maximum(least, 1e-12), 0.0)
+        if float(over.max()) <= 1.0:
+            continue
+        j = int(over.argmax())
+        out[k].append(
+            Finding(
+                "contradiction", "warning", robot.joints[j],
+                f"what {names[first]} says of the torque is {error[j]:.3g} N m off in {names[k]}, which by itself leaves "
+                f"{f.own[j]:.3g} N m{_as_if(f, base, j, error)}",
+                f"files of one arm in one state, {least[j]:.3g} N m off at most",
+                "identify them apart, or tell their conditions (--condition payload=..@FILE)", float(error[j]),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _as_if(f: _File, base: _File, joint: int, error: Array) -> str:
+    """That a load explains it, where it does."""
+    theta = base.nominal.theta
+    loaded = f.with_load(theta)
+    if f.error(loaded)[joint] > LOAD * error[joint]:
+        return ""
+    n = len(f.rows)
+    mass = float((loaded - theta)[10 * n - 10])
+    return f", as if about {abs(mass):.2g} kg {'more' if mass > 0 else 'less'} hung at the flange"

@@ -1,0 +1,204 @@
+"""Nonlinear models are watched with: curved friction by its two simulations, model 2 along the nominal motion."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model
+from stopset.artifact import Abstraction, Model, UncertaintySets, load_model, save_model
+from stopset.artifact.abstraction import Polynomial
+from stopset.errors import NotCovered
+from stopset.monitor.along import WatchAlong, watch_for
+from stopset.monitor.config import Bus, Config, Publish, Records, Stops
+from stopset.monitor.daemon import Daemon
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.evidence.trace import Trace
+from stopset.monitor.layout import State
+from stopset.monitor.predictions import Tubes, ages_of
+from stopset.monitor.watch import Conformance, Quantum, Sample, Watch, check_cycle
+from stopset.reach.nonlinear import predicted_tube
+from stopset.sets import Box
+from stopset.types import Array
+from test_monitor_daemon import Arm, Script, Wire
+
+NONE = Quantum.none(6)
+CURVED = np.column_stack([VISCOUS, np.zeros(6), 0.8 * VISCOUS])  # friction that grows with the cube of the speed
+
+
+def curved(**more: object) -> Model:
+    m = known_model(**more)  # type: ignore[arg-type]
+    return replace(m, abstraction=Abstraction(1, 3, np.diag(1 / INERTIA), CURVED))
+
+
+def coupled() -> Model:
+    """Model 2: joints 1 and 3 feel each other's speed through joint 2's angle; its grid is five samples."""
+    still = [Polynomial(np.zeros((0, 18), np.int64), np.zeros(0)) for _ in range(6)]
+    e = np.zeros((1, 18), np.int64)
+    first, third = e.copy(), e.copy()
+    first[0, [0, 2, 7]] = 1  # dq1 dq3 sin q2
+    third[0, [0, 13]] = (2, 1)  # dq1^2 cos q2
+    coriolis = list(still)
+    coriolis[0], coriolis[2] = Polynomial(first, np.array([0.8])), Polynomial(third, np.array([-0.5]))
+    m = known_model()
+    sets = m.powered
+    coarse = UncertaintySets(X0=sets.X0, U=sets.U, V=Box.symmetric(np.repeat([3e-4, 3e-3], 6)), dt=5 * DT, horizon=0.4)
+    a = Abstraction(2, 2, np.diag(1 / INERTIA), VISCOUS[:, None], tuple(coriolis))
+    return replace(m, abstraction=a, sets={"powered": coarse})
+
+
+def read(model: Model, seed: int, samples: int = 300, push: Box = U) -> tuple[Array, Array]:
+    """States (N, 12) as read, and torques (N, 6), of the arm that the model tells the truth of: small midpoint steps in numpy."""
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(samples)
+    u = VISCOUS * 0.5 * np.sin(2 * np.pi * rng.uniform(0.5, 1.5, 6) * t[:, None] + rng.uniform(0, 2 * np.pi, 6))
+    x, out, h = np.zeros(12), [], DT / 10
+    for k in range(samples):
+        out.append(x)
+        w = (u[k] + np.where(rng.integers(0, 2, 6) == 1, push.hi, push.lo))[None]
+        for _ in range(10):
+            mid = x + 0.5 * h * np.concatenate([x[6:], model.abstraction.ddq(x[None, :6], x[None, 6:], w)[0]])
+            x = x + h * np.concatenate([mid[6:], model.abstraction.ddq(mid[None, :6], mid[None, 6:], w)[0]])
+    return np.array(out) + rng.uniform(-NOISE, NOISE, (samples, 12)), u
+
+
+def verdicts(model: Model, x: Array, tau: Array, quantum: Quantum = NONE) -> tuple[Counter[Conformance], WatchAlong]:
+    watch = watch_for(model, quantum, 0.0, (0.0, 1.0), DT)
+    assert isinstance(watch, WatchAlong)
+    said = Counter(watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k])).conformance for k in range(len(x)))
+    return said, watch
+
+
+MODELS = {"curved friction": curved, "model 2": coupled}
+
+
+@pytest.mark.parametrize("which", MODELS)
+@pytest.mark.parametrize("seed", range(3))
+def test_an_arm_inside_its_sets_is_never_flagged(which: str, seed: int) -> None:
+    model = MODELS[which]()
+    said, watch = verdicts(model, *read(model, seed))
+    assert set(said) <= {Conformance.CONFORMANT, Conformance.UNKNOWN} and said[Conformance.UNKNOWN] <= watch.every, said
+
+
+@pytest.mark.parametrize("which", MODELS)
+def test_a_wrong_torque_and_a_too_small_set_are_refuted(which: str) -> None:
+    model = MODELS[which]()
+    x, tau = read(model, 1)
+    for joint in (0, 2, 4):
+        wrong = tau.copy()
+        wrong[:, joint] *= 1.5
+        assert verdicts(model, x, wrong)[0][Conformance.VIOLATION], joint
+    held = read(model, 2, push=Box.of(0.8 * U.hi, U.hi))
+    small = replace(model, sets={"powered": replace(model.powered, U=Box.of(U.lo, 0.5 * U.hi))})
+    assert verdicts(small, *held)[0][Conformance.VIOLATION] and not verdicts(model, *held)[0][Conformance.VIOLATION]
+
+
+def test_the_linear_part_alone_would_be_refuted() -> None:
+    """Cubic friction is not for nothing: its tangent is contradicted."""
+    model = curved()
+    x, tau = read(model, 0)
+    watch = Watch(known_model())
+    assert any(watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k])).conformance is Conformance.VIOLATION for k in range(len(x)))
+
+
+@pytest.mark.parametrize("which", MODELS)
+def test_the_tube_is_that_of_the_comparison(which: str) -> None:
+    """What `predicted_tube` gives, which identification and compare use, from the states and mean torques of its grid."""
+    model = MODELS[which]()
+    x, tau = read(model, 3, 201)
+    seen: dict[int, tuple[Array, Array]] = {}
+    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    assert isinstance(watch, WatchAlong)
+    every, real = watch.every, watch._predictions.tubes
+
+    def tubes() -> Tubes:
+        ages, foreign, lo, hi = real()
+        seen.update({int(a): (lo[k], hi[k]) for k, a in enumerate(ages)})
+        return ages, foreign, lo, hi
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(watch._predictions), "tubes", lambda self: tubes())
+        for k in range(len(x)):
+            watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
+    at = (len(x) - 1) // every * every
+    for age in (1, 3, 8):
+        u = tau[at - age * every : at].reshape(age, every, 6).mean(axis=1)
+        lo, hi = predicted_tube(model.abstraction, model.powered, x[at - age * every], u)
+        assert np.all(seen[age][0] <= lo[-1] + 1e-12) and np.all(seen[age][1] >= hi[-1] - 1e-12), "coarser, if anything"
+        assert np.allclose(seen[age], (lo[-1], hi[-1]), rtol=0, atol=1e-7)
+
+
+def test_rounding_of_the_bus_never_flags_a_conformant_arm() -> None:
+    model, count = curved(), 2e-3
+    x, tau = read(model, 0)
+    rounded, coarse = np.round(x / count) * count, np.round(tau / 0.2) * 0.2
+    quantum = Quantum(np.full(6, count / 2), np.full(6, count / 2), np.full(6, 0.1))
+    assert not verdicts(model, rounded, coarse, quantum)[0][Conformance.VIOLATION]
+    assert verdicts(model, rounded, coarse)[0][Conformance.VIOLATION], "unknown rounding would be flagged"
+
+
+def test_a_gap_a_bad_number_and_another_domain_give_no_verdict() -> None:
+    model = curved()
+    x, tau = read(model, 0, 60)
+    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    for k in (*range(30), 32):
+        v = watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k]))
+    assert v.conformance is Conformance.UNKNOWN and v.why.startswith("gap")
+    v = watch.step(Sample(33, 0.0, x[33, :6] * np.nan, x[33, 6:], tau[33]))
+    assert v.conformance is Conformance.UNKNOWN and "not a number" in v.why
+    for k in (34, 35):
+        v = watch.step(Sample(k, 0.0, x[k, :6] + 5.0, x[k, 6:], tau[k]))
+    assert v.outside and v.conformance is Conformance.UNKNOWN
+
+
+def test_sets_that_conform_from_the_start_are_used_from_the_start_only() -> None:
+    model = curved(horizon=0.2, windows="start")
+    x, tau = read(model, 0, 120)
+    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    said = [watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k])) for k in range(120)]
+    assert [k for k, v in enumerate(said) if v.conformance is Conformance.CONFORMANT] == list(range(1, 51))
+
+
+def test_the_grid_must_be_a_whole_number_of_cycles() -> None:
+    check_cycle(coupled(), DT)
+    with pytest.raises(NotCovered, match="cycle of 3 ms"):
+        check_cycle(coupled(), 0.003)
+    with pytest.raises(NotCovered, match="cycle of 2 ms"):
+        check_cycle(known_model(), 0.002)
+
+
+def test_ages_reach_the_horizon() -> None:
+    assert ages_of(100) == [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 100] and ages_of(1) == [1]
+
+
+def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
+    save_model(curved(), tmp_path / "m.model.json")
+    model = load_model(tmp_path / "m.model.json")
+    assert isinstance(watch_for(model, NONE, 0.0, (0.0, 1.0), DT), WatchAlong)
+
+
+@pytest.mark.parametrize("which", MODELS)
+def test_the_daemon_runs_and_records_with_it(which: str, tmp_path: Path) -> None:
+    """Real loop, recorder and stop bounds: verdicts are given, a violation is latched and written, no fault comes out."""
+    model = save_model(MODELS[which](), tmp_path / "arm.model.json")
+    x, tau = read(model, 1, 200)
+    tau[100:, 2] *= 1.8
+    script: Script = [Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k]) for k in range(200)]
+    arm, wire = Arm(script), Wire()
+    config = Config(
+        str(tmp_path / "arm.model.json"), Bus("hub:1"), data_id=7, stops=Stops(("0",)), sha256="ab" * 32,
+        publish=Publish(valid_for_ms=5000, stale_ms=1000, json_hz=1e9, recover_s=0.0, evidence_min_s=0.0),
+    )  # fmt: skip
+    recorder = Recorder(Trace(6), Records(), tmp_path / "record", DT, pause=lambda: None)
+    daemon = Daemon(config, model, arm, wire, DT, recorder=recorder)
+    arm.daemon = daemon
+    assert daemon.run(lambda: arm) == 0
+    daemon.close()
+    assert daemon.tally.faults == 0 and daemon.tally.verdicts["CONFORMANT"] > 90
+    assert State.VIOLATION in wire.words and daemon.latch.joints[0] == "arm_3_joint"
+    (event,) = [e for e in wire.slow["event"] if e["kind"] == "bundle"]
+    assert event["cause"]["kind"] == "unclassed" and Path(event["file"]).is_file()
