@@ -83,6 +83,9 @@ def cases(joints: Sequence[str]) -> dict[str, tuple[Fitted, ...]]:
         "torque_gain": (one("torque_gain", 1, e=0.2),),
         "torque_ripple": (one("torque_ripple", 2, a=3.0, b=-3.0, n=40.0),),
         "viscous": (),
+        "quadratic_load": tuple(one("quadratic_load", j, k_2=0.004) for j in range(4)),
+        "cable": (one("cable", 3, k=3.0, k_2=-1.0, k_3=2.0, c=1.0),),
+        "counterbalance": (one("counterbalance", 1, k_b=10.0, P=-25.0, q_0=2.0, r=0.4),),
         "warm_up": (one("warm_up", 1, k_v=-2.0, k_c=-6.0),),
         "payload": (one("payload", None, m=2.0, mx=0.0, my=0.0, mz=0.2, Ixx=0.02, Ixy=0.0, Iyy=0.02, Ixz=0.0, Iyz=0.0, Izz=0.0),),
     }

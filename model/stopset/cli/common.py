@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -52,6 +52,12 @@ def add_keep_options(parser: argparse.ArgumentParser) -> None:
         help="signals (default): all recordings, compressed; an update is then the same as identifying from all of them. sums: "
         "constant size for campaigns without end; an update then keeps the nominal model",
     )  # fmt: skip
+
+
+def stopwatch() -> Callable[[str], None]:
+    """Tells each step of long work on stderr, with the time since now."""
+    start = time.monotonic()
+    return lambda text: print(f"[{time.monotonic() - start:5.1f} s] {text}", file=sys.stderr, flush=True)
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:

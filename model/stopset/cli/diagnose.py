@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_output_options, check_outputs, say, stopwatch, write_json
 
 HELP = "which physical effect is missing, at which joint, and what would decide"
 
@@ -28,10 +28,13 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     names = [get(name).name for name in args.effects.split(",")] if args.effects else None
     recordings = read_recordings(args.data, model.robot)
-    found, against = diagnose_model(model, recordings, names)
+    found, against = diagnose_model(model, recordings, names, stopwatch())
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for note in found.notes:
         say(f"note: {note}")
+    for out in found.taken_out:
+        where = out["joint"] or "all joints"
+        say(f"taken out by identification: {out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})")
     for rank, r in enumerate(found.ranked, start=1):
         say(
             f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"

@@ -128,7 +128,9 @@ class Effect:
     ``adjacent``: of a pair, that its joints follow each other; ``periodic``: over the joint's turn, its shape the cycles per turn;
     ``absorbed``: a free rigid body takes up what it does, so held-out errors do not show it; ``within_friction``: its first term is
     a part of its joint's dry friction; ``effort``: the kind of recorded torque it is part of, where it is of one alone;
-    ``simulated``: what of the simulated arm it is seen in (`stopset.simulation.hidden`).
+    ``simulated``: what of the simulated arm it is seen in (`stopset.simulation.hidden`);
+    ``refines``: plainer laws without shapes that it is a finer form of: one that explains as good as all is named instead;
+    ``loaded``: it is there to carry weight, so it is looked for only where gravity loads the joint.
     """
 
     name: str
@@ -159,6 +161,8 @@ class Effect:
     within_friction: bool = False
     effort: str = ""
     simulated: str = ""
+    refines: tuple[str, ...] = ()
+    loaded: bool = False
 
     def compensated(self, degree: int = 1) -> bool:
         """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.

@@ -198,6 +198,27 @@ def _spring(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> 
     return _plant(t, j, spring=size, spring_centre=centre), said
 
 
+def _square_load(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    said: Parameters = {"friction_per_load_squared": size, "load": "whole torque the gear transmits to the links"}
+    return _plant(t, j, tooth_square=size), said
+
+
+def _counterbalance(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    ratio, centre = float(g.uniform(0.3, 0.6)), float(g.uniform(-np.pi, np.pi))
+    law = "force lever, the force 15 % less where the spring is one lever longer"
+    said: Parameters = {"torque_Nm": size, "lever_ratio": ratio, "stretched_out_rad": centre, "law": law}
+    return _plant(t, j, counter=size, counter_ratio=ratio, counter_centre=centre), said
+
+
+def _cable(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    centre = float(g.uniform(-0.5, 0.5))
+    return _plant(t, j, cable=size, cable_centre=centre), {
+        "torque_Nm": size,
+        "centre_rad": centre,
+        "law": "sinh((q - centre) / 0.6)",
+    }
+
+
 def _coupling(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
     other = neighbour(j, r.n)
     drag = size * float(np.sqrt(t.plant.fv[j] * t.plant.fv[other]))
@@ -291,6 +312,9 @@ SEEN: dict[str, Kind] = {
     "late torque": Kind(_delay, 0.01, 0.06),
     "tilted base": Kind(_tilt, 0.02, 0.25, scope="arm"),
     "dress pack": Kind(_spring, 1.0, 40.0),
+    "cable at its end": Kind(_cable, 0.3, 10.0),
+    "gas spring": Kind(_counterbalance, 1.0, 80.0, where="loaded"),
+    "square tooth friction": Kind(_square_load, 0.002, 0.02, where="loaded"),
     "drag by the neighbour": Kind(_coupling, 0.1, 0.9, joints=2, both=True),
     "shifted encoder": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
     "eccentric encoder": Kind(_eccentricity, 0.01, 0.02, where="loaded"),

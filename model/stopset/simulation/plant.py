@@ -61,6 +61,13 @@ class Plant(NamedTuple):
     weave: Array  # [N m s/rad] outside the catalogue: sin(3 q) times the partner's speed
     film_heat: Array  # [1/W] friction falls as 1 / (1 + film); this is the film's rise under a steady loss, per watt
     film_time: Array  # [s] the film's time constant
+    tooth_square: Array  # [1/(N m)] friction per square of the transmitted torque
+    counter: Array  # [N m] force of a balancing gas spring times its shorter lever, where it is as long as its longer lever
+    counter_ratio: Array  # [-] of its levers
+    counter_centre: Array  # [rad] where the levers are stretched out
+    cable: Array  # [N m] a cable pack that stretches: torque cable sinh((q - centre) / 0.6 rad)
+    cable_centre: Array  # [rad]
+    gap: Array  # [rad] backlash of an elastic gear
 
 
 def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
@@ -89,6 +96,7 @@ def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
         gain=np.ones(n), spring=none, spring_centre=none, drag=none, partner=np.zeros(n, np.int64),
         encoder_offset=none, eccentricity=none, eccentricity_phase=none, bump=none, bump_centre=none, bump_width=far,
         resonance=none, resonance_speed=far, weave=none, film_heat=none, film_time=far,
+        tooth_square=none, counter=none, counter_ratio=none, counter_centre=none, cable=none, cable_centre=none, gap=none,
     )  # fmt: skip
 
 
@@ -119,7 +127,7 @@ def torque_limit(robot: Robot) -> Array:
     return np.where(given > 0, given, np.maximum(3.0 * largest_gravity(robot), 5.0))
 
 
-COLUMNS = 36  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
+COLUMNS = 43  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
 
 
 def table(plant: Plant) -> Array:

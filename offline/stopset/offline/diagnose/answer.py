@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -79,6 +80,7 @@ class Diagnosis:
     claims: tuple[Ranked, ...] = ()  # what the evidence speaks for, also where more is missing than it explains
     notes: tuple[str, ...] = ()  # on what the recordings were measured against
     changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
+    taken_out: tuple[Mapping[str, Any], ...] = ()  # by identification, before anything was asked: see `Nominal.taken_out`
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def as_json(self) -> dict[str, Any]:
@@ -118,6 +120,7 @@ class Diagnosis:
                 for u in self.unexplained
             ],
             "changed": [c.says for c in self.changed],
+            "taken_out": [dict(x) for x in self.taken_out],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
             "excess": self.excess,

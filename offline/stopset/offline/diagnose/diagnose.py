@@ -17,12 +17,16 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
-from stopset.offline.diagnose.search.search import Claim
+from stopset.offline.diagnose.search.search import Claim, Tell
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
+SINGLE = (
+    "one trial: how friction scatters from trial to trial cannot be known from it, so effects that differ only from trial to trial are not "
+    "told; the others were judged on blocks of time left out in turn, which speaks of this motion only"
+)
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 
 
@@ -77,11 +81,16 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
         rows=sum(r.size for r in engine.rows),
+        notes=(*engine.data.sampling, *((SINGLE,) if len(engine.data.trials) == 1 else ())),
     )
 
 
-def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> tuple[Diagnosis, str]:
+def diagnose_model(
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = lambda _: None
+) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
+
+    ``tell`` is told each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
@@ -94,15 +103,18 @@ def diagnose_model(model: Model, recordings: Recordings, names: Sequence[str] | 
     fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
-    found = answered(examine(base.robot, recordings, fitted, known=base.known), names)
+    found = answered(examine(base.robot, recordings, fitted, known=base.known, tell=tell), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=base.notes)
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *found.notes))
+    if base.known is None:
+        found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
     if base.known is None or names is not None:
         return found, base.against
+    tell("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
 
 

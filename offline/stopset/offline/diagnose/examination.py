@@ -15,7 +15,7 @@ from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.diagnose.search.search import Claim, Found, Tell, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -48,13 +48,19 @@ class Examination:
 
 def examine(
     robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
-    names: Sequence[str] | None = None, known: Known | None = None,
+    names: Sequence[str] | None = None, known: Known | None = None, tell: Tell = lambda _: None,
 ) -> Examination:  # fmt: skip
-    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its."""
+    """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
+
+    ``tell`` is told each step.
+    """
+    tell(f"{len(recordings)} recordings; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)
     _include(engine, fitted)
     already = tuple(engine.active)
-    found = search(engine, names)
+    tell(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
+    found = search(engine, names, tell=tell)
+    tell("what is left, and what these recordings cannot tell")
     left = left_of(found, engine)
     return Examination(engine, found, already, left, _ranked(engine, found, already, left))
 

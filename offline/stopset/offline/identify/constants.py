@@ -40,7 +40,7 @@ from stopset.offline.diagnose.columns import elasticity, ripple
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
-from stopset.offline.diagnose.rows import prepare, rows
+from stopset.offline.diagnose.rows import prepare, rows, sampling
 from stopset.offline.diagnose.search import refine, search, wanted
 from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
@@ -144,12 +144,13 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP GOLDEN"),
+    ("diagnosis sampling", sampling, "EVEN FOLLOW GAP WORTH"),
     ("diagnosis poses", rows, "FEW_POSES"),
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "GIVEN"),
+    ("diagnosis engine", engine, "GIVEN SAME"),
     ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),

@@ -150,6 +150,7 @@ def _provenance(robot: Robot, meta: Meta, found: Survey, settings: Settings, nom
         "session_trials": found.places,
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
+        "taken_out": list(nominal.taken_out),
         "description_read_again": None if (again := read_again(robot)) is None else asdict(again),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

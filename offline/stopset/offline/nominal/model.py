@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,7 @@ class NominalPart:
     data: NormalEquations | None = None
     doubt: Array = field(default_factory=lambda: np.zeros(1))
     chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
+    taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
 
 
 def fit_nominal(
@@ -148,7 +150,9 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     )
     notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     doubt = of_regression(cad, nominal, found.sample)
-    return NominalPart(arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen)
+    return NominalPart(
+        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen, nominal.taken_out()
+    )
 
 
 def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -82,6 +83,16 @@ class Nominal:
         """The arm with identified links and rotors in place of CAD and data sheet."""
         drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(robot.drives, self.rotor, strict=True))
         return replace(robot.with_parameters(self.pi), drives=drives)
+
+    def taken_out(self) -> tuple[dict[str, Any], ...]:
+        """What was taken off the recordings before the fit: the lag of the torque, common (``joint`` None) or of single joints."""
+        lag, out = self.delay, list[tuple[str | None, float, float]]()
+        own = [j for j in range(len(self.joints)) if self.delay_applied[j] != lag.common]
+        if len(own) < len(self.joints):
+            out.append((None, float(lag.common), float(lag.common_std)))
+        out += [(self.joints[j], float(self.delay_applied[j]), float(lag.std[j])) for j in own]
+        said = "lag of the recorded torque against the motion"
+        return tuple({"what": said, "joint": joint, "value": d, "std": std, "unit": "s"} for joint, d, std in out if d != 0.0)
 
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""

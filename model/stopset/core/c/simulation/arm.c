@@ -14,11 +14,12 @@
 enum {
     ROTOR, FC, FV, LIMIT, BRAKE_TORQUE, BRAKE_DELAY, BRAKE_RISE, FV_SLOPE, FC_SLOPE, BREAKAWAY, STRIBECK_SPEED, TOOTH, SKEW, THINNING_SPEED,
     RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, STIFFNESS, TWIST_DAMPING, PRESLIDING, GAIN, SPRING, SPRING_CENTRE, DRAG, PARTNER, ENCODER_OFFSET,
-    ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE, BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, FILM_HEAT, FILM_TIME, COLUMNS
+    ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE, BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, FILM_HEAT, FILM_TIME,
+    TOOTH_SQUARE, COUNTER, COUNTER_RATIO, COUNTER_CENTRE, CABLE, CABLE_CENTRE, GAP, COLUMNS
 };
 enum { ELEMENTS = 4 };
 static const double SHARES[ELEMENTS] = {0.4, 0.3, 0.2, 0.1}, REACH[ELEMENTS] = {0.4, 1.0, 2.0, 4.0};
-static const double REFERENCE = 30.0, VOGEL = 95.0, RESONANCE_WIDTH = 0.08, COULOMB_FLOOR = 0.4, BRAKES_OPEN = -1e9, PI = 3.14159265358979312;
+static const double REFERENCE = 30.0, VOGEL = 95.0, RESONANCE_WIDTH = 0.08, COULOMB_FLOOR = 0.4, BRAKES_OPEN = -1e9, REACH_OF_CABLE = 0.6, YIELDS = 0.15, PI = 3.14159265358979312;
 
 static double absolute(double x) { return x < 0.0 ? -x : x; }
 static double limited(double x, double most) { return x > most ? most : x < -most ? -most : x; }
@@ -58,14 +59,22 @@ static double coulomb(const double *T, double temp, double speed, double load, d
         const double x = (absolute(speed) - T[RESONANCE_SPEED]) / RESONANCE_WIDTH;
         f += T[RESONANCE] / (1.0 + x * x);
     }
-    f += T[TOOTH] * absolute(load) + walk;
+    f += (T[TOOTH] + T[TOOTH_SQUARE] * absolute(load)) * absolute(load) + walk;
     return f > 0.0 ? f : 0.0;
 }
 
-/* Torque [N m] that depends on the joint's place: dress pack (stiffer when stretched), bump. */
+/* Torque [N m] that depends on the joint's place: dress pack (stiffer when stretched), cable at its end, gas spring, bump. */
 static double position_torque(const double *T, double q) {
     const double x = q - T[SPRING_CENTRE];
     double total = T[SPRING] * x * (1.0 + 0.05 * x * x);
+    if (T[CABLE] != 0.0) {
+        const double e = stopset_exp((q - T[CABLE_CENTRE]) / REACH_OF_CABLE);
+        total += 0.5 * T[CABLE] * (e - 1.0 / e);
+    }
+    if (T[COUNTER] != 0.0) { /* its force falls as it extends; `length` in units of its longer lever */
+        const double r = T[COUNTER_RATIO], turn = q - T[COUNTER_CENTRE], length = sqrt(1.0 + r * r + 2.0 * r * stopset_cos(turn));
+        total += T[COUNTER] * (1.0 + YIELDS * (1.0 - length)) * stopset_sin(turn) / length;
+    }
     if (T[BUMP] != 0.0) {
         const double y = (q - T[BUMP_CENTRE]) / T[BUMP_WIDTH];
         if (absolute(y) < 2.0) {
@@ -126,8 +135,10 @@ static void assemble(const StopsetSimArm *a, Work *c, const double *tau, const d
             b[p] -= d * a->v[m];
         }
         if (m != i) { /* gear spring, implicit midpoint */
-            const double k = 0.25 * h * h * T[STIFFNESS] + 0.5 * h * T[TWIST_DAMPING];
-            const double twist = h * T[STIFFNESS] * (a->x[m] - a->x[i]) + k * (a->v[m] - a->v[i]);
+            const double bend = a->x[m] - a->x[i], wound = bend - limited(bend, 0.5 * T[GAP]); /* within the gap no tooth touches */
+            const double touches = T[GAP] > 0.0 && wound == 0.0 ? 0.0 : 1.0;
+            const double k = touches * (0.25 * h * h * T[STIFFNESS] + 0.5 * h * T[TWIST_DAMPING]);
+            const double twist = h * T[STIFFNESS] * wound + k * (a->v[m] - a->v[i]);
             A[m * N + m] += k;
             A[i * N + i] += k;
             A[m * N + i] -= k;

@@ -21,7 +21,7 @@ def all_rows(source: Source) -> list[JointRows]:
 
 
 def base_columns(source: Source, rows: JointRows) -> Array:
-    """y (against the description), rigid body, and the joint's rotor, friction, friction left in the poses, stamps."""
+    """y (against the description), rigid body, all drives' scale, and the joint's rotor, friction, friction left in the poses, stamps."""
     d, j = source.data, rows.joint
     y = d.tau[:, j] - source.link[:, j] - source.robot.rotor[j] * d.ddq[:, j]
     moving = [y, d.ddq[:, j], d.way[:, j], d.dq[:, j], np.zeros(len(d.q)), -source.rigid(j).dtau]
@@ -31,7 +31,9 @@ def base_columns(source: Source, rows: JointRows) -> Array:
     own = rows.column(np.stack(moving, axis=1), still)
     share = 0.0 if source.compensated else 1.0
     body = rows.column(share * source.regressor[:, j], share * source.regressor_still[:, j])
-    return np.column_stack([own[:, 0], body, own[:, 1:]])
+    rigid = (share * source.link[:, j] + source.robot.rotor[j] * d.ddq[:, j])[:, None]
+    scale = rows.column(rigid, share * source.load_still[:, j, None])
+    return np.column_stack([own[:, 0], body, scale, own[:, 1:]])
 
 
 def first_friction(X: Array, sd: Array) -> Array:

@@ -27,6 +27,7 @@ from stopset.types import Array
 
 __all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
 
+SAME = 0.01  # prior deviation of the torque's scale from that of the recordings that a model is from
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
 
@@ -83,7 +84,8 @@ class Engine:
         rows = all_rows(source)
         base = 1 + np.arange(10 * n)
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
-        sd = np.full(1 + 15 * n, np.inf)
+        sd = np.full(2 + 15 * n, np.inf)
+        sd[-1] = 1e-6 if compensated else SAME if known else limit.DRIVES  # torque constants off on all joints alike
         sd[base] = link_tolerance(robot, tol).ravel()
         told = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
         sd[own[:, 0]] = np.where(told, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
@@ -94,9 +96,9 @@ class Engine:
             if known:
                 sd[own[j, 1:3]] = np.maximum(known.spread * known.friction[j], 1e-3)
                 X[:, 0] -= X[:, -4:-2] @ known.friction[j]
-            friction[j] = known.friction[j] if known else first_friction(X, np.concatenate([sd[base] * 10, sd[own[j]]]))
+            friction[j] = known.friction[j] if known else first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]))
             f = rows[j].column(np.stack([data.way[:, j], data.dq[:, j]], axis=1) * friction[j])
-            index = np.concatenate([[0], base, own[j]]).astype(np.intp)
+            index = np.concatenate([[0], base, [1 + 15 * n], own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
         return Engine(
@@ -112,7 +114,7 @@ class Engine:
             base.astype(np.intp),
             own[:, 0].astype(np.intp),
             own[:, 4].astype(np.intp),
-            1 + 15 * n,
+            2 + 15 * n,
             scales,
             (1.0,) if known else limit.ROTOR_SCALES,
         )
@@ -193,6 +195,10 @@ class Engine:
             self._level[joint] = float(self.friction[joint, 0] + self.friction[joint, 1] * speed) or 1.0
         return self._level[joint]
 
+    def loaded(self, joints: Sequence[int]) -> bool:
+        """Whether gravity loads one of ``joints`` in these motions."""
+        return any(float(np.ptp(self.source.gravity[:, j])) >= limit.FLAT * self.level(j) for j in joints)
+
     # -- the current model ------------------------------------------------------------------------------------------
 
     @property
@@ -241,7 +247,8 @@ class Engine:
         for _ in range(3):
             before = h
             for j in range(n):
-                h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
+                if len(view.grams[j].starts) >= limit.SCATTERED:  # of fewer trials no scatter is known: it stays at the usual one
+                    h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
             h = view._best(h, [replace(h, scale=s) for s in self.scales])
             h = view._best(h, [replace(h, rotor=s) for s in self.rotor_scales])
             p = view._project(h)[0]

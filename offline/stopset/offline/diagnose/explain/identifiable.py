@@ -133,16 +133,12 @@ def _expected(p: Projection, ix: np.ndarray, c: Candidate) -> float:
     return max(gain(S, S[:, k] * c.sd[k], 1.0 / c.sd**2)[0] for k in range(len(ix)))
 
 
-def _unloaded(engine: Engine, place: tuple[int, ...]) -> bool:
-    return all(float(np.ptp(engine.source.gravity[:, j])) < limit.FLAT * engine.level(j) for j in place)
-
-
 def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, needs: frozenset[str]) -> str:
     """Why an effect at a place would go unnoticed; empty where it would be seen."""
     if any(len(engine.rows[j].take) <= 50 for j in place):
         return STILL
     if shown is None:
-        return UNLOADED if needs & LOADS and _unloaded(engine, place) else TRACELESS
+        return UNLOADED if needs & LOADS and not engine.loaded(place) else TRACELESS
     evidence, taken = shown
     if evidence >= limit.THRESHOLD:
         return ""

@@ -8,9 +8,10 @@ import numpy as np
 
 from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
 from stopset.offline.diagnose.rows.prepare import Index
+from stopset.offline.diagnose.search.held_out import by_time, few_motions
 from stopset.types import Array
 
-BINS = 24
+BINS, FEW_BINS = 24, 4
 BLOCK = 25  # rows of half a second of motion: short against a wander of friction, long against what sensors and lags leave
 
 
@@ -36,11 +37,13 @@ def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[
     rows, d = engine.rows[joint], engine.data
     take = rows.take
     r, fold = whitened(engine, theta, hyper, joint)
-    way = d.way[take, joint]
+    way, bins = d.way[take, joint], BINS
+    if few_motions(engine):  # blocks of time are held out, and steps of time must be longer than they are
+        fold, bins = by_time(engine, joint)[: len(take)], FEW_BINS
     found = []
     for name, x in _variables(engine, joint, take):
         for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
-            share = predicted(r, x, weight, fold)
+            share = predicted(r, x, weight, fold, bins)
             found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)
 
@@ -69,9 +72,9 @@ def _variables(engine: Engine, joint: int, take: Index) -> list[tuple[str, Array
     return out
 
 
-def predicted(r: Array, x: Array, weight: Array, fold: Index) -> float:
+def predicted(r: Array, x: Array, weight: Array, fold: Index, bins: int = BINS) -> float:
     """Share of the variance of ``r`` that bin means over ``x`` (times ``weight``) predict on folds they have not seen."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1]))
     b = np.searchsorted(edges, x)
     m = len(edges) + 1
     num = np.stack([np.bincount(b[fold == k], (r * weight)[fold == k], m) for k in range(FOLDS)])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
+from stopset.offline.diagnose.rows.sampling import in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
 from stopset.types import Array
 
@@ -117,6 +118,7 @@ class Prepared:
     spread_still: Array
     torque_noise: Array
     phase: Index
+    sampling: tuple[str, ...]  # what was made of the stamps, in words
     position_noise: Array
 
     @property
@@ -161,11 +163,11 @@ def prepare(recordings: Recordings) -> Prepared:
     moving = [c for r in recordings if r.phase != "static" and (c := _before_brake(r)) is not None]
     if not moving:
         raise RecordingError("no moving trial longer than 0.1 s in these recordings; diagnosis needs closed- or open-loop motion")
-    dt = float(np.median([np.median(np.diff(r.t)) for r in moving]))
+    dt = period_of(moving)
     kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
     step = max(1, round(ROW_STEP / dt))
-    grids = [(r, _on_grid(r, dt)) for r in moving]
-    grids = [(r, g) for r, g in grids if len(g["t"]) > 2 * kernel.half + step]
+    grids = [(r, sampled(r, dt, _white)) for r in moving]
+    grids = [(r, g) for r, g in grids if len(g.t) > 2 * kernel.half + step]
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
     session = Session.of(recordings)
@@ -173,43 +175,43 @@ def prepare(recordings: Recordings) -> Prepared:
     temps: list[Array] = []
     trials, centres, offset, rows = [], [], 0, 0
     for r, g in grids:
-        m = len(g["t"])
-        q = g["q"]
+        m = len(g.t)
+        q = g.q
         padded = np.concatenate([2 * q[:1] - q[light.half : 0 : -1], q, 2 * q[-1:] - q[-2 : -light.half - 2 : -1]])
         inside = np.arange(m) + light.half
         fine_parts["raw"].append(q)
         fine_parts["q"].append(_at(padded, inside, light.h))
         fine_parts["dq"].append(_at(padded, inside, light.h1))
-        fine_parts["tau"].append(g["tau"])
-        fine_parts["t"].append(g["t"])
+        fine_parts["tau"].append(g.tau)
+        fine_parts["t"].append(g.t)
         fine_parts["warm"].append(np.full(m, session.warm(r)))
-        if "temp" in g:
-            temps.append(g["temp"])
+        if g.temp is not None:
+            temps.append(g.temp)
         centre = np.arange(kernel.half, m - kernel.half, step) + offset
         trials.append(Trial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
         centres.append(centre)
         offset, rows = offset + m, rows + len(centre)
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
     temp_fine = np.concatenate(temps) if len(temps) == len(grids) else None
-    centre = np.concatenate(centres)
+    centre, torn = np.concatenate(centres), np.concatenate([g.torn for _, g in grids])
     dq, way = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    told = [(r.phase, _white(g["tau"]), _white(g["q"])) for r, g in grids if len(g["t"]) > 20]
+    told = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > 20]
     noise = [[x for p, x, _ in told if p == phase] or [x for _, x, _ in told] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
-        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel),
+        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(torn, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
         torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in told], axis=0),
-        phase=np.array([phases.index(r.phase) for r, _ in grids])[which],
+        phase=np.array([phases.index(r.phase) for r, _ in grids])[which], sampling=in_words([g for _, g in grids]),
     )  # fmt: skip
 
 
@@ -220,13 +222,10 @@ def _before_brake(r: Recording) -> Recording | None:
     return r if len(r.t) > 8 else None
 
 
-def _on_grid(r: Recording, dt: float) -> dict[str, Array]:
-    """The trial's signals on an even grid of step ``dt``; interpolated only where its clock asks for it."""
-    signals = {"q": r.q, "tau": r.tau} | ({} if r.temp is None else {"temp": r.temp})
-    if np.max(np.abs(np.diff(r.t) - dt)) < 0.1 * dt:
-        return {"t": r.t, **signals}
-    t = np.arange(r.t[0], r.t[-1], dt)
-    return {"t": t, **{k: np.stack([np.interp(t, r.t, c) for c in x.T], axis=1) for k, x in signals.items()}}
+def _whole(torn: Mask, centre: Index, kernel: Kernel) -> Mask:
+    """(N, 1) rows within whose kernel no sample was lost."""
+    before = np.concatenate([[0], np.cumsum(torn)])
+    return np.asarray(before[centre + kernel.half + 1] == before[centre - kernel.half])[:, None]
 
 
 def _moving(dq_fine: Array, way: Array, centre: Index, kernel: Kernel) -> Mask:
@@ -252,6 +251,12 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
     tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in kept])
     spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in kept])
     return q, tau, spread
+
+
+def _noise(x: Array, recorded: Array) -> Array:
+    """(n,) white noise of a signal; no less than the steps it was recorded in leave open, also where it was read between samples."""
+    steps = np.array([_step(c) for c in recorded.T])
+    return np.asarray(np.maximum(_white(x), steps / np.sqrt(12.0)))
 
 
 def _white(x: Array) -> Array:

@@ -16,10 +16,11 @@ BLOCKS = f"every sixth {BLOCK:g} s in turn, {GUARD:g} s away from what was fitte
 
 def judged_on(engine: Engine) -> str:
     """What held-out errors are taken on, in words."""
-    return BLOCKS if _few(engine) else WHOLE
+    return BLOCKS if few_motions(engine) else WHOLE
 
 
-def _few(engine: Engine) -> bool:
+def few_motions(engine: Engine) -> bool:
+    """Whether blocks of time are held out, for want of motions."""
     return len(np.unique(engine.fold_of_trial)) < FOLDS
 
 
@@ -31,8 +32,8 @@ def held_out(engine: Engine, hyper: Hyper) -> Array:
     """
     view = engine.view()
     n = engine.data.n
-    few = _few(engine)
-    folds = [_by_time(engine, j) if few else view.grams[j].row_fold for j in range(n)]
+    few = few_motions(engine)
+    folds = [by_time(engine, j) if few else view.grams[j].row_fold for j in range(n)]
     square, count = np.zeros(n), np.zeros(n)
     for fold in range(FOLDS):
         if few:
@@ -55,7 +56,7 @@ def held_out(engine: Engine, hyper: Hyper) -> Array:
     return out
 
 
-def _by_time(engine: Engine, joint: int) -> Index:
+def by_time(engine: Engine, joint: int) -> Index:
     """(K + P,) fold of each row of a joint by the second it lies in; poses are never held out."""
     rows, d = engine.rows[joint], engine.data
     block = (d.t[rows.take] / BLOCK).astype(np.intp) + d.trial[rows.take]  # trials begin with different folds

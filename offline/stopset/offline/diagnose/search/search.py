@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stopset.effects import catalogue
+from stopset.effects import catalogue, get
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
@@ -18,6 +18,7 @@ from stopset.offline.diagnose.search.refine import begun, refined, sharpened
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.types import Array
 
+Tell = Callable[[str], None]
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
 
 
@@ -47,8 +48,13 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD) -> Found:
-    """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless."""
+def search(
+    engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = lambda _: None
+) -> Found:
+    """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless.
+
+    ``tell`` is told each claim as it is made.
+    """
     candidates = engine.add_all(wanted(engine, names))
     ripple = next((e for e in catalogue().values() if e.periodic and (names is None or e.name in names)), None)
     ripples = Ripples(engine, ripple) if ripple else None
@@ -87,8 +93,10 @@ def search(engine: Engine, names: Sequence[str] | None = None, threshold: float 
             error = held_out(engine, hyper)
         before = error
         after = _excess(engine, p.theta, hyper)
-        rivals = tuple(r for r in near if r is not top)
+        rivals = tuple(r for r in near if r.candidate.key != candidate.key)
         claims.append(Claim(top, top.score, rivals, excess, after))
+        where = "+".join(engine.data.joints[j] for j in top.candidate.joints) or "the whole arm"
+        tell(f"so far: {top.candidate.effect.name} at {where}, score {top.score:.0f}; asking every other again")
         excess = after
     kept = _needed(engine, _as_fitted(engine, claims, p.theta), hyper, threshold)
     kept = [_settled_again(engine, claim, hyper) for claim in kept]
@@ -166,7 +174,8 @@ Settled = tuple[float, Scored, Candidate, Hyper, Projection]
 def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Scored, Candidate, Hyper, Projection]:
     """Among contenders of nearly equal score, the one with which the whole model, refitted, is most likely.
 
-    Of two that look alike at the same joint and are as good as equally likely, the simpler one.
+    Of two that look alike at the same joint and are as good as equally likely, the simpler one; and the plainer form of a law
+    where it explains as good as all of what the finer one does, however sure the rest is.
     """
     settled: list[Settled] = []
     for s in near:
@@ -177,7 +186,40 @@ def _settle(engine: Engine, near: Sequence[Scored], hyper: Hyper) -> tuple[Score
         engine.active.pop()
     best = max(settled, key=lambda x: x[0])
     simpler = [x for x in settled if _simplifies(x[2], best[2]) and x[0] > best[0] - limit.SIMPLER * best[1].score]
-    return max(simpler, key=lambda x: x[0], default=best)[1:]
+    best = max(simpler, key=lambda x: x[0], default=best)
+    return max(_plainer(engine, best, hyper), key=lambda x: x[0], default=best)[1:]
+
+
+def _plainer(engine: Engine, best: Settled, hyper: Hyper) -> list[Settled]:
+    """The plainer forms of a law that explain as much of its joints' leftover variance, but for `PLAIN` of it."""
+    c, out = best[2], list[Settled]()
+    if not c.effect.refines:
+        return out
+    h, p = engine.fit(hyper)
+    where = list(c.joints) or list(range(engine.data.n))
+    before, finer = (np.asarray(_excess(engine, p.theta, h))[where], np.asarray(_excess_with(engine, best))[where])
+    claimed = {x.key for x in engine.active}
+    for effect in (e for e in map(get, c.effect.refines) if (e.name, c.joints) not in claimed):
+        s = score_new(engine, effect, c.joints, {}, hyper)
+        if s is None or not s.admissible:
+            continue
+        added = _added(engine, s.candidate)
+        engine.active.append(added)
+        h, p = engine.fit(hyper)
+        left = np.asarray(_excess(engine, p.theta, h))[where]
+        if np.all(left - finer <= limit.PLAIN * (before - finer)):
+            out.append((engine.evidence(h), replace(s, score=min(s.score, best[1].score), candidate=added), added, h, p))
+        engine.active.pop()
+    return out
+
+
+def _excess_with(engine: Engine, settled: Settled) -> tuple[float, ...]:
+    """Leftover variance by joint with a contender."""
+    _, _, candidate, h, p = settled
+    engine.active.append(candidate)
+    out = _excess(engine, p.theta, h)
+    engine.active.pop()
+    return out
 
 
 def _settled_again(engine: Engine, claim: Claim, hyper: Hyper) -> Claim:
@@ -191,7 +233,7 @@ def _settled_again(engine: Engine, claim: Claim, hyper: Hyper) -> Claim:
     engine.active.insert(mine, here if same else candidate)
     if same:
         return claim
-    rivals = tuple(r for r in (claim.scored, *claim.rivals) if r is not top)
+    rivals = tuple(r for r in (claim.scored, *claim.rivals) if r.candidate.key != candidate.key)
     return replace(claim, scored=top, score=top.score, rivals=rivals)
 
 

@@ -34,6 +34,8 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             places = [(a[0], b[0]) for a, b in itertools.combinations(places, 2)]
             if effect.adjacent:
                 places = [(a, b) for a, b in places if b == a + 1]
+        if effect.loaded:
+            places = [p for p in places if engine.loaded(p)]
         grids = [s.grid for s in effect.shapes]
         for place in places:
             if effect.enters == "input_delay":

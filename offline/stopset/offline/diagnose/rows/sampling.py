@@ -1,0 +1,105 @@
+"""When the samples of a trial were taken, told before anything is made of them: even, stamped anyhow, or with some lost.
+
+Stamps that scatter about an even clock are read as that clock, where the positions are smoother so: a stamp a millisecond off is a
+position a milliradian off.  Positions between samples come from a cubic; what lies in a gap says nothing of torque or acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from stopset.recording import Recording
+from stopset.types import Array
+
+EVEN = 0.1  # of a period: stamps no farther off are as even as clocks are
+FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
+WORTH = 1e-5  # [s] of scatter is worth a word
+GAP = 1.5  # periods from which on samples were lost
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """A trial's signals on an even grid; ``torn`` (M,): in a gap; ``scatter`` [s] of stamps that were taken as even, ``lost`` samples."""
+
+    t: Array
+    q: Array
+    tau: Array
+    temp: Array | None
+    torn: NDArray[np.bool_]
+    scatter: float = 0.0
+    lost: int = 0
+
+
+def period_of(trials: Sequence[Recording]) -> float:
+    """Time between samples [s]: of the even clock that the stamps scatter about where there is one, else the usual one."""
+    usual = float(np.median([np.median(np.diff(r.t)) for r in trials]))
+    uneven = [r.t for r in trials if not _even(r.t, usual)]
+    clocks = [clock for t in uneven if (clock := _clock(t, usual)[0]) is not None]
+    if not clocks or 2 * len(uneven) < len(trials):
+        return usual
+    return float(np.median([np.min(np.diff(clock)) for clock in clocks]))
+
+
+def sampled(r: Recording, dt: float, noise: Callable[[Array], Array]) -> Sampled:
+    """A trial on an even grid of step ``dt`` [s]; ``noise`` of a signal's columns tells which reading of the stamps is smoother."""
+    if _even(r.t, dt):
+        return Sampled(r.t, r.q, r.tau, r.temp, np.zeros(len(r.t), np.bool_))
+    clock, lost = _clock(r.t, dt)
+    readings = [_read(r, r.t, dt, 0.0, lost)]
+    if clock is not None:
+        readings.append(_read(r, clock, dt, float(np.std(r.t - clock)), lost))
+    return min(readings, key=lambda x: float(np.sum(np.log(np.maximum(noise(x.q), 1e-12)))))
+
+
+def _even(t: Array, dt: float) -> bool:
+    return bool(np.max(np.abs(np.diff(t) - dt)) < EVEN * dt)
+
+
+def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
+    """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
+    place, now = np.zeros(len(t)), float(t[0])
+    for k in range(1, len(t)):
+        steps = max(1, round((t[k] - now) / dt))
+        place[k] = place[k - 1] + steps
+        now += steps * dt
+        now += FOLLOW * (t[k] - now)
+    for _ in range(2):
+        period, begin = np.polyfit(place, t, 1)
+        place = np.round((t - begin) / period)
+    even = abs(period - dt) < EVEN * dt and bool(np.all(np.diff(place) > 0))
+    lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
+    return (begin + period * place if even else None), lost
+
+
+def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampled:
+    """The trial as sampled at the times ``t``."""
+    grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
+    before = np.clip(np.searchsorted(t, grid, "right") - 1, 0, len(t) - 2)
+
+    def between(x: Array) -> Array:
+        return np.stack([np.interp(grid, t, c) for c in x.T], axis=1)
+
+    torn = np.diff(t)[before] > GAP * dt
+    return Sampled(
+        grid, CubicSpline(t, r.q)(grid), between(r.tau), None if r.temp is None else between(r.temp), torn, scatter, lost
+    )
+
+
+def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:
+    """What was made of the stamps, where they were not as even as a clock."""
+    out, samples = [], sum(len(x.t) for x in read)
+    uneven = [x.scatter for x in read if x.scatter > WORTH]
+    if uneven:
+        out.append(
+            f"stamps scatter by {1e3 * float(np.median(uneven)):.2g} ms about an even clock in {len(uneven)} of {len(read)} trials: "
+            "positions are smoother on that clock, so it was taken"
+        )
+    lost = sum(x.lost for x in read)
+    if lost:
+        out.append(f"{lost} samples are lost ({lost / (samples + lost):.1%}): nothing was asked of the torque beside a gap")
+    return tuple(out)

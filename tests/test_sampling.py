@@ -1,0 +1,68 @@
+"""When samples were taken: even clocks with scattering stamps, uneven clocks with true ones, gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stopset.offline.diagnose.rows.prepare import _white as white
+from stopset.offline.diagnose.rows.prepare import prepare
+from stopset.offline.diagnose.rows.sampling import in_words, sampled
+from stopset.recording import Meta, Recording, Recordings
+
+DT, N, NOISE = 0.008, 1500, 2e-5
+
+
+def motion(t: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(1.3 * t), 0.8 * np.sin(2.1 * t + 0.4)], axis=1)
+
+
+def recorded(stamps: np.ndarray, taken: np.ndarray) -> Recording:
+    q = motion(taken) + np.random.default_rng(2).normal(0, NOISE, (len(taken), 2))
+    return Recording("closed_loop", 0, 0, 0, stamps, q, np.gradient(q, taken, axis=0), 5.0 * q)
+
+
+def test_stamps_that_scatter_about_a_clock_are_read_as_that_clock() -> None:
+    clock = DT * np.arange(N)
+    stamps = np.sort(clock + np.random.default_rng(1).normal(0, 1e-3, N))
+    got = sampled(recorded(stamps, clock), DT, white)
+    assert got.scatter == pytest.approx(1e-3, rel=0.1) and not got.torn.any() and got.lost == 0
+    off = got.q - motion(got.t)
+    assert np.std(off - off.mean(axis=0)) < 5 * NOISE  # read as stamped: a millisecond at 1.7 rad/s, 1e-3
+    assert "scatter by 1 ms" in in_words([got])[0]
+
+
+def test_stamps_of_a_clock_that_is_uneven_are_believed() -> None:
+    taken = np.cumsum(DT * np.random.default_rng(1).uniform(0.7, 1.3, N))
+    got = sampled(recorded(taken, taken), DT, white)
+    assert got.scatter == 0.0 and not in_words([got])
+    assert (
+        np.abs(got.q - motion(got.t))[5:-5].max() < 8 * NOISE
+    )  # a straight line between samples would be 3e-5 off, at its middle
+
+
+@pytest.mark.parametrize("scatter", [0.0, 1e-3])
+def test_what_lies_beside_a_lost_sample_is_asked_for_nothing(scatter: float) -> None:
+    rng = np.random.default_rng(3)
+    kept = rng.random(N) > 0.03
+    kept[[0, -1]] = True
+    clock = DT * np.arange(N)[kept]
+    stamps = np.sort(clock + rng.normal(0, 1.0, len(clock)) * scatter)
+    r = recorded(stamps, clock)
+    got = sampled(r, DT, white)
+    assert got.lost == N - kept.sum() and f"{got.lost} samples are lost" in in_words([got])[-1]
+    middles = 0.5 * (clock[1:] + clock[:-1])[np.diff(clock) > 1.5 * DT]
+    assert all(got.torn[np.argmin(np.abs(got.t - t))] for t in middles)
+    data = prepare(Recordings(Meta(("a", "b")), (r,)))
+    rows = data.t[data.ok.any(axis=1)]
+    away = np.abs(rows[:, None] - middles).min(axis=1)
+    assert (
+        len(rows) > 50 and away.min() > data.kernel.half * data.kernel.dt - 2 * DT and len(data.sampling) == len(in_words([got]))
+    )
+
+
+def test_even_stamps_are_left_as_they_are() -> None:
+    t = DT * np.arange(N)
+    r = recorded(t, t)
+    got = sampled(r, DT, white)
+    assert got.q is r.q and got.tau is r.tau and not in_words([got])
