@@ -1,0 +1,174 @@
+/* Calls an FMI 3 unit in any order with any values, linked with its sources and the sanitizers.
+ *
+ * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED
+ * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, a true `covered` has bounds
+ * in order, a true `stop_certified` has numbers of at least zero.
+ */
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi3Functions.h"
+
+static char last[600];
+static uint64_t state;
+
+static uint64_t draw(void) { /* splitmix64 */
+    uint64_t z = (state += 0x9e3779b97f4a7c15u);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return z ^ (z >> 31);
+}
+static unsigned below(unsigned n) { return (unsigned)(draw() % n); }
+static double number(void) {
+    static const double wild[] = {0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 3.0, 1e6, 1e9, 1e17, 1e308, -1e308, INFINITY, -INFINITY, NAN};
+    if (!below(4)) return wild[below(sizeof wild / sizeof *wild)];
+    return ((double)(draw() >> 11) / 9007199254740992.0 - 0.5) * (below(3) ? 1.0 : 10.0);
+}
+
+static void write_log(fmi3InstanceEnvironment env, fmi3Status status, fmi3String category, fmi3String message) {
+    (void)env, (void)status, (void)category;
+    snprintf(last, sizeof last, "%s", message);
+}
+
+static long errors, covered_seen, certified_seen;
+#define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), 1
+
+int main(int argc, char **argv) {
+    if (argc < 14) return 2;
+    const char *token = argv[1];
+    long first = atol(argv[2]), count = atol(argv[3]);
+    unsigned v[10];
+    for (int k = 0; k < 10; k++) v[k] = (unsigned)atoi(argv[4 + k]);
+    const unsigned n_real = v[0], n_all = v[0] + v[1] + v[2], q_lo = v[3], q_hi = v[4], n = v[5], stop_first = v[6], stop_last = v[7];
+    double *x = calloc(n_all + 8, sizeof *x), *y = calloc(n_all + 8, sizeof *y);
+    unsigned *vr = calloc(n_all + 8, sizeof *vr);
+    for (long seed = first; seed < first + count; seed++) {
+        state = (uint64_t)seed;
+        int call = 0;
+        const int exchange = below(3) == 0;
+        fmi3Instance c = below(20) ? (exchange ? fmi3InstantiateModelExchange("a", token, "", fmi3False, fmi3False, 0, write_log)
+                                               : fmi3InstantiateCoSimulation("a", token, "", fmi3False, fmi3False, fmi3False, fmi3False, 0, 0, 0,
+                                                                             write_log, 0))
+                                   : fmi3InstantiateCoSimulation("a", "no token", 0, fmi3False, fmi3False, fmi3False, fmi3False, 0, 0, 0, write_log, 0);
+        fmi3FMUState saved = 0;
+        double t = 0.0;
+        if (c && below(10)) { /* mostly a run that begins as it should */
+            for (unsigned k = below(4); k; k--) {
+                vr[0] = below(n_real + 1);
+                x[0] = number();
+                fmi3SetFloat64(c, vr, 1, x, 1);
+            }
+            fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3False, 0.0);
+            fmi3ExitInitializationMode(c);
+            if (exchange) fmi3EnterContinuousTimeMode(c);
+        }
+        for (call = 0; call < 60; call++) {
+            fmi3Status got = fmi3OK;
+            fmi3Boolean a, b, d, e, f, flags[2];
+            int32_t i = (int32_t)below(7) - 2;
+            unsigned many = below(4);
+            size_t size = 0;
+            last[0] = 0;
+            switch (below(24)) {
+            case 0: got = fmi3EnterInitializationMode(c, fmi3False, 0.0, number(), fmi3False, 0.0); break;
+            case 1: got = fmi3ExitInitializationMode(c); break;
+            case 2:
+            case 3:
+            case 4:
+                for (unsigned k = 0; k < many; k++) {
+                    vr[k] = below(n_real + 2);
+                    x[k] = number();
+                }
+                got = fmi3SetFloat64(c, vr, many, x, below(20) ? many : many + 1);
+                break;
+            case 5:
+                vr[0] = below(n_all + 2);
+                got = fmi3SetInt32(c, vr, 1, &i, 1);
+                break;
+            case 6:
+            case 7:
+                vr[0] = below(n_all + 2);
+                a = below(2) != 0;
+                got = fmi3SetBoolean(c, vr, 1, &a, 1);
+                break;
+            case 8:
+            case 9:
+            case 10: { /* time as the unit has it, mostly */
+                vr[0] = 0;
+                if (below(4) && fmi3GetFloat64(c, vr, 1, x, 1) == fmi3OK) t = x[0];
+                got = fmi3DoStep(c, below(8) ? t : number(), below(3) ? 0.01 : number(), fmi3True, &a, &b, &d, y);
+                break;
+            }
+            case 11: got = fmi3GetFMUState(c, &saved); break;
+            case 12:
+                if (saved) got = fmi3SetFMUState(c, saved);
+                break;
+            case 13: {
+                if (!saved || fmi3SerializedFMUStateSize(c, saved, &size) != fmi3OK) break;
+                unsigned char *bytes = malloc(size);
+                got = fmi3SerializeFMUState(c, saved, bytes, below(3) ? size : size / 2);
+                if (got == fmi3OK && !below(2)) bytes[below(64)] ^= 0x40; /* in the head: whose state it is */
+                if (got == fmi3OK) got = fmi3DeserializeFMUState(c, bytes, size, &saved);
+                free(bytes);
+                break;
+            }
+            case 14:
+                if (!below(6)) got = fmi3Reset(c);
+                break;
+            case 15:
+                if (!below(12)) got = fmi3Terminate(c);
+                break;
+            case 16:
+                for (unsigned k = 0; k < 2; k++) {
+                    vr[k] = below(n_all + 2);
+                    vr[4 + k] = below(n_all + 2);
+                    x[k] = number();
+                }
+                got = fmi3GetDirectionalDerivative(c, vr, 2, vr + 4, 2, x, 2, y, 2);
+                break;
+            case 17: got = fmi3SetTime(c, number()); break;
+            case 18:
+                if (fmi3GetNumberOfContinuousStates(c, &size) != fmi3OK || size > n_all) break;
+                for (size_t k = 0; k < size; k++) x[k] = number();
+                got = below(2) ? fmi3SetContinuousStates(c, x, size) : fmi3GetContinuousStateDerivatives(c, y, size);
+                break;
+            case 19:
+                if (fmi3GetNumberOfEventIndicators(c, &size) == fmi3OK && size <= n_all) got = fmi3GetEventIndicators(c, y, size);
+                break;
+            case 20: got = fmi3UpdateDiscreteStates(c, &a, &b, &d, &e, &f, y); break;
+            case 21: got = below(2) ? fmi3EnterEventMode(c) : fmi3EnterContinuousTimeMode(c); break;
+            case 22: got = fmi3CompletedIntegratorStep(c, fmi3True, &a, &b); break;
+            default: break;
+            }
+            if (got != fmi3OK && c && !last[0]) BROKEN("an error without a sentence");
+            errors += got != fmi3OK;
+            if (!c) continue;
+            if (fmi3GetBoolean(c, &v[8], 1, flags, 1) == fmi3OK && flags[0]) {
+                for (unsigned k = 0; k < n; k++) {
+                    vr[0] = q_lo + k;
+                    vr[1] = q_hi + k;
+                    if (fmi3GetFloat64(c, vr, 2, x, 2) != fmi3OK || !(x[0] <= x[1]) || !isfinite(x[0]) || !isfinite(x[1]))
+                        BROKEN("covered, and joint %u between %g and %g", k, x[0], x[1]);
+                }
+                covered_seen++;
+            }
+            if (fmi3GetBoolean(c, &v[9], 1, flags + 1, 1) == fmi3OK) {
+                const unsigned m = stop_last - stop_first + 1;
+                for (unsigned k = 0; k < m; k++) vr[k] = stop_first + k;
+                if (fmi3GetFloat64(c, vr, m, x, m) != fmi3OK) continue;
+                for (unsigned k = 0; k < m; k++)
+                    if (flags[1] ? !(isfinite(x[k]) && x[k] >= 0.0) : !isnan(x[k])) BROKEN("certified %d, and stop output %u is %g", flags[1], k, x[k]);
+                certified_seen += flags[1];
+            }
+        }
+        if (c && saved) fmi3FreeFMUState(c, &saved);
+        free(saved);
+        fmi3FreeInstance(c);
+    }
+    free(x), free(y), free(vr);
+    printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
+    return 0;
+}
