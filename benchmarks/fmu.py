@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model, load_model
-from stopset.fmu import PLATFORMS, export
+from stopset.fmu import PLATFORMS, Contents, export
 from stopset.fmu.build import native
 from stopset.fmu.reference import reference
 from stopset.fmu.stops import bounds_of
@@ -30,10 +30,10 @@ def main() -> None:
     model = load_model(args.model)
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        fmu = export(model, Path(folder) / "F.fmu", 3, [str(native())])
+        fmu = export(model, Path(folder) / "F.fmu", Contents(3, (str(native()),)))
         print(f"export, this platform: {time.perf_counter() - start:.2f} s")
         start = time.perf_counter()
-        every = export(model, Path(folder) / "G.fmu", 3)
+        every = export(model, Path(folder) / "G.fmu")
         print(f"export, {len(PLATFORMS)} platforms: {time.perf_counter() - start:.2f} s, {every.stat().st_size / 1024:.0f} KiB")
         run(model, fmu)
         stops(model, fmu, args.states)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +15,14 @@ import numpy as np
 import pytest
 
 from fmu_models import arm_model
+from fmu_unit import unit
 from stopset.artifact import Model
+from stopset.cli.main import main
 from stopset.effects import Fitted
-from stopset.fmu import archive, export
+from stopset.fmu import Contents, archive, export
 from stopset.fmu.build import native
-from stopset.fmu.reference import reference, write_reference
+from stopset.fmu.check import check_fmu
+from stopset.fmu.reference import reference, reference_texts
 from stopset.reach.flowpipe import deviation_tube, expm, predict
 from stopset.robot.rigid import mass_matrix
 from stopset.types import Array
@@ -56,7 +61,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Any:
     def of(model: Model, name: str, fmi: int = 3) -> Path:
         key = f"{name}{fmi}"
         if key not in done:
-            done[key] = export(model, folder / f"{key}.fmu", fmi, [str(HERE)])
+            done[key] = export(model, folder / f"{key}.fmu", Contents(fmi, (str(HERE),)))
         return done[key]
 
     return of
@@ -105,6 +110,14 @@ def swift(model: Model) -> Model:
 
 def names(model: Model, *stems: str) -> list[str]:
     return [f"{s}_{j}" for s in stems for j in model.joints]
+
+
+def reference_of(fmu: Path) -> tuple[Any, Any]:
+    """Inputs and results that lie inside a unit."""
+    with zipfile.ZipFile(fmu) as z:
+        found = [next(n for n in z.namelist() if n.endswith(end)) for end in ("_in.csv", "_ref.csv")]
+        texts = [io.StringIO(z.read(n).decode()) for n in found]
+    return tuple(np.genfromtxt(x, delimiter=",", names=True, deletechars="") for x in texts)  # type: ignore[return-value]
 
 
 STATE = ("q", "dq")
@@ -188,11 +201,11 @@ def test_model_exchange_follows_co_simulation(exported: Any, fmi: int) -> None:
         ("arm_coupled", arm_model(coupled=True, offset=True)),
     ],
 )
-def test_reference_results_hold(exported: Any, tmp_path: Path, name: str, model: Model) -> None:
-    """The files beside the FMU are what anyone's importer gets: read back from disk, measured inputs connected."""
+def test_reference_results_hold(exported: Any, name: str, model: Model) -> None:
+    """The files inside the FMU are what anyone's importer gets, measured inputs connected; every joint moves in them."""
     fmu = exported(model, name, 3)
-    in_csv, ref_csv, _ = write_reference(model, tmp_path / "F.fmu")
-    given, wanted = (np.genfromtxt(p, delimiter=",", names=True, deletechars="") for p in (in_csv, ref_csv))
+    given, wanted = reference_of(fmu)
+    assert all(np.ptp(wanted[k]) > 0.02 for k in names(model, "q")), "an arm that stands still shows nothing"
     stems = ("tau", "temp", "q_measured", "dq_measured")
     inputs = {k: given[k] for k in names(model, *stems)} | {"measured": given["measured"] == 1}
     out = simulate(model, fmu, given["time"], inputs, [*names(model, *STATE, *BOUNDS), "verdict", "covered"])
@@ -322,4 +335,79 @@ def test_reference_is_the_python_prediction() -> None:
 
 def test_same_model_same_bytes() -> None:
     model = arm_model()
-    assert archive(model, 3, [str(HERE)]) == archive(model, 3, [str(HERE)])
+    assert archive(model, Contents(3, (str(HERE),))) == archive(model, Contents(3, (str(HERE),)))
+
+
+def test_reference_options_are_plain_numbers() -> None:
+    for line in reference_texts(arm_model(2, horizon=0.5)).options.splitlines():
+        assert np.isfinite(float(line.split(",")[1]))
+
+
+DERIVATIVES = [
+    ("arm_coupled", arm_model(coupled=True, offset=True)),
+    ("effects", arm_model(3, effort="motor_torque", effects=EFFECTS, offset=True)),
+]
+
+
+@pytest.mark.parametrize(("name", "model"), DERIVATIVES)
+def test_directional_derivatives_are_those_of_the_model(exported: Any, name: str, model: Model) -> None:
+    """Accelerations by torque and, along two directions at once, by what a step of the motion shows; bounds move with the state."""
+    n, a = model.n, model.abstraction
+    with unit(exported(model, name, 3)) as u:
+        u.set(dict(zip(names(model, "dq_start"), (0.3 + 0.1 * np.arange(n)).tolist(), strict=True)))
+        u.begin()
+        vr = {k: v.valueReference for k, v in u.variables.items()}
+        ddq, tau, dq, q = ([vr[k] for k in names(model, s)] for s in ("ddq", "tau", "dq", "q"))
+        seed = np.linspace(1.0, -2.0, n)
+        got = u.slave.getDirectionalDerivative(ddq, tau, seed.tolist())
+        assert np.abs(np.array(got) - a.Minv @ seed).max() < 1e-8
+        if a.linear and model.effort == "compensated_torque":
+            got = u.slave.getDirectionalDerivative(ddq, dq, seed.tolist())
+            assert np.abs(np.array(got) + a.Minv @ (a.viscous[:, 0] * seed)).max() < 1e-8
+        got = u.slave.getDirectionalDerivative([vr["q_lo_axis_1"], vr["q_hi_axis_2"], *dq], q, seed.tolist())
+        assert np.abs(np.array(got) - [seed[0], seed[1], *np.zeros(n)]).max() < 1e-8
+        got = u.slave.getDirectionalDerivative(ddq, [*q, *dq], [*seed.tolist(), *seed.tolist()])
+        before, x = u.joints("ddq", model.joints), 1e-4
+        with unit(exported(model, name, 3)) as v:
+            start = np.concatenate([x * seed, 0.3 + 0.1 * np.arange(n) + x * seed])
+            v.set(dict(zip(names(model, "q_start", "dq_start"), start.tolist(), strict=True)))
+            v.begin()
+            assert np.abs((v.joints("ddq", model.joints) - before) / x - got).max() < 0.02 * np.abs(got).max()
+        for wrong in (([vr["tcp_stop_distance"]], tau[:1]), (ddq[:1], [vr["payload_mass"]])):
+            with pytest.raises(Exception, match="DirectionalDerivative"):
+                u.slave.getDirectionalDerivative(*wrong, [1.0])
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_unit_is_checked_against_what_it_was_where_it_was_exported(
+    exported: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], fmi: int
+) -> None:
+    model = arm_model(3, effort="motor_torque", effects=EFFECTS[:2], offset=True)
+    fmu = exported(model, "checked", fmi)
+    checked = check_fmu(fmu)
+    assert checked.good and checked.rows == 201 and max(checked.differences.values()) < AGREE
+    assert main(["check-fmu", str(fmu), "--json", str(tmp_path / "a.json")]) == 0
+    assert "is what it was" in capsys.readouterr().out
+    assert json.loads((tmp_path / "a.json").read_text())["good"] is True
+    other = tmp_path / "other.fmu"  # a reference changed by a hair, as a wrong library would be seen
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(other, "w") as new:
+        for name in old.namelist():
+            text = old.read(name)
+            if name.endswith("_ref.csv"):
+                rows = text.decode().splitlines()
+                cells = rows[50].split(",")
+                cells[1] = repr(float(cells[1]) + 2e-9)
+                text = "\n".join([*rows[:50], ",".join(cells), *rows[51:]]).encode()
+            new.writestr(name, text)
+    assert main(["check-fmu", str(other)]) == 1
+    assert "NOT" in capsys.readouterr().out
+    plain = tmp_path / "plain.fmu"
+    plain.write_bytes(archive(model, Contents(fmi, source_only=True)))
+    for path, says in (
+        (tmp_path / "none.fmu", "none.fmu"),
+        (Path(__file__), "expected an FMU"),
+        (plain, "no library for this machine"),
+    ):
+        assert main(["check-fmu", str(path)]) == 2
+        said = capsys.readouterr().err
+        assert says in said and said.count("\n") == 1

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
+import importlib.util
 import os
+import re
 import shutil
 import struct
 import subprocess
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +20,18 @@ import pytest
 from numpy.typing import NDArray
 
 from fmu_models import arm_model
+from fmu_unit import unit
 from stopset.artifact import save_model
 from stopset.cli.main import main
 from stopset.errors import EffectError, NotCovered, OutputError
-from stopset.fmu import PLATFORMS, archive, build, export
+from stopset.fmu import PLATFORMS, Contents, archive, build, export
+from stopset.fmu.check import check_fmu
 from stopset.fmu.description import base_unit
 from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
 from stopset.reach.flowpipe import predict
 from test_fmu import AGREE, DT, HERE, friction
+from test_fmu_stops import braked
 
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -37,7 +44,7 @@ STEPS = 1000
 def everywhere(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     """One model for all platforms, FMI 2 and 3 (the libraries are the same and compiled once)."""
     folder = tmp_path_factory.mktemp("all")
-    return {fmi: export(arm_model(), folder / f"F{fmi}.fmu", fmi) for fmi in (3, 2)}
+    return {fmi: export(arm_model(), folder / f"F{fmi}.fmu", Contents(fmi)) for fmi in (3, 2)}
 
 
 def torque(k: int, n: int) -> NDArray[np.float64]:
@@ -152,6 +159,58 @@ def test_libcosimpy_runs_fmi_2(everywhere: dict[int, Path]) -> None:
     assert np.abs(np.array(observer.last_real_values(index, q)) - final_positions()).max() < AGREE
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_ecos_runs_both_bit_for_bit_as_fmpy(everywhere: dict[int, Path], fmi: int) -> None:
+    tbb = next(Path(sys.prefix).glob("lib/libtbb.so.12"), None)
+    if importlib.util.find_spec("ecospy") is None or tbb is None:
+        pytest.skip("ecospy or its library tbb is not installed")
+    ctypes.CDLL(str(tbb), mode=ctypes.RTLD_GLOBAL)
+    from ecospy import EcosSimulation, EcosSimulationStructure
+
+    joints = [f"axis_{j}" for j in range(1, 7)]
+    with EcosSimulationStructure() as structure:
+        structure.add_model("arm", everywhere[fmi])
+        with EcosSimulation(structure=structure, step_size=DT) as simulation:
+            simulation.init()
+            simulation.set_real("arm::tau_axis_1", 3.0)
+            simulation.step(200)
+            got = [simulation.get_real(f"arm::q_{j}") for j in joints]
+    with unit(everywhere[3]) as u:
+        u.begin()
+        u.set({"tau_axis_1": 3.0})
+        for _ in range(200):
+            u.step(DT)
+        want = u.joints("q", joints)
+    assert want[0] != 0.0 and got == want.tolist()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_sources_alone_become_the_same_unit_by_another_compiler(tmp_path: Path, fmi: int) -> None:
+    """Built as the unit's own description says, and then it is what it was where it was exported, stop bounds to the last bit."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("gcc is not installed")
+    plain, built, folder = tmp_path / "plain.fmu", tmp_path / "built.fmu", tmp_path / "sources"
+    export(braked(8.0, 3), plain, Contents(fmi, source_only=True))
+    with zipfile.ZipFile(plain) as z:
+        names = z.namelist()
+        z.extractall(tmp_path, [p for p in names if p.startswith("sources/")])
+        xml = z.read("sources/buildDescription.xml" if fmi == 3 else "modelDescription.xml").decode()
+    assert not any(p.startswith("binaries/") for p in names)
+    units = dict.fromkeys(re.findall(r'<(?:Source)?File name="([^"]+)"', xml))
+    options = re.findall(r'compilerOptions="([^"]+)"', xml)
+    assert bool(options) == (fmi == 3)
+    command = [gcc, "-shared", "-fPIC", "-O2", *(options[0].split() if options else []), *units, "-lm", "-o", "unit.so"]
+    subprocess.run(command, cwd=folder, check=True, timeout=120)
+    place = "x86_64-linux" if fmi == 3 else "linux64"
+    with zipfile.ZipFile(plain) as old, zipfile.ZipFile(built, "w") as new:
+        for name in names:
+            new.writestr(name, old.read(name))
+        new.write(folder / "unit.so", f"binaries/{place}/stopset_test_arm.so")
+    checked = check_fmu(built)
+    assert checked.good and checked.stops == checked.equal == 12
+
+
 @pytest.mark.parametrize("warnings", [["-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wno-sign-conversion"]])
 def test_the_sources_compile_elsewhere(everywhere: dict[int, Path], tmp_path: Path, warnings: list[str]) -> None:
     """Whoever has another compiler can build the FMU's own sources with it."""
@@ -185,11 +244,11 @@ def test_units_in_base_units(unit: str, expected: dict[str, float] | None) -> No
 def test_what_an_fmu_cannot_carry_is_said(own_effect: object) -> None:
     model = arm_model(3)
     with pytest.raises(NotCovered, match="model 1"):
-        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), 3, [str(HERE)])
+        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), Contents(3, (str(HERE),)))
     with pytest.raises(EffectError, match=r"looks at t, which .* without it"):
-        archive(replace(model, effects=(friction("relaxing_hose", "axis_1", k=1.0, T=1.0),)), 3, [str(HERE)])
+        archive(replace(model, effects=(friction("relaxing_hose", "axis_1", k=1.0, T=1.0),)), Contents(3, (str(HERE),)))
     with pytest.raises(OutputError, match="expected x86_64-linux"):
-        archive(model, 3, ["pdp11"])
+        archive(model, Contents(3, ("pdp11",)))
 
 
 def test_the_command_writes_all_or_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -197,7 +256,7 @@ def test_the_command_writes_all_or_nothing(tmp_path: Path, capsys: pytest.Captur
     save_model(arm_model(2, horizon=0.5), path)
     arguments = ["export-fmu", str(path), "--platform", str(HERE)]
     assert main([*arguments, "--out", str(tmp_path / "F.fmu"), "--json", str(tmp_path / "a.json")]) == 0
-    made = {"F.fmu", "F_in.csv", "F_ref.csv", "F_ref.opt", "a.json", "m.model.json"}
+    made = {"F.fmu", "a.json", "m.model.json"}
     assert {p.name for p in tmp_path.iterdir()} == made
     bad: list[tuple[list[Any], str]] = [
         ([*arguments, "--out", tmp_path], "is a directory"),

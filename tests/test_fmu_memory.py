@@ -18,11 +18,25 @@ from stopset.artifact import Model
 from stopset.artifact.inputs import memories_along
 from stopset.effects import get
 from stopset.errors import EffectError
-from stopset.fmu import archive
-from stopset.fmu.reference import reference, write_reference
+from stopset.fmu import Contents, archive
+from stopset.fmu.reference import reference
 from stopset.fmu.variables import variables
 from stopset.types import Array
-from test_fmu import AGREE, BOUNDS, DT, HERE, STATE, columns, exported, friction, held, joint_inputs, names, simulate
+from test_fmu import (
+    AGREE,
+    BOUNDS,
+    DT,
+    HERE,
+    STATE,
+    columns,
+    exported,
+    friction,
+    held,
+    joint_inputs,
+    names,
+    reference_of,
+    simulate,
+)
 
 fmpy = pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -51,15 +65,14 @@ def wound() -> Model:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_reference_results_hold_and_the_states_are_python_s(exported: Any, tmp_path: Path, fmi: int) -> None:
+def test_reference_results_hold_and_the_states_are_python_s(exported: Any, fmi: int) -> None:
     """Measured inputs connected: states step with the measured motion, as the identification steps them."""
     from fmpy.validation import validate_fmu
 
     model = lasting()
     fmu = exported(model, "lasting", fmi)
     assert validate_fmu(str(fmu)) == []
-    in_csv, ref_csv, _ = write_reference(model, tmp_path / "F.fmu")
-    given, wanted = (np.genfromtxt(p, delimiter=",", names=True, deletechars="") for p in (in_csv, ref_csv))
+    given, wanted = reference_of(fmu)
     inputs = {k: given[k] for k in names(model, "tau", "temp", "q_measured", "dq_measured")} | {
         "measured": given["measured"] == 1
     }
@@ -228,4 +241,4 @@ def test_a_memory_that_is_no_single_affine_state_is_refused(monkeypatch: pytest.
     two = replace(get("hysteresis"), states=get("elasticity").states, flow=get("elasticity").flow)
     monkeypatch.setattr("stopset.fmu.laws.get", lambda _: two)
     with pytest.raises(EffectError, match="remembers x, dx; an FMU carries one state"):
-        archive(wound(), 3, [str(HERE)])
+        archive(wound(), Contents(3, (str(HERE),)))

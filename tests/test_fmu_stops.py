@@ -13,12 +13,11 @@ import pytest
 
 from fmu_models import arm_model
 from fmu_unit import Unit, unit
-from stop_core import core_stop, in_region
 from stopset.artifact import Brakes, Model
-from stopset.fmu import export
+from stopset.fmu import Contents, export
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBound, StopBounds
-from stopset.reach.stops.regions import regions
+from stopset.reach.stops.regions import FrictionRegion, PowerOff, power_off, regions
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
 from stopset.types import Array
@@ -48,6 +47,18 @@ def cut_together(apart: float, lag: Array | None = None) -> Model:
     assert model.brakes is not None
     brakes = replace(model.brakes, delay=Box.of(np.full(4, 0.010), np.full(4, 0.040)), apart=apart, lag=lag)
     return replace(model, brakes=brakes)
+
+
+def core_stop(bounds: StopBounds) -> Callable[..., PowerOff | None]:
+    assert bounds.setting is not None
+    return power_off(bounds.setting)
+
+
+def in_region(bounds: StopBounds, region: FrictionRegion) -> StopBounds:
+    """The Python bounds with the friction of one region, wherever the stop leads."""
+    assert bounds.setting is not None
+    torques = replace(bounds.setting.torques, roaming=(), speed=np.full(bounds.model.n, np.inf))
+    return replace(bounds, setting=replace(bounds.setting, plant=region.plant, torques=torques))
 
 
 MODELS: dict[str, Callable[[], Model]] = {
@@ -173,7 +184,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Any:
     def of(model: Model, name: str) -> Path:
         pytest.importorskip("ziglang")
         pytest.importorskip("fmpy")
-        return export(model, folder / f"{name}.fmu", 3, [str(HERE)])
+        return export(model, folder / f"{name}.fmu", Contents(3, (str(HERE),), reference=False))
 
     return of
 

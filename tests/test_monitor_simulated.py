@@ -70,6 +70,11 @@ def test_a_bus_that_comes_back_counts_anew(live: Live) -> None:
     assert not (found := broken(live(5475))), "\n".join(found)
 
 
+def test_a_cycle_in_doubt_is_not_given_out_because_the_bus_ends(live: Live) -> None:
+    """In this life a SYNC is lost, the next cycle's first frame completes the one before, and then the bus goes off."""
+    assert not (found := broken(live(5466))), "\n".join(found)
+
+
 @pytest.mark.parametrize(
     ("mutant", "promise"),
     [

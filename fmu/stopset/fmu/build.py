@@ -13,8 +13,9 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
@@ -144,9 +145,15 @@ def _key(sources: Mapping[str, str], platform: Platform, identifier: str) -> str
 
 
 def binaries(
-    sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str
-) -> dict[str, bytes]:
-    """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache."""
+    sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str,
+    say: Callable[[str], None],
+) -> dict[str, bytes]:  # fmt: skip
+    """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache.
+
+    ``say``: told of each library when it is there.
+    """
+    if not platforms:
+        return {}
     compiler()  # refuses early where there is none
     core = resources.files("stopset.fmu") / "core"
     sources = {**sources, **{name: (core / name).read_text() for name in WINDOWS}}
@@ -168,10 +175,13 @@ def binaries(
                 write_bytes(place, library)
             return library
 
+        start = time.monotonic()
         with ThreadPoolExecutor(2) as pool:
-            for platform, library in zip(platforms, pool.map(make, platforms), strict=True):
-                out[platform.name] = library
-    return out
+            jobs = {pool.submit(make, platform): platform for platform in platforms}
+            for count, job in enumerate(as_completed(jobs), start=1):
+                out[jobs[job].name] = job.result()
+                say(f"{count} of {len(jobs)} libraries after {time.monotonic() - start:.0f} s: {jobs[job].name}")
+    return {platform.name: out[platform.name] for platform in platforms}
 
 
 def universal(slices: Mapping[str, bytes]) -> bytes:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
+from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.variables import variables
 
@@ -35,18 +38,39 @@ def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]
     return out
 
 
-def archive(model: Model, fmi: int = 3, platforms: Sequence[str] | None = None) -> bytes:
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a unit holds: FMI ``fmi`` (2 or 3), libraries for ``platforms`` (all where empty; none with ``source_only``), reference
+    results."""
+
+    fmi: int = 3
+    platforms: Sequence[str] = ()
+    source_only: bool = False
+    reference: bool = True
+
+
+ALL = Contents()
+
+
+def silent(_: str) -> None:
+    """Who does not want to be told."""
+
+
+def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] = silent) -> bytes:
     """The FMU's bytes; see `export`."""
+    fmi = contents.fmi
     if fmi not in (2, 3):
-        raise OutputError(f"FMI version {fmi}; expected 2 or 3")
+        raise OutputError(f"FMI version {fmi}; expected 2 or 3: choose one of them")
+    if contents.source_only and contents.platforms:
+        raise OutputError(f"sources alone and a library for {', '.join(contents.platforms)}; expected one of both: leave one out")
     if model.abstraction.kind != 1:
         raise NotCovered(f"this is a model {model.abstraction.kind}; the FMU covers model 1 (eq. 13): identify with --model 1")
-    targets = chosen(platforms)
+    targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
     v = variables(model)
     text, token = sources(model, v)
     units = [*UNITS, "model_data.c"]
-    made = binaries(text, units, targets, name)
+    made = binaries(text, units, targets, name, say)
     files: dict[str, bytes] = {"modelDescription.xml": description(model, v, name, token, fmi, units).encode()}
     files |= _folders(made, fmi, name)
     files |= {f"sources/{file}": content.encode() for file, content in text.items()}
@@ -54,6 +78,9 @@ def archive(model: Model, fmi: int = 3, platforms: Sequence[str] | None = None) 
         files["sources/buildDescription.xml"] = build_description(name, units).encode()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
     files["documentation/index.html"] = _documentation(model).encode()
+    if contents.reference:
+        files |= {f"documentation/{file}": content.encode() for file, content in reference_texts(model).files(name).items()}
+        say("reference results: computed")
     buffer = BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as z:
         for path, content in files.items():
@@ -64,15 +91,30 @@ def archive(model: Model, fmi: int = 3, platforms: Sequence[str] | None = None) 
     return buffer.getvalue()
 
 
-def export(model: Model, path: str | Path, fmi: int = 3, platforms: Sequence[str] | None = None) -> Path:
-    """Write the model as an FMU that needs no Python where it runs.
+def export(model: Model, path: str | Path, contents: Contents = ALL, say: Callable[[str], None] = silent) -> Path:
+    """Write the model as an FMU that needs no Python where it runs, co-simulation and model exchange both.
 
-    ``fmi``: 2 or 3, co-simulation and model exchange both; ``platforms``: names of `PLATFORMS`, all five if left out.
-    Raises `OutputError` where nothing can be written, `NotCovered` for a model the FMU cannot carry.
+    ``say``: told of every library that is made.  Raises `OutputError` where nothing can be written, or where fmpy's validator finds
+    fault, `NotCovered` for a model the FMU cannot carry.
     """
     target = writable(path)
-    write_bytes(target, archive(model, fmi, platforms))
+    unit = archive(model, contents, say)
+    problems = validated(unit)
+    if problems:
+        raise OutputError(f"the unit does not pass fmpy's validator ({problems[0]}); expected no problem: please report this")
+    say("fmpy's validator: clean")
+    write_bytes(target, unit)
     return target
+
+
+def validated(unit: bytes) -> list[str]:
+    """What fmpy's validator says of an FMU's bytes: nothing where it is clean."""
+    from fmpy.validation import validate_fmu  # heavy
+
+    with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as folder:
+        path = Path(folder) / "F.fmu"
+        path.write_bytes(unit)
+        return [str(p) for p in validate_fmu(str(path))]
 
 
 def _licence() -> str:

@@ -12,7 +12,7 @@ from stopset.errors import NotCovered
 from stopset.fmu.ctext import array
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.regions import regions
+from stopset.reach.stops.regions import FRICTION, regions
 from stopset.reach.stops.setting import Setting
 from stopset.types import Array
 
@@ -25,7 +25,6 @@ PLANT = (
     "pi_half", "rotor", "rotor_half", "coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi", "brake_lo", "brake_hi",
     "delay_lo", "delay_hi", "rise_lo", "rise_hi",
 )  # fmt: skip
-FRICTION = ("coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi")
 
 
 def bounds_of(model: Model) -> StopBounds:

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _answer(line: str) -> bool:
     """What a comparison says first: whether the sets hold, and where the model fails."""
-    return "recordings" in line and line.startswith(("All", "Not"))
+    return "the predicted sets" in line and not line.startswith(" ")
 
 
 class Story:

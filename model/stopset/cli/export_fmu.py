@@ -21,7 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; may be repeated (default: all)",
     )
-    parser.add_argument("--no-reference", action="store_true", help="no reference results beside the FMU")
+    parser.add_argument("--source-only", action="store_true", help="no libraries: whoever imports it compiles its sources")
+    parser.add_argument(
+        "--no-reference", action="store_true", help="no reference results inside (then check-fmu has nothing to do)"
+    )
     add_output_options(parser)
 
 
@@ -29,23 +32,21 @@ def run(args: argparse.Namespace) -> int:
     """Export; exit code 0."""
     from stopset.artifact import load_model
     from stopset.errors import OutputError
-    from stopset.fmu import export, reference_paths, write_reference
+    from stopset.fmu import Contents, export
     from stopset.fmu.build import chosen
     from stopset.fmu.stops import stop_refusal
 
-    beside = [] if args.no_reference else list(reference_paths(args.out))
-    check_outputs(args.out, args.json, args.report, *beside)
+    check_outputs(args.out, args.json, args.report)
     if args.out.suffix != ".fmu":
         raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
-    platforms = [p.name for p in chosen(args.platform)]
+    platforms = [] if args.source_only else [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
-    say(f"compiling for {', '.join(platforms)} (the first time takes a minute or two, later seconds)")
-    target = export(model, args.out, args.fmi, platforms)
-    if beside:
-        write_reference(model, args.out)
-    say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB")
-    for path in beside:
-        say(f"{path}: reference")
+    contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference)
+    target = export(model, args.out, contents, say)
+    what = "sources alone" if args.source_only else ", ".join(platforms)
+    say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB; {what}")
+    if not (args.no_reference or args.source_only):
+        say(f"compare it on another machine: stopset check-fmu {target}")
     refusal = stop_refusal(model)
     if refusal:
         say(f"STOP 0 in it: {refusal}")
@@ -53,14 +54,14 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(
             args.json,
-            {"fmu": str(target), "fmi": args.fmi, "platforms": platforms, "reference": [str(p) for p in beside]},
+            {"fmu": str(target), "fmi": args.fmi, "platforms": platforms, "reference": not args.no_reference},
         )
     if args.report:
         from stopset.fmu.variables import variables
         from stopset.offline.report.page import Page
 
         page = Page(f"{model.robot.name} as FMU", model)
-        page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, for {', '.join(platforms)}.")
+        page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, {what}.")
         page.text(f"Made from the model with SHA-256 {model.sha256}. {model.guarantee.text}")
         rows = [(v.name, v.causality, v.unit, v.start, v.lo, v.hi, v.description) for v in variables(model)]
         page.table(("variable", "causality", "unit", "start", "least", "largest", "what it is"), rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -116,12 +115,7 @@ class CanSource:
         """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
         end, wait, found = self.clock.monotonic() + timeout, timeout, None
         for _ in range(TURN):
-            try:
-                frame = self.bus.recv(wait)
-            except BusError:  # told at the next call, if a cycle is still to be given out
-                if (held := self.decoder.quiet(math.inf)) is None:
-                    raise
-                return self._sample(held)
+            frame = self.bus.recv(wait)
             if frame is not None:
                 sample = self._take(frame)
                 if sample is not None:

@@ -185,8 +185,15 @@ static int inside_domain(const StopsetState *s) {
     return 1;
 }
 
+/* Whether the prediction is older than its sets were tested for. */
+static int too_old(const StopsetState *s) { return !(age_of(s) <= stopset_model.horizon + 1e-9 * stopset_model.dt); }
+
 static void bounds(StopsetState *s, double lo[NX], double hi[NX]) {
     double age = age_of(s);
+    if (too_old(s)) {
+        for (int i = 0; i < NX; i++) lo[i] = hi[i] = (double)NAN;
+        return;
+    }
     if (NV > 1)
         stopset_corner_tube(s, lo, hi);
     else
@@ -200,7 +207,7 @@ static void bounds(StopsetState *s, double lo[NX], double hi[NX]) {
 
 static int covered(const StopsetState *s) {
     if (NV > 1 && s->modes_by_events) return 0; /* corner trajectories are integrated in co-simulation only */
-    return s->as_identified && !s->stopping && age_of(s) <= stopset_model.horizon + 1e-9 * stopset_model.dt && inside_domain(s) &&
+    return s->as_identified && !s->stopping && !too_old(s) && inside_domain(s) &&
            (!stopset_model.motor_torque || s->b[IX_MEASURED]);
 }
 

@@ -201,6 +201,57 @@ Level stopset_do_step(Instance *c, double t, double h) {
     return LEVEL_OK;
 }
 
+/* `from` with the knowns moved by `step` along the seed; a sentence where that is none. */
+static const char *moved(const Saved *from, const unsigned known[], size_t m, const double seed[], double step, Saved *out) {
+    memcpy(out, from, sizeof *out);
+    for (size_t k = 0; k < m; k++) out->s.r[known[k]] += step * seed[k];
+    if (out->phase <= PHASE_INITIALIZATION) {
+        const char *wrong = stopset_setup(&out->s, out->t0);
+        if (wrong) return wrong;
+    }
+    out->s.outputs_ready = 0;
+    stopset_outputs(&out->s);
+    return 0;
+}
+
+static int may_be_known(const Instance *c, unsigned vr) {
+    if (vr >= N_REAL) return 0;
+    const int kind = stopset_model.kind[vr];
+#if N_MEMORY
+    if (vr >= VR_MEMORY && vr < VR_MEMORY + N_MEMORY) return 1;
+#endif
+    if (kind == KIND_INPUT || (vr >= VR_Q && vr < VR_DQ + NJ)) return 1;
+    return (kind == KIND_FIXED || kind == KIND_TUNABLE) && c->now.phase <= PHASE_INITIALIZATION;
+}
+
+Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[], double out[]) {
+    if (stopset_expect(c, "getDirectionalDerivative", RUNNING | IN(PHASE_INITIALIZATION)) || ready(c)) return LEVEL_ERROR;
+    double largest = 0.0, size = 1.0;
+    for (size_t k = 0; k < m; k++) {
+        if (!may_be_known(c, known[k]))
+            return stopset_fail(c, "getDirectionalDerivative", "a known is no input, state or start value; read ModelStructure in modelDescription.xml");
+        if (!stopset_finite(seed[k])) return stopset_fail(c, "getDirectionalDerivative", "a seed is not a finite number; give finite ones");
+        largest = fmax(largest, fabs(seed[k]));
+        size = fmax(size, fabs(c->now.s.r[known[k]]));
+    }
+    for (size_t k = 0; k < n; k++) {
+        const int kind = unknown[k] < N_REAL ? stopset_model.kind[unknown[k]] : KIND_FIXED;
+        if ((kind != KIND_OUTPUT && kind != KIND_LOCAL) || (unknown[k] >= VR_STOP_TIME && unknown[k] <= VR_STOP_AGE))
+            return stopset_fail(c, "getDirectionalDerivative", "an unknown is no output that has a derivative; stop bounds have none");
+        out[k] = 0.0;
+    }
+    if (!(largest > 0.0)) return LEVEL_OK;
+    Saved here = c->now, low, high;
+    if (!here.s.modes_by_events) stopset_update_modes(&here.s, 0.0);
+    here.s.modes_held = 1;
+    const double step = 1e-5 * size / largest;
+    const char *wrong = moved(&here, known, m, seed, -step, &low);
+    if (!wrong) wrong = moved(&here, known, m, seed, step, &high);
+    if (wrong) return stopset_fail(c, "getDirectionalDerivative", wrong);
+    for (size_t k = 0; k < n; k++) out[k] = (high.s.r[unknown[k]] - low.s.r[unknown[k]]) / (2.0 * step);
+    return LEVEL_OK;
+}
+
 Level stopset_get_state(Instance *c, void **state) {
     if (!*state) *state = malloc(sizeof(Saved));
     if (!*state) return stopset_fail(c, "getFMUState", "no memory left for a state; free states that are no longer needed");

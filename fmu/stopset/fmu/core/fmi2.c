@@ -149,8 +149,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t nUnknown,
                                         const fmi2ValueReference knowns[], size_t nKnown, const fmi2Real seed[], fmi2Real out[]) {
     GIVEN(c);
-    UNUSED(unknowns), UNUSED(nUnknown), UNUSED(knowns), UNUSED(nKnown), UNUSED(seed), UNUSED(out);
-    REFUSE("directional derivatives are not offered, see the capability flags");
+    return status(stopset_directional(c, unknowns, nUnknown, knowns, nKnown, seed, out));
 }
 
 fmi2Status fmi2EnterEventMode(fmi2Component c) {

@@ -249,9 +249,8 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
                                         fmi3Float64 sensitivity[], size_t nSensitivity) {
     GIVEN(c);
-    UNUSED(unknowns), UNUSED(nUnknowns), UNUSED(knowns), UNUSED(nKnowns), UNUSED(seed), UNUSED(nSeed), UNUSED(sensitivity);
-    UNUSED(nSensitivity);
-    REFUSE("directional derivatives are not offered, see the capability flags");
+    if (nSeed != nKnowns || nSensitivity != nUnknowns) REFUSE("as many seeds as knowns and sensitivities as unknowns are expected; all variables are scalars");
+    return status(stopset_directional(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
 }
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns,
                                     const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,

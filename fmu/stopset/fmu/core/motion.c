@@ -15,6 +15,7 @@ enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects reme
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
 static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
+static const int STEPS = 200000;       /* of the integrator within one communication step */
 
 /* Whether friction depends on the direction of motion now. */
 static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
@@ -176,8 +177,9 @@ static void derivative(const StopsetState *s, double t, const double y[NY], cons
 #endif
 }
 
-/* One step of length h; returns the error over the tolerance. */
-static double dormand_prince(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double h, double out[NY]) {
+/* One step of length h from the derivative `first` at y; returns the error over the tolerance, `last`: the derivative at the end. */
+static double dormand_prince(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double h, const double first[NY],
+                             double out[NY], double last[NY]) {
     static const double A[7][6] = {
         {0},
         {1.0 / 5},
@@ -190,7 +192,7 @@ static double dormand_prince(const StopsetState *s, double t, const double y[NY]
     static const double C[7] = {0.0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1.0, 1.0};
     static const double E[7] = {71.0 / 57600,      0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
     double k[7][NY];
-    derivative(s, t, y, mode, k[0]);
+    memcpy(k[0], first, sizeof k[0]);
     for (int stage = 1; stage < 7; stage++) {
         for (int i = 0; i < NY; i++) {
             double sum = 0.0;
@@ -199,6 +201,7 @@ static double dormand_prince(const StopsetState *s, double t, const double y[NY]
         }
         derivative(s, t + C[stage] * h, out, mode, k[stage]);
     }
+    memcpy(last, k[6], sizeof k[6]);
     double worst = 0.0;
     for (int i = 0; i < NY; i++) {
         double e = 0.0;
@@ -275,16 +278,18 @@ void stopset_motion_reset(StopsetState *s) {
 }
 
 const char *stopset_integrate(StopsetState *s, double h) {
-    double y[NY], next[NY];
+    double y[NY], next[NY], first[NY], last[NY];
     int32_t mode[NJ];
     int events = 0;
     double t = s->r[VR_TIME], left = h, step = s->h_try > 0.0 ? s->h_try : h;
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (directional(s)) settle(s, t, y, mode);
-    while (left > 0.0) {
-        double now = step < left ? step : left;
-        double error = dormand_prince(s, t, y, mode, now, next);
+    derivative(s, t, y, mode, first);
+    for (int count = 0; left > 0.0; count++) {
+        if (count == STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
+        double now = step >= left ? left : 2.0 * step > left ? 0.5 * left : step; /* no short one at the end */
+        double error = dormand_prince(s, t, y, mode, now, first, next, last);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
         double factor = error > 0.0 ? 0.9 * stopset_exp(-0.2 * stopset_log(error)) : 4.0;
         if (error > 1.0 && now > 1e-12) {
@@ -296,20 +301,22 @@ const char *stopset_integrate(StopsetState *s, double h) {
             double early = 0.0, late = now;
             for (int k = 0; k < 60 && late - early > 1e-15; k++) {
                 double middle = 0.5 * (early + late);
-                dormand_prince(s, t, y, mode, middle, next);
+                dormand_prince(s, t, y, mode, middle, first, next, last);
                 if (event(s, t + middle, next, mode))
                     late = middle;
                 else
                     early = middle;
             }
             now = late;
-            dormand_prince(s, t, y, mode, now, next);
+            dormand_prince(s, t, y, mode, now, first, next, last);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
             settle(s, t + now, next, mode);
+            derivative(s, t + now, next, mode, last);
             events++;
         }
         memcpy(y, next, sizeof y);
+        memcpy(first, last, sizeof first);
         t += now;
         left = left - now > 1e-14 * h ? left - now : 0.0;
     }
@@ -340,7 +347,7 @@ void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate) 
         measured_rates(s, &s->r[VR_MEMORY], rate);
         for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
     } else {
-        if (s->modes_by_events)
+        if (s->modes_by_events || s->modes_held)
             memcpy(mode, s->mode, sizeof mode);
         else if (directional(s))
             settle(s, t, y, mode);

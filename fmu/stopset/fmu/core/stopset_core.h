@@ -82,6 +82,7 @@ typedef struct {
     uint8_t as_identified, violated, outputs_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
+    uint8_t modes_held;      /* friction directions stay as they are, for derivatives */
 } StopsetState;
 
 void stopset_defaults(StopsetState *s);

@@ -48,6 +48,8 @@ Level stopset_serialize(Instance *c, const void *state, unsigned char *bytes, si
 Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, void **state);
 void stopset_free(Instance *c);
 void stopset_reset(Instance *c);
+/* What the unknowns change by per change of the knowns along `seed`: central differences, friction directions held. */
+Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[], double out[]);
 /* Model exchange. */
 Level stopset_set_time(Instance *c, double t);
 Level stopset_set_states(Instance *c, const double x[], size_t n);

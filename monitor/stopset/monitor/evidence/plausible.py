@@ -6,6 +6,7 @@ Nothing here refutes a model; it is said, and somebody should look.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from stopset.monitor.evidence.trace import Window
 from stopset.types import Array
 
 EVERY = 10.0  # [s] between two looks
+SPAN = 4.0  # [s] of readings that are looked at
 LATEST = 15  # cycles that torque is tried late by
 LESS = 0.6  # of the unexplained torque's square may be left by the right delay, for it to be told
 FEWEST = 250  # rows without a gap, below which nothing is told
@@ -24,8 +26,11 @@ MOVED = 0.005  # [rad] between two lives of the monitor that are worth a word
 POSITION = "last-position.json"
 
 
-def late_torque(w: Window, model: Dynamics) -> float | None:
-    """By how much [s] the torque of all joints seems to be told late; None if its stamps explain the motion best as they are."""
+def late_torque(w: Window, model: Dynamics, pause: Callable[[], None]) -> float | None:
+    """By how much [s] the torque of all joints seems to be told late; None if its stamps explain the motion best as they are.
+
+    ``pause`` is called between looks that take some tenths of a millisecond.
+    """
     lo, hi = w.run(len(w) - 1)
     w = w.part(lo, hi)
     if len(w) < FEWEST or not np.isfinite(w.tau).all():
@@ -38,6 +43,7 @@ def late_torque(w: Window, model: Dynamics) -> float | None:
     weight = 1.0 / (model.U_hi - model.U_lo)
 
     def left(late: int) -> float:
+        pause()
         moved = np.zeros_like(w.tau)
         moved[: len(moved) - late] = w.tau[late:] - w.tau[: len(w.tau) - late]
         rest = (y - model.averaged(moved))[:rows]

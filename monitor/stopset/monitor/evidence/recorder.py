@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 AFTER = 0.6  # [s] of readings after the first contradiction that the class is taken from
 PATIENCE = 1.0  # [s] beyond that in which they must have come
+SWITCH = 5e-4  # [s] the loop waits at most for the interpreter while the recorder computes
 WAITING = 8  # incidents and words that may wait; more are dropped, counted
 SAID = frozenset({"event", "health", "state/json"})
 PRIORITY = {"violation": 2, "fault": 3, "bundle": 4, "bus": 4, "journal": 3}  # of syslog; other events are notices
@@ -109,6 +110,7 @@ class Recorder:
 
     def start(self) -> Recorder:
         """Its thread; without one somebody else calls `turn`."""
+        sys.setswitchinterval(SWITCH)
         self._thread = threading.Thread(target=self._work, daemon=True, name="recorder")
         self._thread.start()
         return self
@@ -147,14 +149,14 @@ class Recorder:
         """Whether what was read of late is plausible, and where the arm is."""
         begun, self._next_look = self._next_look > float("-inf"), self.clock.monotonic() + plausible.EVERY
         w, model = (
-            self.trace.window(self.trace.head - round(plausible.EVERY / self.cycle_s), self.trace.head),
+            self.trace.window(self.trace.head - round(plausible.SPAN / self.cycle_s), self.trace.head),
             self._looking_back(),
         )
         if not len(w) or self._model is None:
             return
         if self.settings.violations:  # else nothing is written, and the next life knows of none before
             self._place(w.q[-1], self._model[0].joints, begun)
-        if model is not None and not self._late_said and (late := plausible.late_torque(w, model)) is not None:
+        if model is not None and not self._late_said and (late := plausible.late_torque(w, model, self.pause)) is not None:
             self._late_said = True
             self.notes.append(plausible.late_words(late))
 
