@@ -13,10 +13,11 @@ import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, ROTOR, Truth, arm, moving, poses, wrong_cad
 from stopset.cli.main import main
+from stopset.effects.selection import usual_friction
 from stopset.errors import RobotError, StopsetError
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
-from stopset.offline.plan.design import FRICTION, STARTS
+from stopset.offline.plan.design import STARTS
 from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Path, envelope, heights, violations
 from stopset.offline.plan.ptp import ptp, random_goals
@@ -167,7 +168,7 @@ def test_what_the_plan_says_it_will_identify_is_identified() -> None:
     real = Truth(true, friction=friction)
     today = [moving(real, k, 6.0, 0.8, 4) for k in range(2)]  # what there is: it tells the noise, and hardly more
     plan = design(cad, WISHES, today)
-    nominal = identify_nominal(cad, lambda: campaign_of(plan, real), FRICTION)
+    nominal = identify_nominal(cad, lambda: campaign_of(plan, real), usual_friction())
     truth = dict(zip(nominal.names, np.concatenate([true.pi.ravel(), ROTOR]), strict=False))
     for j, joint in enumerate(JOINTS):
         truth |= {f"coulomb:{joint}.F_c": F_C[j], f"viscous:{joint}.F_v": F_V[j], f"cubic_viscous:{joint}.v_3": bent[j]}

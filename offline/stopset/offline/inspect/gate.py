@@ -33,12 +33,14 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     speeds = velocity(tally, robot.joints, meta)
     _refuse(f for f in speeds if f.kind != "dq_scale")
     sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
-    told = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints)]
-    _refuse(torque_limits(tally, robot.joints, robot.torque_limit))
+    beyond = torque_limits(tally, robot.joints, robot.torque_limit)
+    # a wrong unit is told best by the rigid body: of motor torque when that is fitted, see `check_torque`
+    told = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints), *beyond]
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
+        _refuse(beyond)
     return _in_words(told)
 
 
