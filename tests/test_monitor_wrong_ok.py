@@ -193,10 +193,11 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
             for k in range(250):
                 ear.link.put("challenge", k.to_bytes(3, "little"))
             time.sleep(0.02)
-        for k in range(300):  # a stamp far ahead, then a healthy arm whose sender's clock is 1 s ahead
+        # a healthy arm whose sender's clock is 20 s ahead; when it is set right, that is more than messages swapped on the way
+        for k in range(300):
             due = begin + 2.0 + 0.004 * k
             time.sleep(max(0.0, due - time.monotonic()))
-            send(joint_state(k, start + 3_000_000_000 + 4_000_000 * k))
+            send(joint_state(k, start + 20_000_000_000 + 4_000_000 * k))
         time.sleep(0.5)
         assert monitor.poll() is None, "it lives"
         gaps = [b - a for a, b in itertools.pairwise(arrivals) if a > begin]
