@@ -341,16 +341,16 @@ static void settle(March *m, int64_t k, double y, int verified) {
 /* Whether all speeds are zero at the knot after step k and gravity and disturbance are surely held: so it stays. */
 static int held(const March *m, int64_t k) {
     const int n = m->n;
-    double smallest = STOPS_INF;
+    int surely = 1;
     for (int i = 0; i < n; i++)
         if (m->tube->v_lo[(k + 1) * n + i] != 0.0 || m->tube->v_hi[(k + 1) * n + i] != 0.0) return 0;
     for (int i = 0; i < n; i++) {
         const double load = m->p->curvature.load[i];
         const double up = least(-m->at.h_lo[i], load) + m->p->u_hi[i], down = least(m->at.h_hi[i], load) - m->p->u_lo[i];
         m->tube->margin[i] = m->s.B_lo[i] - most(up, down);
-        smallest = least(smallest, m->tube->margin[i]);
+        if (!(m->tube->margin[i] >= 0.0)) surely = 0; /* what is not a number holds nothing */
     }
-    return smallest >= 0.0;
+    return surely;
 }
 
 static void begin(March *m, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, const double *middle) {
@@ -418,7 +418,8 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
         *made = k + 1;
         for (int i = 0; i < n; i++) {
             const double wide = tube->v_hi[(k + 1) * n + i] - tube->v_lo[(k + 1) * n + i];
-            if (wide != wide) return UNBOUNDED;
+            const double way = tube->d_hi[(k + 1) * n + i] - tube->d_lo[(k + 1) * n + i];
+            if (wide != wide || way != way) return UNBOUNDED; /* not a number is no bound */
             widest = most(widest, wide);
         }
         if (!(widest < fastest)) return UNBOUNDED;
