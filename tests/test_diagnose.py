@@ -453,3 +453,12 @@ def test_a_score_is_the_evidence_that_the_model_gains(engine: Engine, effect: st
     engine.active.remove(c)
     engine.hold(())
     assert after - before == pytest.approx(score, rel=1e-4, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_large_spring_that_stiffens_is_named_a_spring() -> None:
+    """The demonstration's own: a finer law that takes the plainer one's place must not lose what that one explained."""
+    scenario = prepare(load_robot("lwa4p"), ["spring:arm_4_joint"], 3, "motions", "large")
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings())))
+    assert found.verdict == "missing" and [r.label for r in found.ranked] == ["spring:arm_4_joint"]
+    assert found.ranked[0].error_after < 0.3 * found.ranked[0].error_before

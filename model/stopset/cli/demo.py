@@ -101,6 +101,10 @@ def run(args: argparse.Namespace) -> int:
     for row in found["ranked_effects"][:3]:
         say(f"      {row['effect']} at {row['joint']}: {row['says']}")
     story.chapter("It is added, and the errors fall.")
+    if not found["ranked_effects"]:
+        from stopset.errors import StopsetError
+
+        raise StopsetError(f"the diagnosis names nothing ({found['verdict']}); expected the hidden spring: please report this")
     best = found["ranked_effects"][0]
     where = ("--joint", best["joint"]) if best["joint"] else ()
     story.do(

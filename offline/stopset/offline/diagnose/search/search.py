@@ -259,12 +259,22 @@ def _needed(engine: Engine, claims: Sequence[Claim], hyper: Hyper, threshold: fl
     claimed = [c.scored.candidate for c in claims]
     known = [c for c in engine.active if not any(c is x for x in claimed)]
     for claim in claims[:-1]:
-        others = [c.scored.candidate for c in kept if c is not claim]
-        engine.active = known + others
+        key = claim.scored.candidate.key
+        others = [c for c in kept if c.scored.candidate.key != key]
+        engine.active = known + [c.scored.candidate for c in others]
         if scores(engine, [claim.scored.candidate], hyper)[0].score < threshold:
-            kept.remove(claim)
+            kept = [_heir(claim, c) for c in others]
     engine.active = known + [c.scored.candidate for c in kept]
     return kept
+
+
+def _heir(dropped: Claim, claim: Claim) -> Claim:
+    """A claim whose finer law has made its plainer form at the same joint needless explains what that did, too."""
+    old, new = dropped.scored.candidate, claim.scored.candidate
+    if old.effect.name not in new.effect.refines or old.joints != new.joints:
+        return claim
+    score = dropped.score + claim.score
+    return replace(claim, scored=replace(claim.scored, score=score), score=score, excess_before=dropped.excess_before)
 
 
 def _excess(engine: Engine, theta: Array, hyper: Hyper) -> tuple[float, ...]:
