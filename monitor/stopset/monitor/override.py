@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing as mp
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -48,21 +47,10 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: Limits) -> float
 
 def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: Limits, pipe: Connection) -> None:
     """The other process: takes a state, gives its override."""
-    from stopset.monitor.stopworker import answer_for, prepare
+    from stopset.monitor.stopworker import answer_for, asked, prepare
 
-    parent = os.getppid()
     prepared, refusal = prepare(model_path, payload, stops, sha256)
-    while True:
-        while not pipe.poll(0.5):
-            if os.getppid() != parent:
-                return
-        try:
-            request = pipe.recv()
-        except (EOFError, OSError):
-            return
-        if request is None:
-            return
-        t, q, dq = request
+    for t, q, dq in asked(pipe):
 
         def bound(lo: Array, hi: Array) -> Numbers:
             return (

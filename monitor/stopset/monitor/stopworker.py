@@ -11,6 +11,7 @@ import queue
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, cast
 
@@ -37,7 +38,6 @@ def work(
 
     ``sha256``: of the model that is watched; a file that holds another one by now bounds nothing.
     """
-    parent = os.getppid()
     prepared, refusal = prepare(model_path, payload, stops, sha256)
     sending = threading.Lock()
     requests: dict[str, queue.SimpleQueue[tuple[Array, Array]]] = {c: queue.SimpleQueue() for c in categories}
@@ -54,6 +54,13 @@ def work(
     for c in categories:
         threading.Thread(target=certify, args=(c,), daemon=True, name=f"stop-{c}").start()
     pipe.send(None)
+    for category, lo, hi in asked(pipe):
+        requests[category].put((lo, hi))
+
+
+def asked(pipe: Connection) -> Iterator[Any]:
+    """What the daemon asks a process of its own, until it says None or is gone."""
+    parent = os.getppid()
     while True:
         while not pipe.poll(PARENT_S):
             if os.getppid() != parent:
@@ -64,8 +71,7 @@ def work(
             return
         if request is None:
             return
-        category, lo, hi = request
-        requests[category].put((lo, hi))
+        yield request
 
 
 def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
