@@ -76,7 +76,7 @@ def _history(out: Page, model: Model) -> None:
         out.figure(
             _waterfalls(model, shown),
             "Each figure after each revision, from zero; dotted: the repeatability floor.",
-            220 * len(shown),
+            190 * len(shown),
         )
     keys = [k for k, _ in FIGURES]
     with out.fold("Every revision"):
