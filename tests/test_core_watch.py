@@ -130,7 +130,7 @@ def test_a_states_interval_goes_on_as_its_flow_says() -> None:
     """The core's step of one state's two ends against `stopset.effects.memory`."""
     from monitor_arm import DT, known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     f = Fitted("hysteresis", model.joints[0], {"F_h": 12.0, "delta": 0.02}, {})
@@ -203,7 +203,7 @@ def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for()
     is within ``u +- du``."""
     from monitor_arm import known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     n = model.n
@@ -231,7 +231,7 @@ def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for()
 def test_an_arm_of_no_or_too_many_joints_is_refused() -> None:
     from monitor_arm import known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     model = replace(model, effects=(Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),))

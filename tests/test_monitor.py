@@ -23,9 +23,11 @@ from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
 from stopset.monitor.profile import load_profile
+from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
-from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch, check_cycle
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch, check_cycle
 from stopset.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[1]

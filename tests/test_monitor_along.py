@@ -20,7 +20,9 @@ from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.layout import State
 from stopset.monitor.predictions import Tubes, ages_of
-from stopset.monitor.watch import Conformance, Quantum, Sample, Watch, check_cycle
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance
+from stopset.monitor.watch import Watch, check_cycle
 from stopset.reach.nonlinear import predicted_tube
 from stopset.sets import Box
 from stopset.types import Array

@@ -34,10 +34,12 @@ from stopset.monitor.orders import Orders
 from stopset.monitor.override import Advisor
 from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.report import Tally, Turn, health, twin
+from stopset.monitor.sample import Sample
 from stopset.monitor.source import NoSource, Source
 from stopset.monitor.status import Limits, Recovery, Situation, believable, decide, stop_fields
 from stopset.monitor.stopdesk import StopDesk, seen_by
-from stopset.monitor.watch import Conformance, Sample, Verdict, Watch, check_cycle
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch, check_cycle
 
 CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2, Conformance.FAULT: 3}
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it

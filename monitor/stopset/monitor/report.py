@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.watch import Conformance
+from stopset.monitor.verdict import Conformance
 
 if TYPE_CHECKING:
     from stopset.monitor.daemon import Daemon

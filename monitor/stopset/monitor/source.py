@@ -19,7 +19,7 @@ from stopset.monitor.links.canopen_map import Cycle, Decoder
 from stopset.monitor.links.hub import Frame
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.profile import SIGNALS, Profile
-from stopset.monitor.watch import Quantum, Sample
+from stopset.monitor.sample import Quantum, Sample
 from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))

@@ -8,7 +8,8 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.watch import Conformance, Sample, Verdict
+from stopset.monitor.sample import Sample
+from stopset.monitor.verdict import Conformance, Verdict
 
 # whole numbers: combining flags in a loop of microseconds costs tens of them
 _LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE = (

@@ -22,8 +22,8 @@ from stopset.artifact import Model
 from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopworker import work
-from stopset.monitor.watch import Quantum
 from stopset.sets import Box
 from stopset.types import Array
 

@@ -171,6 +171,8 @@ STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
 STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
                                      const double *x, const double *slack);
 
+/* ---- predictions.c: the tube around every prediction, and the measurement in it */
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */
@@ -180,14 +182,52 @@ typedef struct {
     uint8_t *foreign;      /* (rows,) passed samples outside the domain */
     const double *Ad, *Bd; /* (2n, 2n), (2n, n): one step, input held */
     const double *lo, *hi; /* (ages, 2n) tube of deviations */
+    double *middle, *reach; /* (ages, 2n) of the tube, as `stopset_centre` leaves them */
     double *room;          /* (2n,) out: least distance to a bound over the half width */
+    int64_t *nearest;      /* (2n,) the prediction whose bound that is, any number at the start */
     int64_t *row;          /* (2, 2n) out: the prediction contradicted worst, above and below, -1: none */
 } StopsetPredictions;
+
+/* To be called when lo or hi have changed. */
+STOPSET_API void stopset_centre(const StopsetPredictions *predictions);
 
 /* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
  * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
                                     const double *du, int outside, int widen, int64_t seen[2]);
+
+/* The whole check of one arm, a sample after the other. */
+typedef struct {
+    const StopsetMonitor *monitor;
+    const StopsetPredictions *predictions;
+    const double *domain_lo, *domain_hi; /* (4, n) of q, dq, u, temperature */
+    int32_t temperatures;                /* the domain has bounds on them */
+    int32_t every, sliding;              /* a prediction starts every so many samples, or (0) at the first one only */
+    double most;                         /* largest reading that can be one [SI] */
+    double *here;                        /* (4, n) the sample: q, dq, torque, temperature */
+    double *ends;                        /* (states, 2) of the effects' memories */
+    double *u, *du;                      /* (2, n) of this sample, then of the one before */
+    double *x;                           /* (2n,) the state of the sample before */
+    const double *start;                 /* (2n,) what rounding adds to a prediction at its start */
+    int64_t place, since;                /* row of the next prediction; samples since the last one */
+    int32_t known, widen;                /* there was a sample before; `w` changes from step to step */
+    int64_t outside, live, seen[2];      /* out: signals beyond the domain, and as of `stopset_advance` */
+} StopsetWatch;
+
+enum { STOPSET_NOT_A_NUMBER = 3, STOPSET_ALL_ZERO = 4 };
+
+/* Whether `here` can be a reading; `temp`: with temperatures. */
+STOPSET_API int stopset_readable(const StopsetWatch *watch, int temp);
+/* u, du and what is beyond the domain. */
+STOPSET_API int stopset_look(StopsetWatch *watch, int temp);
+/* The state x (2n,) of this sample against all predictions. */
+STOPSET_API int stopset_compare(StopsetWatch *watch, const double *x);
+/* A prediction from this sample, if one is due. */
+STOPSET_API void stopset_launch(StopsetWatch *watch);
+/* The next sample is the one after this. */
+STOPSET_API void stopset_keep(StopsetWatch *watch, const double *x);
+/* All of these, for a sample that follows the one before. */
+STOPSET_API int stopset_next(StopsetWatch *watch, int temp);
 
 /* ---- message.c: what a message needs */
 
