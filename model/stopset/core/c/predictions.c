@@ -50,12 +50,31 @@ void stopset_centre(const StopsetPredictions *s) {
     }
 }
 
+/* Two states at once: what compilers do not see in loops as short as these. */
+typedef double Pair __attribute__((vector_size(16)));
+typedef int64_t Pair_of_flags __attribute__((vector_size(16)));
+
+UNROLLED Pair two(const double *x) {
+    Pair out;
+    memcpy(&out, x, sizeof out);
+    return out;
+}
+
 /* e <- own e + r. */
-UNROLLED void step_apart(const int n, const double *own, const double *r, double *restrict e) {
-    double new[X];
-    for (int i = 0; i < n; i++) new[i] = r[i] + own[i] * e[i] + own[n + i] * e[n + i];
-    for (int i = 0; i < n; i++) new[n + i] = r[n + i] + own[2 * n + i] * e[i] + own[3 * n + i] * e[n + i];
-    for (int i = 0; i < 2 * n; i++) e[i] = new[i];
+UNROLLED void step_apart(const int n, const double *own, const double *r, double *e) {
+    int i = 0;
+    for (; i + 1 < n; i += 2) {
+        const Pair q = two(e + i), v = two(e + n + i);
+        const Pair next_q = two(r + i) + two(own + i) * q + two(own + n + i) * v;
+        const Pair next_v = two(r + n + i) + two(own + 2 * n + i) * q + two(own + 3 * n + i) * v;
+        memcpy(e + i, &next_q, sizeof next_q);
+        memcpy(e + n + i, &next_v, sizeof next_v);
+    }
+    for (; i < n; i++) {
+        const double q = e[i], v = e[n + i];
+        e[i] = r[i] + own[i] * q + own[n + i] * v;
+        e[n + i] = r[n + i] + own[2 * n + i] * q + own[3 * n + i] * v;
+    }
 }
 
 UNROLLED void step_coupled(const int n2, const double *columns, const double *r, double *restrict e) {
@@ -66,8 +85,8 @@ UNROLLED void step_coupled(const int n2, const double *columns, const double *r,
     for (int i = 0; i < n2; i++) e[i] = new[i];
 }
 
-UNROLLED void step_row(const Step *step, const int n, double *e, double *w) {
-    if (step->apart) {
+UNROLLED void step_row(const Step *step, const int n, const int apart, double *e, double *w) {
+    if (apart) {
         step_apart(n, step->own, step->residual, e);
         if (step->widen) step_apart(n, step->size, step->growth, w);
     } else {
@@ -104,14 +123,18 @@ static void look_closely(const StopsetPredictions *s, int64_t p, int64_t age, co
     }
 }
 
-/* Whether row p asks for a closer look. What is not a number does. */
-UNROLLED int remarkable(const Step *step, const int n2, const double *e, const double *w, const double *middle, const double *reach) {
-    int64_t far = 0;
-    for (int i = 0; i < n2; i++) far |= absolute(e[i] - middle[i]) < step->look[i] * (reach[i] + w[i]) ? 0 : 1;
-    return far != 0;
+/* Whether a row asks for a closer look. What is not a number does. */
+UNROLLED int remarkable(const double *look, const int n2, const double *e, const double *w, const double *middle, const double *reach) {
+    const Pair_of_flags all = {-1, -1}, size = {INT64_MAX, INT64_MAX};
+    Pair_of_flags inside = all;
+    for (int i = 0; i < n2; i += 2) {
+        const Pair off = two(e + i) - two(middle + i), limit = two(look + i) * (two(reach + i) + two(w + i));
+        inside &= (Pair)((Pair_of_flags)off & size) < limit;
+    }
+    return (inside[0] & inside[1]) == 0;
 }
 
-UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, Step *step, int64_t seen[2]) {
+UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int apart, Step *step, int64_t seen[2]) {
     const int n2 = 2 * n;
     int64_t live = 0;
     for (int64_t p = 0; p < s->rows; p++) {
@@ -125,8 +148,8 @@ UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, Step *step, 
         if (age > seen[0]) seen[0] = age;
         if (step->outside) s->foreign[p] = 1;
         double *e = s->e + p * n2, *w = s->w + p * n2;
-        step_row(step, n, e, w);
-        if (remarkable(step, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, p, age, e, w, 1, step);
+        step_row(step, n, apart, e, w);
+        if (remarkable(step->look, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, p, age, e, w, 1, step);
     }
     return live;
 }
@@ -142,7 +165,7 @@ static void look_ahead(const StopsetPredictions *s, Step *step) {
         double e[X], w[X];
         memcpy(e, s->e + p * n2, (size_t)n2 * sizeof *e);
         memcpy(w, s->w + p * n2, (size_t)n2 * sizeof *w);
-        step_row(step, n2 / 2, e, w);
+        step_row(step, n2 / 2, step->apart, e, w);
         look_closely(s, p, s->age[p] + 1, e, w, 0, step);
         before = p;
     }
@@ -171,7 +194,10 @@ int64_t stopset_advance(const StopsetPredictions *s, const double *x, const doub
     for (int k = 0; !step.apart && k < n2 * n2; k++) step.own[k] = s->Ad[k % n2 * n2 + k / n2];
     for (int k = 0; k < (step.apart ? 4 * n : n2 * n2); k++) step.size[k] = absolute(step.own[k]);
     look_ahead(s, &step);
-    const int64_t live = n == 6 ? step_all(s, 6, &step, seen) : n == 7 ? step_all(s, 7, &step, seen) : step_all(s, n, &step, seen);
+    const int64_t live = step.apart && n == 6   ? step_all(s, 6, 1, &step, seen)
+                         : step.apart && n == 7 ? step_all(s, 7, 1, &step, seen)
+                         : step.apart           ? step_all(s, n, 1, &step, seen)
+                                                : step_all(s, n, 0, &step, seen);
     for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
     for (int i = 0; i < n2; i++)
         if (s->room[i] == inf) s->room[i] = 1.0; /* no bound: as far from one as can be */
