@@ -28,8 +28,8 @@ from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import SLOT, Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import State, unpack
+from stopset.monitor.links.batch import Frame
 from stopset.monitor.links.canopen_map import Encoder
-from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import SIGNALS, Profile, load_profile
 from stopset.monitor.source import CanSource, Source
 from stopset.reach.flowpipe import discretise

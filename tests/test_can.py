@@ -18,9 +18,11 @@ from monitor_arm import DT, meta, motion
 from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError, RecordingError
+from stopset.monitor.links.batch import Frame
 from stopset.monitor.links.bus import Talker, listen, parse, talk
-from stopset.monitor.links.canopen_map import Cycle, Decoder, Encoder
-from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Cycle, Decoder
+from stopset.monitor.links.hub import Hub, HubClient
 from stopset.monitor.links.stamps import Stamps
 from stopset.monitor.logs import play_log
 from stopset.monitor.profile import SIGNALS, SYNC_ID, load_profile, shipped_profiles

@@ -340,7 +340,7 @@ def test_a_full_disk_is_said_and_tried_again() -> None:
 
 
 def test_cycle_numbers_show_what_was_lost() -> None:
-    from stopset.monitor.links.canopen_map import Cycle
+    from stopset.monitor.links.decoder import Cycle
 
     nothing = np.zeros((5, 6))
     count = CycleCount(0.004, 240)

@@ -13,7 +13,8 @@ from monitor_process import Ear, free_port, running, stopset, write_config
 from stopset.artifact import Model, load_model
 from stopset.cli.main import main
 from stopset.monitor.latch import Latch
-from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import PAUSE_CYCLES, signal_rows
 from stopset.monitor.sample import Quantum

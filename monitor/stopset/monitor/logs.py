@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.monitor.links.canopen_map import Decoder, frame_maps
+from stopset.monitor.links.canopen_map import frame_maps
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.links.logfile import LOG_SUFFIXES, log_suffix, read_log
 from stopset.monitor.nodes import EMCY, HEARTBEAT
 from stopset.monitor.profile import Profile

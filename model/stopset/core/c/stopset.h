@@ -229,6 +229,63 @@ STOPSET_API void stopset_keep(StopsetWatch *watch, const double *x);
 /* All of these, for a sample that follows the one before. */
 STOPSET_API int stopset_next(StopsetWatch *watch, int temp);
 
+/* ---- decode.c: CAN frames to readings */
+
+#define STOPSET_IDS 2048
+#define STOPSET_NODES 128
+
+typedef struct {
+    uint32_t id;
+    int32_t length;  /* bytes as sent; at most 8 of them are here */
+    uint8_t data[8];
+    double t;        /* [s] as stamped */
+} StopsetFrame;
+
+enum {
+    STOPSET_I8, STOPSET_I16, STOPSET_I32, STOPSET_I64, STOPSET_U8, STOPSET_U16, STOPSET_U32, STOPSET_U64, STOPSET_F32, STOPSET_F64,
+    STOPSET_BOOL
+};
+
+typedef struct {
+    int32_t offset, kind, target; /* byte, kind of number, place in (signals, n) */
+} StopsetField;
+
+typedef struct {
+    int32_t length, synchronous, first, count; /* bytes; once after every SYNC; which fields */
+} StopsetPdo;
+
+enum { STOPSET_SYNC = -2 };                            /* place of SYNC; -1: of no PDO */
+enum { STOPSET_CYCLE = 1, STOPSET_SERVICE = 2 };       /* what `stopset_decode` has stopped at */
+enum { STOPSET_STRANGER, STOPSET_GOOD, STOPSET_BAD };  /* a node: not one of ours; operational without an emergency; else */
+
+typedef struct {
+    int32_t n, signals, pdos, synchronous, overflow; /* joints, signals; PDOs, of these after SYNC; SYNC's counter, 0: none */
+    double cycle_s;
+    const int32_t *place;                            /* (STOPSET_IDS,) */
+    const StopsetPdo *pdo;
+    const StopsetField *field;
+    const double *scale;                             /* (signals, n) SI value of a count */
+    double *raw, *held, *values;                     /* (signals, n): counts, a cycle held back, the cycle given out */
+    uint8_t *came;                                   /* (pdos,) since SYNC */
+    int32_t synced, seen, doubtful, holds, hold;
+    int32_t counter, held_counter, out_counter;      /* of SYNC, -1: none */
+    double t, held_t, held_at, out_t;                /* [s] of SYNC; when the held cycle was whole */
+    int64_t incomplete, unknown, frames;
+    const uint8_t *node;                             /* (STOPSET_NODES,) STOPSET_STRANGER, .. */
+    double *heard, patience;                         /* (STOPSET_NODES,) [s] last heartbeat; longest silence, 0: they send none */
+    int32_t nodes_good;                              /* out: so are all, as of the cycle given out */
+    int32_t foreign;                                 /* another clock stamps the frames; -1: not known yet */
+    double shift, shifted;                           /* [s] least delay seen, and when */
+    StopsetFrame *log;                               /* (room,) the last frames, number `frames` - 1 the newest */
+    int64_t room;
+} StopsetDecoder;
+
+/* Frames number `taken` on until one completes a cycle, or is of a service that the caller knows (the last in the log), or none are
+ * left (0). `now` [s]: when they were received at the latest. */
+STOPSET_API int stopset_decode(StopsetDecoder *decoder, const StopsetFrame *frames, int64_t count, double now, int64_t *taken);
+/* Whether no node is in a bad state or silent. */
+STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
+
 /* ---- message.c: what a message needs */
 
 STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);

@@ -17,17 +17,11 @@ from urllib.parse import parse_qsl
 import can
 
 from stopset.errors import BusError
-from stopset.monitor.links.hub import Frame, Hub, HubClient
+from stopset.monitor.links.batch import Frame, Listener
+from stopset.monitor.links.hub import Hub, HubClient
 from stopset.monitor.links.stamps import Stamps
 
 GROUP = "stopset.links"
-
-
-class Listener(Protocol):
-    """A bus as the monitor sees it: there is nothing here to send with."""
-
-    def recv(self, timeout: float) -> Frame | None: ...
-    def close(self) -> None: ...
 
 
 class Talker(Protocol):
