@@ -30,7 +30,7 @@ from stopset.effects import Fitted
 from stopset.monitor.authentication import Key
 from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Bus, Config, Publish
-from stopset.monitor.daemon import Daemon
+from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.layout import unpack
 from stopset.monitor.links.batch import Batch, Frame
 from stopset.monitor.links.canopen_map import Encoder
@@ -118,7 +118,7 @@ def prepared(model: Model, model_path: Path, trial: Recording) -> tuple[Daemon, 
     source = CanSource(bus, profile, profile.cycle_s, clock=clock)
     config = Config(str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32, publish=Publish(json_hz=1e-9))
     desk = Desk(str(model_path), seen_by(model), config.stops, 0.0, source.quantum, clock=clock)
-    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=desk)
+    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, Beside(signer=KEY, clock=clock, desk=desk))
     daemon._next_json = daemon._next_health = 1e18
     return daemon, bus, clock
 

@@ -174,7 +174,6 @@ MANY_ARGUMENTS = {
     "artifact.taped.__call__": 8,
     "effects.signals.arm_signals": 8,
     "fmu.variables._joints": 9,
-    "monitor.daemon.__init__": 11,
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
     "offline.abstraction.identified.best_order": 9,

@@ -34,7 +34,7 @@ class Arm:
     def __init__(self, script: Script) -> None:
         self.script, self.quantum = script, Quantum.none(6)
         self.daemon: Daemon | None = None
-        self.closed = 0
+        self.closed = self.dropped = 0
 
     def next(self, timeout: float) -> Sample | None:
         if not self.script:

@@ -36,9 +36,10 @@ from stopset.monitor.authentication import Key, load_keys
 from stopset.monitor.consumer import Doubt
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.journal import SLOT
-from stopset.monitor.layout import LENGTH, Flag, State, pack, unpack
+from stopset.monitor.layout import LENGTH, Flag, State, unpack
 from stopset.monitor.links.hub import Hub
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.packer import pack
 from stopset.recording import write_recordings
 
 WATCHDOG = 400  # [ms] a machine shared with everything else

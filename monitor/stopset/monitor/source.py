@@ -37,6 +37,7 @@ class Source(Protocol):
     """
 
     quantum: Quantum
+    dropped: int  # samples that were not given out because newer ones were there
 
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
@@ -165,6 +166,7 @@ class NoSource:
 
     profile: Profile
     until: float
+    dropped: int = 0
     quantum: Quantum = field(init=False)
 
     def __post_init__(self) -> None:

@@ -290,6 +290,8 @@ STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
 
 STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);
 STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
+/* Both behind `length` bytes, where there is room for 8 more: CRC-32 of them, then CRC-32C of them and of that. */
+STOPSET_API void stopset_seal(int64_t length, uint8_t *data);
 /* Bits of the float32 that is not below x (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
 

@@ -12,7 +12,7 @@ SIZE = 128  # frames taken from a bus at once
 
 
 class Frame(NamedTuple):
-    """One classic CAN frame; ``t``: reception, seconds since the epoch."""
+    """One classic CAN frame; ``t``: reception as its adapter stamps it, seconds since the epoch or since the adapter's start."""
 
     cob_id: int
     data: bytes | bytearray

@@ -19,7 +19,6 @@ import can
 from stopset.errors import BusError
 from stopset.monitor.links.batch import Frame, Listener
 from stopset.monitor.links.hub import Hub, HubClient
-from stopset.monitor.links.stamps import Stamps
 
 GROUP = "stopset.links"
 
@@ -99,7 +98,6 @@ class _CanListener:
     def __init__(self, spec: str) -> None:
         interface = parse(spec)[0]
         self._bus = _python_can(spec, **({"listen_only": True} if interface == "slcan" else {}))
-        self._stamps = Stamps()
 
     def recv(self, timeout: float) -> Frame | None:
         try:
@@ -110,7 +108,7 @@ class _CanListener:
             return None
         if m.is_error_frame:
             raise BusError("error frame on the bus; check termination and bit rate")
-        return Frame(m.arbitration_id, m.data, self._stamps(m.timestamp, time.time()))
+        return Frame(m.arbitration_id, m.data, m.timestamp)
 
     def close(self) -> None:
         self._bus.shutdown()

@@ -69,7 +69,8 @@ class Decoder:
                 if target is not None and not m.synchronous and SIGNALS[target[0]] == "status":
                     raw[target] = 0.0  # as long as it has not said so, a drive is not in operation
         place = np.full(lib.STOPSET_IDS, -1, np.int32)
-        pdos, fields = [], []
+        pdos: list[tuple[int, bool, int, int]] = []
+        fields: list[tuple[int, int, int]] = []
         for k, m in enumerate(maps):
             place[m.cob_id], first = k, len(fields)
             fields += _fields(m, n)
