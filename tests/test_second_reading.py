@@ -6,12 +6,12 @@ import sys
 from dataclasses import replace
 
 import pytest
+from stopset.offline.identify.second_reading import AGREES, read_again
 
 from stopset.errors import RobotError
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.identify import second_reading
-from stopset.offline.identify.second_reading import AGREES, read_again
-from stopset.robot import Robot, load_robot
-from stopset.robot.arm import robot_from_text
+from stopset.robot import Robot
 
 pytest.importorskip("pinocchio")
 

@@ -89,7 +89,7 @@ def test_point_motion_holds_every_pose_of_the_tube() -> None:
     tube = tube_of(s, Q, DQ, s.noise.radius[:6], s.noise.radius[6:])
     robot = s.model.robot
     far, fast, box = point_motion(robot.chain, Q, s.noise.radius[:6], slices(tube, 10), 5, s.payload_com)
-    capsules = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, robot.tip)
+    capsules = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, robot.arm.capsules)
     for _ in range(3000):
         k = rng.integers(len(tube.t))
         q0 = Q + s.noise.radius[:6] * rng.choice([-1.0, 1.0], 6)

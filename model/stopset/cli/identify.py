@@ -163,8 +163,8 @@ def verdict(found: Identification, accepted: bool) -> int:
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import Settings, identify
-    from stopset.robot import load_robot
 
     if args.robot is None:
         raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
@@ -182,7 +182,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
 
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.artifact import load_model
+    from stopset.offline.description.older import load_model
     from stopset.offline.update.update import load_state, update
 
     parser = argparse.ArgumentParser()

@@ -38,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.errors import EffectError, OutputError
     from stopset.files import write_text
+    from stopset.offline.description import load_robot
     from stopset.recording import write_recordings
-    from stopset.robot import load_robot
     from stopset.simulation import prepare
 
     if args.seed < 0:

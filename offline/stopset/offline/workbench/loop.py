@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stopset.artifact import Model, load_model, save_model
+from stopset.artifact import Model, save_model
 from stopset.effects import names
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable
@@ -23,6 +23,7 @@ from stopset.offline.compare.compare import Comparison, answer, check_effort, co
 from stopset.offline.compare.dependence import Explained, explained, partial_residual
 from stopset.offline.compare.page import page as compare_page
 from stopset.offline.compare.verdict import verdict
+from stopset.offline.description.older import load_model
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose.page import page as diagnose_page
 from stopset.offline.report.page import DISCLAIMER, Page
