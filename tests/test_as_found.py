@@ -237,22 +237,26 @@ def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None
         identify_nominal(arm(), [still])
 
 
+LIMIT = '<limit lower="0" upper="0.1" effort="9" velocity="1"/>'
 GRIPPER = (
-    '<link name="finger_a"/><link name="finger_b"/>'
-    '<joint name="grip" type="{kind}"><parent link="l3"/><child link="finger_a"/><axis xyz="0 1 0"/></joint>'
-    '<joint name="grip_b" type="{kind}"><parent link="l3"/><child link="finger_b"/><axis xyz="0 1 0"/>{mimic}</joint></robot>'
+    '<link name="finger_a"/><link name="finger_b"/><joint name="grip" type="KIND"><parent link="l3"/><child link="finger_a"/>'
+    f'<axis xyz="0 1 0"/>{LIMIT}</joint><joint name="grip_b" type="KIND"><parent link="l3"/><child link="finger_b"/>'
+    f'<axis xyz="0 1 0"/>{LIMIT}</joint></robot>'
 )
 
 
 def test_urdfs_with_branches_name_the_chain() -> None:
     text = arm().urdf
-    slides = robot_from_text(text.replace("</robot>", GRIPPER.format(kind="prismatic", mimic="")))
-    assert slides.joints == JOINTS and "grip" in " ".join(slides.notes)
-    turns = text.replace("</robot>", GRIPPER.format(kind="revolute", mimic=""))
+    slides = text.replace("</robot>", GRIPPER.replace("KIND", "prismatic"))
+    with pytest.raises(RobotError, match=r"joint grip is prismatic; .*--lock grip,grip_b"):
+        robot_from_text(slides)
+    held = robot_from_text(slides, {"locked": ["grip", "grip_b"]})
+    assert held.joints == JOINTS and "grip" in " ".join(held.notes)
+    turns = text.replace("</robot>", GRIPPER.replace("KIND", "revolute"))
     with pytest.raises(RobotError, match=r"--tip.*finger_a"):
         robot_from_text(turns)
     assert robot_from_text(turns, {"locked": ["grip", "grip_b"]}).joints == JOINTS
-    with pytest.raises(RobotError, match="has no link"):
+    with pytest.raises(RobotError, match="has no link or joint"):
         robot_from_text(turns, {"tip": "nowhere"})
 
 

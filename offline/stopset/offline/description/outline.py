@@ -134,10 +134,9 @@ def check_joints(tree: Outline, locked: Collection[str], tip: str | None) -> lis
         why = f"follows joint {j.follows} (mimic)" if j.follows else f"is {j.kind}"
         if j.follows or j.kind not in TURNS:
             others = [o.name for o in way if o.name not in locked and (o.follows or o.kind not in (*TURNS, "fixed"))]
-            lock = " ".join(f"--lock {name}" for name in others)
             raise RobotError(
-                f"{tree.source}: joint {j.name} {why}; expected joints that turn by themselves: lock what stands still ({lock}), or "
-                "name the arm's last link with --tip where it is beside the arm"
+                f"{tree.source}: joint {j.name} {why}; expected joints that turn by themselves: lock what stands still "
+                f"(--lock {','.join(others)}), or name the arm's last link with --tip where it is beside the arm"
             )
     turning = {j.name for j in way if j.kind != "fixed" and j.name not in locked}
     return [j.name for j in tree.joints if j.kind != "fixed" and j.name not in turning]

@@ -81,7 +81,8 @@ def axes(model: Any) -> Array:
     data = model.createData()
     pinocchio.computeJointJacobians(model, data, pinocchio.neutral(model))
     LOCAL = pinocchio.ReferenceFrame.LOCAL
-    return np.array([pinocchio.getJointJacobian(model, data, k, LOCAL)[3:, k - 1] for k in range(1, model.njoints)])
+    columns = (np.reshape(pinocchio.getJointJacobian(model, data, k, LOCAL), (6, -1))[3:, k - 1] for k in range(1, model.njoints))
+    return np.array(list(columns))
 
 
 def position_limits(model: Any) -> Array:
