@@ -101,6 +101,16 @@ def test_a_part_of_an_arm_by_locked_joints_and_tool_frames_by_name() -> None:
         robot_from_text(ARM, {"locked": ["wrist"]})
 
 
+def test_limits_and_products_of_inertia_that_are_missing() -> None:
+    """The parser would take a body without ``ixy`` as nothing, and refuse a joint without limits."""
+    text = serial("revolute", "revolute", more='<limit upper="1" effort="3"/>')
+    full, bare = robot_from_text(text), robot_from_text(text.replace(' ixy="0.001"', "").replace(LIMIT, ""))
+    assert full.q_limit.tolist() == [[-2.0, 2.0], [-np.inf, 1.0]] and full.dq_limit.tolist() == [2.0, np.inf]
+    assert bare.q_limit[0].tolist() == [-np.inf, np.inf] and np.isinf(bare.torque_limit[0]) and bare.torque_limit[1] == 3.0
+    assert bare.pi[:, 0].tolist() == [1.0, 1.0] and not np.allclose(bare.pi, full.pi)
+    assert "no lower, velocity limit; taken as unlimited" in " ".join(full.notes)
+
+
 # ---- what is no arm is refused by name
 
 
@@ -121,7 +131,7 @@ def test_a_part_of_an_arm_by_locked_joints_and_tool_frames_by_name() -> None:
     # these the parser behind pinocchio takes as zero, and tells the terminal
     (serial("revolute").replace('mass value="1.0"', 'mass value="heavy"'), r"pinocchio: Inertial: mass \[heavy\] is not a float"),
     (serial("revolute").replace('mass value="1.0"', 'mass value="nan"'), r"pinocchio: Inertial: mass \[nan\] is not a float"),
-    (serial("revolute", more=""), r"pinocchio: Joint \[j1\] is of type REVOLUTE but it does not specify limits"),
+    (serial("revolute").replace('effort="50"', 'effort="much"'), r"pinocchio: joint \[j1\]: effort value \(much\) is not a valid float"),
     (serial("revolute").replace("0 0.6 0.8", "0 a 0.8"), "pinocchio: Malformed axis element for joint .j1."),
     (serial("revolute", "hinge"), "joint j2 is hinge"),
 ])  # fmt: skip

@@ -66,6 +66,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
     ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),
+    ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
     ("stopset.offline.description.enclose", "ROUND OUTWARD", "how tightly a link's shape is enclosed; that it is, is checked after"),
     ("stopset.offline.description.outline", "TURNS", "kinds of joints in a URDF"),
     ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),

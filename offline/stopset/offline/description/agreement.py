@@ -6,6 +6,7 @@ about gravity and stops.  Asked at every identification, on random states over t
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,8 +40,8 @@ def held_to_pinocchio(robot: Robot) -> Agreement:
     """
     pinocchio = library()
     robot = robot.as_described
-    _, tree, held = read_tree(robot.urdf, robot.datasheet, robot.name)
-    model = reduced(robot.urdf, tree, held).model
+    tree = read_tree(robot.urdf, robot.datasheet, robot.name)
+    model = reduced(ET.tostring(tree.root, encoding="unicode"), tree.outline, tree.held).model
     model.gravity.linear = np.array(robot.chain.gravity)
     rng = np.random.default_rng(0)
     lo, hi = np.clip(robot.q_limit, -np.pi, np.pi).T

@@ -7,11 +7,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stopset.errors import RobotError
+from stopset.offline.description.complete import complete, limits
 from stopset.offline.description.enclose import capsules_of
 from stopset.offline.description.meshes import with_mesh_paths
 from stopset.offline.description.outline import Outline, check_joints, last_link, notes_of, outline
@@ -76,23 +77,33 @@ def robot_from_text(
     return robot_of(described(urdf, sheet, source, folder), urdf, sheet)
 
 
-def read_tree(urdf: str, sheet: Mapping[str, Any], source: str) -> tuple[ET.Element, Outline, list[str]]:
-    """The URDF's XML, its tree by name, and the joints that stand at zero. Raises `RobotError`."""
+class Tree(NamedTuple):
+    """A URDF's XML, complete; its tree by name; the joints that stand at zero; what was added."""
+
+    root: ET.Element
+    outline: Outline
+    held: list[str]
+    notes: list[str]
+
+
+def read_tree(urdf: str, sheet: Mapping[str, Any], source: str) -> Tree:
+    """The XML of a URDF and its tree by name. Raises `RobotError`."""
     try:
         root = ET.fromstring(urdf)
     except ET.ParseError as e:
         raise RobotError(f"{source} is not XML ({e}); expected a URDF") from e
     if root.tag != "robot":
         raise RobotError(f"{source} starts with <{root.tag}>, expected <robot>: give a URDF (expand xacro first)")
+    added = complete(root)
     tree = outline(root, source)
     tip = sheet.get("tip")
     held = check_joints(tree, sheet.get("locked", ()), None if tip is None else tree.link_of(tip))
-    return root, tree, held
+    return Tree(root, tree, held, added)
 
 
 def described(urdf: str, sheet: Mapping[str, Any], source: str, folder: Path | None) -> Arm:
     """The arm of a description: ``sheet`` may name its ``tip`` and ``locked`` joints. Raises `RobotError`."""
-    root, tree, held = read_tree(urdf, sheet, source)
+    root, tree, held, added = read_tree(urdf, sheet, source)
     located, lacking = with_mesh_paths(root, folder)
     model, geometry = reduced(located, tree, held, collision=True)
     check_serial(model, tree, held)
@@ -114,13 +125,13 @@ def described(urdf: str, sheet: Mapping[str, Any], source: str, folder: Path | N
         p=p,
         axis=axes(model),
         pi=pi,
-        q_limit=position_limits(model),
-        dq_limit=np.array(model.velocityLimit).reshape(n),
-        effort=np.array(model.effortLimit).reshape(n),
+        q_limit=limits(position_limits(model)),
+        dq_limit=limits(np.reshape(model.velocityLimit, n)),
+        effort=limits(np.reshape(model.effortLimit, n)),
         tip=tip,
         capsules=capsules,
         bare=none,
-        notes=(*notes_of(tree, held, sheet.get("locked", ()), end), *_of_shapes(none, joints, lacking)),
+        notes=(*added, *notes_of(tree, held, sheet.get("locked", ()), end), *_of_shapes(none, joints, lacking)),
     )
 
 
