@@ -74,7 +74,7 @@ def _struct(
         first[k] = law
         law += len(places(f, get(f.effect), m.robot.joints))
     rates = ffi.new(
-        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=True)) for s in carried.states] or 1
+        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=0)) for s in carried.states] or 1
     )
     ends = sorted(set(warm))
     rounding = [kept.array(x) for x in (quantum.q, quantum.dq, quantum.tau)]
