@@ -136,14 +136,8 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
     are not.  For ``conform == 'position'`` the velocity columns are unbounded (infinite): nothing was promised about them.
     """
     steps = round(sets.horizon / sets.dt)
-    n = abstraction.n
     rows = None if across is None else along_joints(across)
-    if sets.zonotope is None:
-        torques, U = None, sets.U
-    else:  # a box in the generators' coordinates: a fixed centre, and -1 to 1 along each generator
-        G, c = sets.zonotope.generators, sets.zonotope.centre
-        ones = np.ones(G.shape[1])
-        torques, U = np.hstack([np.eye(n), G]), Box(np.concatenate([c, -ones]), np.concatenate([c, ones]))
+    torques, U = torque_set(sets)
     R = responses(abstraction, sets.dt, steps, torques, rows)
     ages, looked, states = R.E1.shape
     lo, hi = np.empty((ages, looked)), np.empty((ages, looked))
@@ -153,6 +147,16 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
         ages, looked, states, U.dim, look, *(view(x) for x in (R.E1, R.plus, R.minus)), struct, view(lo), view(hi)
     )  # fmt: skip
     return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo, hi)
+
+
+def torque_set(sets: UncertaintySets) -> tuple[Array | None, Box]:
+    """The torque set as a box along directions (n, m): the joints (None), or, of a zonotope, these for its centre, then its
+    generators from -1 to 1."""
+    if sets.zonotope is None:
+        return None, sets.U
+    G, c = sets.zonotope.generators, sets.zonotope.centre
+    ones = np.ones(G.shape[1])
+    return np.hstack([np.eye(len(c)), G]), Box(np.concatenate([c, -ones]), np.concatenate([c, ones]))
 
 
 def along_joints(directions: Array) -> Array:
