@@ -11,7 +11,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.artifact.taped import RIGID, SIGNALS, Recorded, parameters_of, places, recorded
-from stopset.effects import Effect, Fitted, get
+from stopset.effects import Effect, Fitted, Shape, Term, get
 from stopset.effects.memory import affine, whole
 from stopset.errors import EffectError
 from stopset.fmu.ctext import array
@@ -99,10 +99,11 @@ def effect_parameters(model: Model) -> tuple[EffectParameter, ...]:
     """Every number of every active effect, in the order of the C array."""
     out = []
     for c in carried(model):
-        at, of = c.fitted.joint or "arm", {p.symbol: p for p in (*c.effect.terms, *c.effect.shapes)}
-        for symbol in c.symbols:
-            what = f"{of[symbol].means} ({c.effect.name}, {at})"
-            out.append(EffectParameter(f"{c.effect.name}_{symbol}_{at}", of[symbol].unit, what, c.fitted.values[symbol]))
+        at, symbols = c.fitted.joint or "arm", c.symbols
+        every: list[Term | Shape] = [*c.effect.terms, *c.effect.shapes]
+        for p in (p for p in every if p.symbol in symbols):
+            what = f"{p.means} ({c.effect.name}, {at})"
+            out.append(EffectParameter(f"{c.effect.name}_{p.symbol}_{at}", p.unit, what, c.fitted.values[p.symbol]))
     return tuple(out)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term
 from stopset.effects.registry import get
 from stopset.errors import EffectError
 from stopset.ring import Tape
@@ -101,7 +101,8 @@ def _record(effect: Effect, values: Mapping[str, float], rate: int, *, apart: bo
 
 def parameters_of(effect: Effect, values: Mapping[str, float]) -> list[str]:
     """Symbols of the terms, then of the shapes, that ``values`` holds."""
-    return [p.symbol for p in (*effect.terms, *effect.shapes) if p.symbol in values]
+    every: list[Term | Shape] = [*effect.terms, *effect.shapes]
+    return [p.symbol for p in every if p.symbol in values]
 
 
 def places(f: Fitted, effect: Effect, joints: Sequence[str]) -> list[tuple[int, int]]:

@@ -97,8 +97,7 @@ def responses(
     n = abstraction.n
     signed = torques is None and rows is None and _signed(abstraction)
     looked, inputs = 2 * n if rows is None else len(rows), n if torques is None else torques.shape[1]
-    held = [given(x) for x in (A[n:, n:], abstraction.Minv)]
-    held += [x if x is None else given(x) for x in (torques, rows)]
+    held = [None if x is None else given(x) for x in (A[n:, n:], abstraction.Minv, torques, rows)]
     pointers = [ffi.NULL if x is None else view(x) for x in held]
     linear = ffi.new("StopsetLinear *", (n, looked, inputs, *pointers, int(signed)))
     step, work = np.empty(lib.stopset_step_room(linear)), np.empty(lib.stopset_response_room(linear))
