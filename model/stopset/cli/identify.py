@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +16,7 @@ from stopset.cli.common import (
     say,
     write_json,
 )
+from stopset.cli.steps import steps
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
@@ -110,12 +109,8 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import save_model
 
     check_outputs(args.out, args.json, args.report, args.keep)
-    start = time.monotonic()
-
-    def tell(text: str) -> None:
-        sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n")
-
-    found = _updated(args, tell) if args.update else _identified(args, tell)
+    with steps("identify", args.data, args.quiet) as tell:
+        found = _updated(args, tell) if args.update else _identified(args, tell)
     model = save_model(found.model, args.out)
     if args.keep:
         from stopset.offline.update.update import save_state
