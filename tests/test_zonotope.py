@@ -12,12 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from set_problems import problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import Fit, fit_sets
-from stopset.offline.conform.linear_sets import BOX, enclosing, seen_by
+from stopset.offline.conform.linear_sets import BOX, enclosing
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
 from stopset.offline.identify.pipeline import Identification, Settings, identify
@@ -131,8 +132,9 @@ def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
     out = {}
     for name, G in shapes.items():
         T = Template(G, l)
-        R = seen_by(model, DT, 60, T)
-        out[name] = enclosing(fit_sets(envelope, R, ReadingError.exact(NOISE), model, ("a", "b"), template=T), R, envelope, False)
+        asked = problem(model, ReadingError.exact(NOISE), DT, 60, template=T)
+        R = asked.responses()
+        out[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
     return out
 
 
@@ -197,8 +199,9 @@ def test_impossible_data_are_refused() -> None:
     model, T = arm(), Template(np.eye(2), np.eye(2))
     broken = seen(trials(TOGETHER, 2), model, T.directions, 20)
     broken.hi[5] = np.nan
+    asked = problem(model, ReadingError.exact(NOISE), DT, 20, template=T)
     with pytest.raises((NotConformant, ValueError)):
-        fit_sets(broken, seen_by(model, DT, 20, T), ReadingError.exact(NOISE), model, ("a", "b"), template=T)
+        fit_sets(broken, asked.responses(), asked)
 
 
 @pytest.fixture(scope="module")
@@ -309,7 +312,8 @@ def test_on_the_real_arm_a_zonotope_is_narrower_at_the_tool() -> None:
     )  # about the encoder's resolution and the velocity's scatter
     got = {}
     for name, shape in (("box", Template(np.eye(6), T.directions)), ("zonotope", T)):
-        R = seen_by(model, 0.02, 50, shape)
-        got[name] = enclosing(fit_sets(envelope, R, noise, model, robot.joints, template=shape), R, envelope, False)
+        asked = problem(model, noise, 0.02, 50, template=shape)
+        R = asked.responses()
+        got[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
     assert got["zonotope"].cost < 0.9 * got["box"].cost
     assert of(got["zonotope"]).volume < 0.5 * of(got["box"]).volume

@@ -158,7 +158,9 @@ def verdict(found: Identification, accepted: bool) -> int:
 
 
 def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.offline.identify.pipeline import Settings, identify
+    from stopset.offline.campaign.conditions import tagged
+    from stopset.offline.campaign.source import campaign_of
+    from stopset.offline.identify.pipeline import Settings, identified
     from stopset.robot import load_robot
 
     if args.robot is None:
@@ -171,9 +173,8 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
         shape=args.shape, friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
-    return identify(
-        robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None, conditions=args.condition
-    )
+    campaign = tagged(campaign_of(robot, args.data), args.condition, args.data)
+    return identified(robot, campaign, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
 
 def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:

@@ -22,7 +22,7 @@ from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
-from stopset.offline.identify.pipeline import Keep, Settings, identify
+from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
 from stopset.reach.stops import stop
 from stopset.recording import read_meta
@@ -78,8 +78,8 @@ def add(
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     tell("identifying the new revision")
-    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep, conditions=conditions)
-    fresh = identified.model
+    found = identified(robot, campaign, verdict.settings, tell, known=verdict.known, keep=keep)
+    fresh = found.model
     tell("bounding stops before and after")
     before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
@@ -91,7 +91,7 @@ def add(
     number = model.revisions[-1].number + 1 if model.revisions else 1
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
-    return Revised(revised, before, after, verdict.judged, verdict.words, identified.kept)
+    return Revised(revised, before, after, verdict.judged, verdict.words, found.kept)
 
 
 def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:

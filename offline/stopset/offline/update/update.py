@@ -22,6 +22,7 @@ from pathlib import Path
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
@@ -119,10 +120,11 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
         assert nominal.data is not None
         difference = staleness.apart(nominal.data, robot, model)
     progress = Progress(trials, tell)
-    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler, progress)
+    run = Run(robot, meta, source, found, settings)
+    later = sums_of(run, nominal, kept.form, keep=True, scheduler=scheduler, progress=progress)
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
-    fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
+    fresh = concluded(run, nominal, kept.form, earlier.merge(later), tally)
     assert isinstance(fresh.kept, Kept)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
@@ -154,8 +156,9 @@ def from_scratch(
         if r.phase in STOPS:
             stops.append(r)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
-    sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
-    return stopped(concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally), stops, tell)
+    run = Run(robot, meta, source, found, settings)
+    sums = sums_of(run, kept.nominal, kept.form, keep=True, scheduler=scheduler)
+    return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
 
 
 def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
