@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.offline.conform.linear_program import Fit
     from stopset.offline.identify.pipeline import Identification
+    from stopset.progress import Tell
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
 
@@ -157,7 +157,7 @@ def verdict(found: Identification, accepted: bool) -> int:
     return 1
 
 
-def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
+def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
     from stopset.offline.campaign.conditions import tagged
     from stopset.offline.campaign.source import campaign_of
     from stopset.offline.identify.pipeline import Settings, identified
@@ -177,7 +177,7 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
     return identified(robot, campaign, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
 
-def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
+def _updated(args: argparse.Namespace, tell: Tell) -> Identification:
     from stopset.artifact import load_model
     from stopset.offline.update.update import load_state, update
 
