@@ -83,6 +83,35 @@ def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped
     return folder, trials, found
 
 
+@pytest.fixture(scope="session")
+def altered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small simulated arm: ``healthy.parquet``, its model ``m.model.json``, and ``altered.parquet``, where a spring pulls at ``bend``."""
+    from stopset.cli.main import main
+    from test_hidden_effects import ARM
+
+    folder = tmp_path_factory.mktemp("altered")
+    (folder / "three.urdf").write_text(ARM)
+    for name, hide in (("healthy", "none"), ("altered", "spring:bend")):
+        words = [
+            "simulate",
+            "--robot",
+            str(folder / "three.urdf"),
+            "--hide",
+            hide,
+            "--plan",
+            "short",
+            "--seed",
+            "1",
+            "--out",
+            str(folder / name),
+        ]
+        assert main(words) == 0
+        (folder / name / "recording.parquet").rename(folder / f"{name}.parquet")
+    words = ["--robot", str(folder / "healthy" / "robot.urdf"), "--data", str(folder / "healthy.parquet")]
+    assert main(["identify", *words, "--out", str(folder / "m.model.json"), "--accept-wide"]) == 0
+    return folder
+
+
 @pytest.fixture
 def own_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """The effect of the effects folder's README, installed as a package of its own."""

@@ -91,7 +91,6 @@ LEFT_OUT = (
     ("stopset.recording.reader", "BATCH_ROWS", BUDGET),
     ("stopset.recording.types", "PHASES UNCOUNTED EFFORTS", FORMAT),
     ("stopset.recording.writer", "GROUP_ROWS", FORMAT),
-    ("stopset.ring.ctext", "PRELUDE", "C text of the FMU"),
     ("stopset.ring.slope", "ZERO", "zero"),
     ("stopset.ring.tape", "*", CODES),
     ("stopset.ring.taylor", "MEMORY_LIMIT _KEY_BITS _TERM_BYTES _WORK_BYTES", BUDGET),

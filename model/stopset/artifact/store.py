@@ -90,6 +90,11 @@ def save_model(model: Model, path: str | Path) -> Model:
     return dataclasses.replace(model, sha256=json.loads(text)["sha256"])
 
 
+def _whole(kind: Any) -> bool:
+    """Whether arrays of type ``kind`` hold whole numbers. Up to numpy 2.2 an array's shape is `int` too: only its scalar counts."""
+    return any((isinstance(a, type) and issubclass(a, np.integer)) or _whole(a) for a in get_args(kind))
+
+
 def _build(kind: Any, x: Any, where: str) -> Any:
     """The value of type ``kind`` from JSON ``x``; raises with the place in the file."""
     # numpy's name of an array is an alias of its own since 2.5, of which Python tells the origin only when asked again
@@ -119,8 +124,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         value = get_args(kind)[1]
         return {k: _build(value, v, f"{where}.{k}") for k, v in x.items()}
     if origin is np.ndarray:
-        whole = "int" in str(kind)
-        return np.array(x, dtype=np.int64 if whole else np.float64)
+        return np.array(x, dtype=np.int64 if _whole(kind) else np.float64)
     if kind is float:
         return float(x)
     if kind in (int, str, bool) and not isinstance(x, kind):

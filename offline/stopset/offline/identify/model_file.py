@@ -27,10 +27,9 @@ from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.offline.update.signals_file import Signals
+from stopset.progress import Tell
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording
-
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ with the numbers, unless forced; so is a revision whose torque sets are wider th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +24,7 @@ from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
+from stopset.progress import Tell, silent
 from stopset.reach.stops import stop
 from stopset.recording import read_meta
 from stopset.robot import Robot
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from stopset.offline.conform.gather import Kept
     from stopset.offline.update.signals_file import Signals
 
-Tell = Callable[[str], None]
 
 WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
 
@@ -56,7 +56,7 @@ class Revised:
 
 def add(
     model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
-    tell: Tell = lambda _: None, keep: Keep = None, conditions: Sequence[str] = (),
+    tell: Tell = silent, keep: Keep = None, conditions: Sequence[str] = (),
 ) -> Revised:  # fmt: skip
     """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
 

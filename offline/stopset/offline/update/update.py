@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,11 +34,11 @@ from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
+from stopset.progress import Tell, silent
 from stopset.recording import Recording, suite_label
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
-Tell = Callable[[str], None]
 UPDATED = "updated: "  # begins the note of an update
 
 
@@ -66,7 +66,7 @@ def load_state(path: str | Path, model: Model) -> Kept | Signals:
 
 
 def update(
-    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
 ) -> Identification:
     """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
 
@@ -140,7 +140,7 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
 
 
 def from_scratch(
-    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
 ) -> Identification:
     """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
 
