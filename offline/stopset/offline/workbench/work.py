@@ -28,7 +28,7 @@ from stopset.offline.diagnose.page import page as diagnose_page
 from stopset.offline.plan import Wishes, design, write_plan
 from stopset.offline.plan.page import page as plan_page
 from stopset.offline.report.thin import spread
-from stopset.offline.revise.revise import add, description
+from stopset.offline.revise.revise import add
 from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Message, Order, Revised, Says
 from stopset.offline.workbench.scene import listed
 from stopset.recording import read_recordings
@@ -154,7 +154,7 @@ def _plan(order: Order, model: Model, send: Send) -> None:
     assert order.target is not None
     folder, tell = order.target, _Teller(send)
     tell("designing the experiments")
-    plan = design(description(model), Wishes(), read_recordings(order.data, model.robot), tell)
+    plan = design(model.robot.as_described, Wishes(), read_recordings(order.data, model.robot), tell)
     try:
         folder.mkdir()
     except OSError as e:
