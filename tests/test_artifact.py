@@ -64,7 +64,9 @@ def test_numbers_stay_real_however_numpy_writes_its_types(shape: object) -> None
     real, whole = (np.ndarray[shape, np.dtype[kind]] for kind in (np.float64, np.int64))  # type: ignore[valid-type]
     assert _build(real, [0.5, 1.5], "x").tolist() == [0.5, 1.5]
     assert _build(whole, [1, 2], "x").dtype == np.int64
-    assert _build(NDArray[np.int64], [1, 2], "x").dtype == np.int64 and _build(NDArray[np.float64], [1, 2], "x").dtype == np.float64
+    assert (
+        _build(NDArray[np.int64], [1, 2], "x").dtype == np.int64 and _build(NDArray[np.float64], [1, 2], "x").dtype == np.float64
+    )
 
 
 def test_everything_optional_survives(planar, tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def save_model(model: Model, path: str | Path) -> Model:
 
 def _whole(kind: Any) -> bool:
     """Whether arrays of type ``kind`` hold whole numbers. Up to numpy 2.2 an array's shape is `int` too: only its scalar counts."""
-    return any(isinstance(a, type) and issubclass(a, np.integer) or _whole(a) for a in get_args(kind))
+    return any((isinstance(a, type) and issubclass(a, np.integer)) or _whole(a) for a in get_args(kind))
 
 
 def _build(kind: Any, x: Any, where: str) -> Any:
