@@ -38,8 +38,7 @@ LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
-    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA", FORMAT),
-    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA ZONOTOPES LAGS", FORMAT),
+    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM", FORMAT),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
@@ -67,7 +66,10 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
     ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
-    ("stopset.offline.identify.second_reading", "STATES AGREES FAST", GATE),
+    ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),
+    ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
+    ("stopset.offline.description.enclose", "ROUND OUTWARD", "how tightly a link's shape is enclosed; that it is, is checked after"),
+    ("stopset.offline.description.outline", "TURNS", "kinds of joints in a URDF"),
     ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
     ("stopset.offline.nominal.model", "NO_TRACE", WORDS),
@@ -95,7 +97,7 @@ LEFT_OUT = (
     ("stopset.ring.taylor", "MEMORY_LIMIT _KEY_BITS _TERM_BYTES _WORK_BYTES", BUDGET),
     ("stopset.ring.tape", "*", CODES),
     ("stopset.robot.rigid", "_ARM", CODES),
-    ("stopset.robot.arm", "_KNOWN", "names of a data sheet's fields"),
+    ("stopset.robot.drives", "_KNOWN", "names of a data sheet's fields"),
 )  # fmt: skip
 
 
