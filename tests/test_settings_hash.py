@@ -43,6 +43,7 @@ LEFT_OUT = (
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
     ("stopset.recording.seen", "SIGNALS", FORMAT),
+    ("stopset.offline.nominal.physical", "_UPPER", CODES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
