@@ -168,11 +168,6 @@ def test_modules_and_functions_stay_readable() -> None:
 
 # functions that take more than seven arguments still, and how many: none may join them, none may grow
 MANY_ARGUMENTS = {
-    "artifact.inputs.effect_torques": 10,
-    "artifact.inputs.law_signals": 8,
-    "artifact.inputs.memories_after": 8,
-    "artifact.taped.__call__": 8,
-    "effects.signals.arm_signals": 8,
     "fmu.variables._joints": 9,
     "monitor.daemon.__init__": 11,
     "monitor.evidence.bundle._write": 8,
@@ -180,14 +175,8 @@ MANY_ARGUMENTS = {
     "offline.compare.tubes._band": 8,
     "offline.diagnose.columns.elasticity._led": 9,
     "offline.diagnose.columns.elasticity._swung": 10,
-    "offline.inspect.needs.needs": 8,
     "offline.nominal.nominal._nominal": 8,
-    "offline.plan.excitation.excitations": 8,
-    "offline.revise.revise.add": 8,
-    "offline.stops.path._bound": 8,
-    "offline.stops.path._judged": 9,
     "offline.stops.sampling.sample_stops": 9,
-    "offline.stops.table._row": 9,
     "reach.stops.bounds.of": 8,
     "reach.stops.failed.failed_stops": 8,
     "reach.stops.ramp._ramp_torques": 9,
@@ -195,9 +184,6 @@ MANY_ARGUMENTS = {
     "reach.stops.tube.march": 9,
     "reach.stops.tubes.march_box": 10,
     "reach.stops.tubes.tubes_of": 9,
-    "robot.rigid.bent_torques": 11,
-    "simulation.scenario._tell": 8,
-    "simulation.stop.simulate_stop": 13,
 }
 
 

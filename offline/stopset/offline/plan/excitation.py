@@ -9,8 +9,6 @@ Source: Swevers et al. (1997), Optimal robot excitation and identification; Pres
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
@@ -116,7 +114,6 @@ def excitations(
     rate: float,
     evaluations: int,
     rng: np.random.Generator,
-    progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[list[Path], float, float]:
     """``count`` trajectories of one ``period`` [s] each, together as well conditioned as the search finds.
 
@@ -132,13 +129,13 @@ def excitations(
     blind = total.copy()
     paths: list[Path] = []
 
-    def cost(x: Array, told: Array) -> tuple[float, Array]:
+    def cost(x: Array, known: Array) -> tuple[float, Array]:
         q, dq, ddq = _faded(x, period, e, t, middle)
         G = information(robot, q, dq, ddq, weight, V)
         low = 0.0 if e.floor is None else max(e.floor - float(heights(robot, q[::4]).min()), 0.0)
-        return np.log(condition(told + G)) + 50 * low, G
+        return np.log(condition(known + G)) + 50 * low, G
 
-    for k in range(count):
+    for _ in range(count):
         best, best_cost, first = np.zeros(0), np.inf, None
         tries = max(20, evaluations // 8)
         for _ in range(tries):
@@ -148,15 +145,13 @@ def excitations(
             if c < best_cost:
                 best, best_cost = x, c
         step = 0.5
-        for i in range(evaluations - tries):  # (1+1) evolution with the one-fifth rule: no gradients, no local traps at start
+        for _ in range(evaluations - tries):  # (1+1) evolution with the one-fifth rule: no gradients, no local traps at start
             x = best + step * rng.normal(size=best.shape) * (rng.random(best.shape) < 0.3)
             c, _ = cost(x, total)
             if c < best_cost:
                 best, best_cost, step = x, c, min(step * 1.4, 1.0)
             else:
                 step = max(step * 0.92, 1e-3)
-            if i % 50 == 0:
-                progress(k)
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)

@@ -19,6 +19,7 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.effects import names
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable
+from stopset.offline.campaign.source import campaign_of
 from stopset.offline.compare.compare import Comparison, answer, check_effort, compare, inputs
 from stopset.offline.compare.dependence import Explained, explained, partial_residual
 from stopset.offline.compare.page import page as compare_page
@@ -29,7 +30,7 @@ from stopset.offline.report.page import DISCLAIMER, Page
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.page import FIGURES, floor
 from stopset.offline.revise.page import page as history_page
-from stopset.offline.revise.revise import add
+from stopset.offline.revise.revise import add, description
 from stopset.offline.workbench.scene import listed, scene
 from stopset.recording import read_recordings, stream_recordings
 
@@ -212,7 +213,9 @@ class Loop:
             job.says = text
 
         target = writable(self._next_file())
-        done = add(self._models[-1][1], effect, joint or None, self.data, force, tell)
+        model = self._models[-1][1]
+        name = f"{effect}:{joint}" if joint else effect
+        done = add(model, [name], campaign_of(description(model), self.data), force=force, tell=tell)
         row = {
             "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
             "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),
