@@ -54,7 +54,7 @@ def taken(action: argparse.Action) -> tuple[str, str]:
 def commands_page() -> str:
     out = [
         "# Commands\n",
-        "Written by `python benchmarks/reference_pages.py` from the commands themselves. Exit codes: 0 done, 1 the answer is \"no\", 2 bad input",
+        'Written by `python benchmarks/reference_pages.py` from the commands themselves. Exit codes: 0 done, 1 the answer is "no", 2 bad input',
         "(one sentence: what was seen, what was expected, what to do), 70 a defect of stopset, 130 interrupted. Units are SI.\n",
     ]
     for name in commands():
@@ -78,10 +78,10 @@ def message_page() -> str:
     return "\n".join(
         [
             "# The state message\n",
-            "Written by `python benchmarks/reference_pages.py` from the table that packs it; `deploy/plc/stopset_state.h` and `.st` come from",
-            f"the same table. Layout version {LAYOUT_VERSION}, {LENGTH} bytes, little endian, every field naturally aligned. Published every cycle under",
-            "`<site>/<cell>/<arm>/stopset/state`. Rounding: \"up\" is never below the number it stands for, \"down\" never above. What a consumer has to",
-            "check before it believes a message is in [How to: a PLC bridge](../how-to/plc-bridge.md).\n",
+            "Written by `python benchmarks/reference_pages.py` from the table that packs it; `deploy/plc/stopset_state.h` and `.st` come",
+            f"from the same table. Layout version {LAYOUT_VERSION}, {LENGTH} bytes, little endian, every field naturally aligned.",
+            'Published every cycle under `<site>/<cell>/<arm>/stopset/state`. Rounding: "up" is never below the number it stands for,',
+            '"down" never above. What a consumer has to check before it believes a message: [A PLC bridge](../how-to/plc-bridge.md).\n',
             "| byte | field | type | unit | meaning | rounded |",
             "|---|---|---|---|---|---|",
             *rows,

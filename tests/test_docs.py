@@ -85,5 +85,16 @@ def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
     told = reference_pages()
     typed = [command for block in told.steps(told.TUTORIAL.read_text(encoding="utf-8")) for command in block]
     said = {command.split()[1]: told.told(command, tmp_path) for command in typed}
-    assert {"simulate", "inspect", "identify", "compare", "diagnose", "add", "history", "stops", "export-fmu", "check-fmu"} == set(said)
+    assert {
+        "simulate",
+        "inspect",
+        "identify",
+        "compare",
+        "diagnose",
+        "add",
+        "history",
+        "stops",
+        "export-fmu",
+        "check-fmu",
+    } == set(said)
     assert "1. stribeck:arm_2_joint" in said["diagnose"] and "revision 1: stribeck:arm_2_joint" in said["history"]
