@@ -110,7 +110,7 @@ def _truth(
 ) -> dict[str, Any]:
     """What is hidden, as ``truth.json`` says it; ``asked``: what the campaign was made for."""
     joints, plant = cell.cad.joints, cell.truth.plant
-    outside = any(s.hidden.effect.startswith("outside_") for s in sized)
+    outside = any(kinds()[s.hidden.effect].outside for s in sized)
     missing = any(kinds()[s.hidden.effect].fixed != BASE for s in sized)
     effects = []
     for s, said in zip(sized, parameters, strict=True):

@@ -105,15 +105,15 @@ class StopBounds:
         """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""
         assert self.setting is not None
         marks = [self.setting.extrapolated] if self.setting.extrapolated else []
-        rests_on = bound.assumptions
+        here: tuple[str, ...] = ()
         if beyond:
             marks.append(f"{OUTSIDE}: {beyond}")
-            rests_on = (*rests_on, f"{marks[-1]}; there the rigid body is computed, and friction and U are taken not to change")
+            here = (f"{marks[-1]}; there the rigid body is computed, and friction and U are taken not to change",)
         if not marks:
             return bound
         said = "; ".join(marks)
         why = "; ".join(x for x in (bound.why, said) if x)
-        return replace(bound, certified=False, why=why, extrapolated=said, assumptions=rests_on)
+        return replace(bound, certified=False, why=why, extrapolated=said, assumptions=(*bound.assumptions, *here), here=here)
 
     def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
         """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.

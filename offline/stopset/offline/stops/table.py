@@ -21,7 +21,7 @@ from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
-from stopset.reach.stops.setting import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
+from stopset.reach.stops.setting import HEAVIEST, beyond_domain, beyond_payload
 from stopset.types import Array
 
 SHARES = (33, 66, 100)
@@ -188,7 +188,7 @@ def stop_table(model: Model, question: Question, progress: Callable[[Sequence[An
             of = Shares(share, percent, kg, extension)
             for bound, dq in _worst_direction(bounds, q, group, speed * share / 100.0, question.categories):
                 rows.append(_row(model, bound, group, q, dq, of))
-                stated = tuple(a for a in bound.assumptions if not a.startswith(OUTSIDE))
+                stated = tuple(a for a in bound.assumptions if a not in bound.here)
                 assumptions += tuple(a for a in stated if a not in assumptions)
     order = {c: i for i, c in enumerate(CATEGORIES)}
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
