@@ -37,9 +37,9 @@ class Chain(NamedTuple):
 
 def arm_struct(chain: Chain, pi: Array | None) -> Any:
     """The C struct of an arm; what it points at lives as long as it does."""
-    for seen in _recent:  # most calls are about the arm of the call before
-        if seen[0] is chain and seen[1] is pi:
-            return seen[2]
+    for its_chain, its_pi, struct, _ in _recent:  # most calls are about the arm of the call before
+        if its_chain is chain and its_pi is pi:
+            return struct
     n = len(chain.p)
     if chain.R.shape != (n, 3, 3) or chain.axis.shape != (n, 3) or chain.gravity.shape != (3,):
         raise ValueError(f"chain of {n} joints with R {chain.R.shape}, axis {chain.axis.shape}, gravity {chain.gravity.shape}")

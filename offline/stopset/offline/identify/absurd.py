@@ -51,7 +51,7 @@ def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[O
                 f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {fastest[k]:.3g} "
                 "rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
             )
-    return [Oddity(2 * len(out) > n, x) for x in out]
+    return [Oddity(grave=2 * len(out) > n, what=x) for x in out]
 
 
 def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[Oddity]:
@@ -77,4 +77,4 @@ def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found
                 f"the torque set of {j} is {width:.3g} N m wide where the model's torque errs by {torque:.3g} N m RMS; "
                 "its deviations sit in another set: look at the velocity signal"
             )
-    return [Oddity(True, x) for x in out]
+    return [Oddity(grave=True, what=x) for x in out]

@@ -166,9 +166,11 @@ def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed) ->
     seen = (beyond_domain(bounds.model, q, v) for q, v in zip(passed.poses, passed.speeds, strict=True))
     beyond = next((x for x in seen if x), None)
     if beyond and not bounds.extrapolate_state:
-        return StopBound("1", False, f"not covered, the path leads there: {beyond}; {UNSEEN}", assumptions=setting.assumptions)
+        return StopBound(
+            "1", certified=False, why=f"not covered, the path leads there: {beyond}; {UNSEEN}", assumptions=setting.assumptions
+        )
     if ramp.after is None:
-        return StopBound("1", False, NO_REST, assumptions=setting.assumptions)
+        return StopBound("1", certified=False, why=NO_REST, assumptions=setting.assumptions)
     off = ramp.q_error + setting.noise.radius[: bounds.model.n]
     margin = np.minimum(bounds.margin(passed.poses[0], off), bounds.margin(passed.poses[-1], off))
     if margin.min() <= 0:
@@ -339,7 +341,7 @@ def _bound(model: Model, setting: Setting, ramp: Ramp, passed: Passed, time: flo
     pace = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=0) / spacing + spacing * bend
     speed = rate * pace + reach * float(ramp.dq_error.sum())
     return StopBound(
-        "1", True, "", time=np.full(n, time),
+        "1", certified=True, why="", time=np.full(n, time),
         forward=np.maximum(travel.max(axis=0), 0.0) + between + ramp.q_error,
         back=np.maximum(-travel.min(axis=0), 0.0) + between + ramp.q_error,
         speed=rate * first + ramp.dq_error, tcp=float(far[-1]), tcp_speed=float(speed[-1]),
