@@ -11,8 +11,9 @@ import time
 
 import numpy as np
 
-from stopset.robot import Robot, load_robot
-from stopset.simulation import PLANS, StoppingArm, prepare, simulate_stop
+from stopset.offline.description import load_robot
+from stopset.robot import Robot
+from stopset.simulation import PLANS, prepare, simulate_stop
 from stopset.simulation.arm import Script, run, start
 from stopset.simulation.plant import Plant, healthy_plant
 from stopset.types import Array
@@ -32,8 +33,8 @@ def stops(robot: Robot, plant: Plant, count: int, horizon: float = 0.24) -> None
     def go(dt: float) -> list[tuple[Array, Array]]:
         return [
             simulate_stop(
-                StoppingArm(plant.chain, plant.pi, plant.rotor, plant.fc * s[0], plant.fv * s[1], plant.brake_torque * s[2],
-                plant.brake_delay, plant.brake_rise), q0, v0, dt, round(horizon / dt), u,
+                plant.chain, plant.pi, plant.rotor, plant.fc * s[0], plant.fv * s[1], plant.brake_torque * s[2],
+                plant.brake_delay, plant.brake_rise, q0, v0, dt, round(horizon / dt), u,
             )
             for q0, v0, u, s in cases
         ]  # fmt: skip
@@ -77,7 +78,7 @@ def smooth(robot: Robot, plant: Plant) -> None:
             x0 = np.concatenate([q0, v0])
             want = solve_ivp(f, (0, 1), x0, method="DOP853", rtol=1e-11, atol=1e-12, t_eval=[1.0]).y[:, -1]
             q, v = simulate_stop(
-                StoppingArm(plant.chain, plant.pi, plant.rotor, zero, plant.fv, zero, never, never), q0, v0, dt, round(1 / dt),
+                plant.chain, plant.pi, plant.rotor, zero, plant.fv, zero, never, never, q0, v0, dt, round(1 / dt),
                 np.zeros((1, n)),
             )  # fmt: skip
             worst = max(worst, float(np.abs(np.concatenate([q[-1], v[-1]]) - want).max()))
@@ -121,7 +122,7 @@ def main() -> None:
     plant = healthy_plant(robot, np.random.default_rng(1))
     zero = np.zeros(robot.n)  # compile before the clock runs
     simulate_stop(
-        StoppingArm(plant.chain, plant.pi, plant.rotor, plant.fc, plant.fv, plant.brake_torque, plant.brake_delay, plant.brake_rise),
+        plant.chain, plant.pi, plant.rotor, plant.fc, plant.fv, plant.brake_torque, plant.brake_delay, plant.brake_rise,
         zero, zero, 1e-3, 1, np.zeros((1, robot.n)),
     )  # fmt: skip
     stops(robot, plant, 200)

@@ -9,10 +9,13 @@ Source: Swevers et al. (1997), Optimal robot excitation and identification; Pres
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
+from stopset.progress import Tell, silent
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 from stopset.types import Array
@@ -106,21 +109,29 @@ def condition(G: Array) -> float:
     return float(np.sqrt(values[-1] / max(values[0], 1e-30)))
 
 
+@dataclass(frozen=True, slots=True)
+class Series:
+    """What is asked: ``count`` series of one ``period`` [s] at ``rate`` [1/s], each the best of so many ``evaluations``."""
+
+    count: int
+    period: float
+    rate: float
+    evaluations: int
+
+
 def excitations(
     robot: Robot,
     e: Envelope,
-    count: int,
-    period: float,
-    rate: float,
-    evaluations: int,
+    asked: Series,
     rng: np.random.Generator,
+    tell: Tell = silent,
 ) -> tuple[list[Path], float, float]:
-    """``count`` trajectories of one ``period`` [s] each, together as well conditioned as the search finds.
+    """The trajectories asked for, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
-    Each next trajectory is optimised for what those before it tell together with it.
+    Each next trajectory is optimised for what those before it tell together with it; ``tell`` is told how far the search is.
     """
-    n = robot.n
+    n, count, period, evaluations = robot.n, asked.count, asked.period, asked.evaluations
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
     V = directions(robot, e, weight, rng)
     middle = centre(robot, e, rng)
@@ -135,7 +146,8 @@ def excitations(
         low = 0.0 if e.floor is None else max(e.floor - float(heights(robot, q[::4]).min()), 0.0)
         return np.log(condition(known + G)) + 50 * low, G
 
-    for _ in range(count):
+    for k in range(count):
+        tell(f"excitation {k + 1} of {count}", k / count)
         best, best_cost, first = np.zeros(0), np.inf, None
         tries = max(20, evaluations // 8)
         for _ in range(tries):
@@ -145,15 +157,17 @@ def excitations(
             if c < best_cost:
                 best, best_cost = x, c
         step = 0.5
-        for _ in range(evaluations - tries):  # (1+1) evolution with the one-fifth rule: no gradients, no local traps at start
+        for i in range(evaluations - tries):  # (1+1) evolution with the one-fifth rule: no gradients, no local traps at start
             x = best + step * rng.normal(size=best.shape) * (rng.random(best.shape) < 0.3)
             c, _ = cost(x, total)
             if c < best_cost:
                 best, best_cost, step = x, c, min(step * 1.4, 1.0)
             else:
                 step = max(step * 0.92, 1e-3)
+            if i % 50 == 0:
+                tell(f"excitation {k + 1} of {count}", (k + (tries + i) / evaluations) / count)
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
-        fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)
+        fine = np.arange(0.0, period + 0.5 / asked.rate, 1 / asked.rate)
         paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine, middle)), middle)))
     return paths, condition(total), condition(blind)
