@@ -47,7 +47,7 @@ class Watch(Check):
     _u: Array = field(init=False)  # (2, n) its input and that of the sample before; `_du` how far they are unknown
     _du: Array = field(init=False)
     _x: Array = field(init=False)  # (2n,) the last state, at its cycle
-    _struct: Any = field(init=False)  # the core's `StopsetWatch`
+    _struct: Any = field(init=False)  # the core's `StopsetCheck`
     _kept: Kept = field(init=False)  # what it points at
     _slack: Array = field(init=False)  # (2n,) what the place in time of `_x` leaves unknown of it; stands in the tube's limits
     _loose: bool = False  # something of it does
@@ -66,7 +66,7 @@ class Watch(Check):
         self._x, self._slack = np.zeros(2 * n), np.zeros(2 * n)
         d, kept, tubes = m.domain, Kept([]), self.tubes
         boxes = [d.q, d.dq, d.u, d.q if d.temp is None else d.temp]  # the last one then is not looked at
-        self._struct = ffi.new("StopsetWatch *", {
+        self._struct = ffi.new("StopsetCheck *", {
             "monitor": self._inputs.struct, "predictions": tubes.struct, "domain_lo": kept.array([b.lo for b in boxes]),
             "domain_hi": kept.array([b.hi for b in boxes]), "temperatures": d.temp is not None, "every": tubes.stride,
             "sliding": m.powered.windows == "sliding", "most": LARGEST, "here": kept.shared(self._here),

@@ -212,22 +212,22 @@ typedef struct {
     int64_t place, since;                /* row of the next prediction; samples since the last one */
     int32_t known, widen;                /* there was a sample before; `w` changes from step to step */
     int64_t outside, live, seen[2];      /* out: signals beyond the domain, and as of `stopset_advance` */
-} StopsetWatch;
+} StopsetCheck;
 
 enum { STOPSET_NOT_A_NUMBER = 3, STOPSET_ALL_ZERO = 4 };
 
 /* Whether `here` can be a reading; `temp`: with temperatures. */
-STOPSET_API int stopset_readable(const StopsetWatch *watch, int temp);
+STOPSET_API int stopset_readable(const StopsetCheck *watch, int temp);
 /* u, du and what is beyond the domain. */
-STOPSET_API int stopset_look(StopsetWatch *watch, int temp);
+STOPSET_API int stopset_look(StopsetCheck *watch, int temp);
 /* The state x (2n,) of this sample against all predictions. */
-STOPSET_API int stopset_compare(StopsetWatch *watch, const double *x);
+STOPSET_API int stopset_compare(StopsetCheck *watch, const double *x);
 /* A prediction from this sample, if one is due. */
-STOPSET_API void stopset_launch(StopsetWatch *watch);
+STOPSET_API void stopset_launch(StopsetCheck *watch);
 /* The next sample is the one after this. */
-STOPSET_API void stopset_keep(StopsetWatch *watch, const double *x);
+STOPSET_API void stopset_keep(StopsetCheck *watch, const double *x);
 /* All of these, for a sample that follows the one before. */
-STOPSET_API int stopset_next(StopsetWatch *watch, int temp);
+STOPSET_API int stopset_next(StopsetCheck *watch, int temp);
 
 /* ---- decode.c: CAN frames to readings */
 

@@ -152,7 +152,7 @@ int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const doubl
     return best;
 }
 
-int stopset_readable(const StopsetWatch *w, int temp) {
+int stopset_readable(const StopsetCheck *w, int temp) {
     const int n = w->monitor->map->arm.n;
     int zero = 1;
     if (n < 1 || n > J) return STOPSET_TOO_MANY_JOINTS;
@@ -161,7 +161,7 @@ int stopset_readable(const StopsetWatch *w, int temp) {
     return zero ? STOPSET_ALL_ZERO : STOPSET_OK;
 }
 
-int stopset_look(StopsetWatch *w, int temp) {
+int stopset_look(StopsetCheck *w, int temp) {
     const StopsetMonitor *m = w->monitor;
     const int n = m->map->arm.n;
     const double *q = w->here, *lo = w->domain_lo, *hi = w->domain_hi;
@@ -175,7 +175,7 @@ int stopset_look(StopsetWatch *w, int temp) {
     return STOPSET_OK;
 }
 
-int stopset_compare(StopsetWatch *w, const double *x) {
+int stopset_compare(StopsetCheck *w, const double *x) {
     const StopsetMonitor *m = w->monitor;
     const int n = m->map->arm.n;
     double added[J];
@@ -185,7 +185,7 @@ int stopset_compare(StopsetWatch *w, const double *x) {
     return w->live < 0 ? STOPSET_TOO_MANY_JOINTS : STOPSET_OK;
 }
 
-void stopset_launch(StopsetWatch *w) {
+void stopset_launch(StopsetCheck *w) {
     const StopsetPredictions *s = w->predictions;
     const int64_t row = w->place, n2 = s->states;
     w->since++;
@@ -198,7 +198,7 @@ void stopset_launch(StopsetWatch *w) {
     s->foreign[row] = w->outside != 0;
 }
 
-void stopset_keep(StopsetWatch *w, const double *x) {
+void stopset_keep(StopsetCheck *w, const double *x) {
     const int64_t n = w->predictions->states / 2;
     memcpy(w->u + n, w->u, (size_t)n * sizeof *w->u);
     memcpy(w->du + n, w->du, (size_t)n * sizeof *w->du);
@@ -206,7 +206,7 @@ void stopset_keep(StopsetWatch *w, const double *x) {
     w->known = 1;
 }
 
-int stopset_next(StopsetWatch *w, int temp) {
+int stopset_next(StopsetCheck *w, int temp) {
     int code = stopset_readable(w, temp);
     if (!code) code = stopset_look(w, temp);
     if (!code) code = stopset_compare(w, w->here);
