@@ -17,7 +17,8 @@ from stopset.artifact import Brakes, Model
 from stopset.fmu import Contents, export
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBound, StopBounds
-from stopset.reach.stops.regions import FrictionRegion, PowerOff, power_off, regions
+from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.regions import CompiledStops, FrictionRegion, Stopped, regions
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
 from stopset.types import Array
@@ -49,9 +50,9 @@ def cut_together(apart: float, lag: Array | None = None) -> Model:
     return replace(model, brakes=brakes)
 
 
-def core_stop(bounds: StopBounds) -> Callable[..., PowerOff | None]:
+def core_stop(bounds: StopBounds) -> Callable[..., Stopped | None]:
     assert bounds.setting is not None
-    return power_off(bounds.setting)
+    return CompiledStops.of(bounds.setting, bounds.ramp).bound
 
 
 def in_region(bounds: StopBounds, region: FrictionRegion) -> StopBounds:
@@ -89,7 +90,7 @@ def test_the_core_s_bound_is_python_s_to_the_last_bit(name: str) -> None:
     core, n, certified = core_stop(bounds), bounds.model.n, 0
     for k, (q, dq) in enumerate(states(bounds.model, 12, 3)):
         rq, rdq = (np.zeros(n), np.zeros(n)) if k % 2 else (np.full(n, 2e-3), np.full(n, 1e-2))
-        want, got = bounds.bound(q, dq, "0", rq, rdq), core(q, dq, rq, rdq)
+        want, got = bounds.bound(q, dq, "0", rq, rdq), core(q, dq, "0", rq, rdq)
         assert want.certified == (got is not None)
         if got is None:
             continue
@@ -98,6 +99,61 @@ def test_the_core_s_bound_is_python_s_to_the_last_bit(name: str) -> None:
             assert np.array_equal(mine, theirs)  # type: ignore[arg-type]
         assert got.tool.tolist() == [want.tcp, want.tcp_speed]
     assert certified >= 4
+
+
+def ramped(n: int, **changes: Any) -> Ramp:
+    """As identified: with tracking errors."""
+    about = Ramp(
+        "time", Box.of(np.full(n, 0.28), np.full(n, 0.31)), Box.of(np.full(n, 0.008), np.full(n, 0.024)),
+        np.full(n, 2e-3), np.linspace(0.004, 0.008, n), off_after=0.35,
+    )  # fmt: skip
+    return replace(about, **changes)
+
+
+RAMPS: dict[str, dict[str, Any]] = {
+    "time": {},
+    "deceleration": {"kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))},
+    "along the motion": {"pace": (-0.4, 0.7)},
+    "monitored": {"monitored": True, "off_after": None},
+    "monitored, faster": {"monitored": True, "share": 1.3, "kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))},
+    "late to rest": {"dq_error": np.full(4, 0.03), "settle": 0.05},
+    "never at rest": {"dq_error": np.full(4, 0.03)},
+    "too steep": {"value": Box.of(np.full(4, 0.002), np.full(4, 0.003))},
+    "never cut": {"off_after": None},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RAMPS)
+@pytest.mark.parametrize("model", ["tube", "energy", "motor torque"])
+def test_the_core_s_stop_1_and_2_are_python_s_to_the_last_bit(name: str, model: str) -> None:
+    """Nominal, guaranteed (after a time and monitored) and held; what the one refuses the other does."""
+    n = MODELS[model]().n
+    changes = {
+        k: v.take(slice(0, n)) if isinstance(v, Box) else v[:n] if isinstance(v, np.ndarray) else v
+        for k, v in RAMPS[name].items()
+    }
+    bounds = replace(bounds_of(MODELS[model]()), ramp=ramped(n, **changes))
+    core = core_stop(bounds)
+    proved = dict.fromkeys(("1", "1 guaranteed", "2"), 0)
+    for k, (q, dq) in enumerate(states(bounds.model, 6, 9)):
+        rq, rdq = (np.zeros(n), np.zeros(n)) if k % 2 else (np.full(n, 2e-3), np.full(n, 1e-2))
+        for category in proved:
+            want, got = bounds.bound(q, dq, category, rq, rdq), core(q, dq, category, rq, rdq)
+            assert want.certified == (got is not None), (category, want.why)
+            if got is None:
+                continue
+            proved[category] += 1
+            for mine, theirs in (
+                (got.time, want.time),
+                (got.forward, want.forward),
+                (got.back, want.back),
+                (got.speed, want.speed),
+            ):
+                assert np.array_equal(mine, theirs), category  # type: ignore[arg-type]
+            assert got.tool.tolist() == [want.tcp, want.tcp_speed], category
+    works = name not in ("never at rest", "too steep")
+    assert (proved["1"] > 0) == (proved["2"] > 0) == works
+    assert (proved["1 guaranteed"] > 0) == (name != "never cut"), proved
 
 
 @pytest.mark.parametrize("effect", [{"effect": "spring", "k": 8.0, "c": 0.1}, {"effect": "stribeck", "F_s": 6.0, "v_s": 0.06}])
@@ -160,7 +216,7 @@ def test_no_sampled_stop_goes_beyond_either_proof(rotor: float, speed: float) ->
     for trial in range(4):
         q, dq = rng.uniform(-2, 2, n), rng.uniform(-speed, speed, n)
         angle, time = worst_of_samples(bounds, q, dq, rq, rdq, 30, trial)
-        got = core(q, dq, rq, rdq)
+        got = core(q, dq, "0", rq, rdq)
         assert got is not None
         assert np.all(angle <= np.maximum(got.forward, got.back))
         assert time <= got.time.max()

@@ -23,7 +23,7 @@ from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.stops import bounds_of, stop_refusal
 from stopset.fmu.variables import start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
-from stopset.reach.stops.regions import PowerOff, power_off
+from stopset.reach.stops.regions import CompiledStops, Stopped
 from stopset.types import Array
 
 DURATION = 2.0  # [s]
@@ -172,11 +172,11 @@ def _stops(model: Model, r: Reference) -> str:
         return ""
     setting, d, n, J = bounds_of(model).setting, model.domain, model.n, model.joints
     assert setting is not None
-    bound, rng = power_off(setting), np.random.default_rng(SEED)
+    bound, rng = CompiledStops.of(setting).bound, np.random.default_rng(SEED)
     anywhere = rng.uniform(np.concatenate([d.q.lo, d.dq.lo]), np.concatenate([d.q.hi, d.dq.hi]), (STATES // 2, 2 * n))
     inside = np.clip(anywhere[:, :n], model.robot.q_limit[:, 0], model.robot.q_limit[:, 1])
     x = np.vstack([r.x[np.linspace(0, len(r.t) - 1, STATES - STATES // 2).astype(int)], np.hstack([inside, anywhere[:, n:]])])
-    none = PowerOff(*(np.full(k, np.nan) for k in (n, n, n, n, 2)))
+    none = Stopped(*(np.full(k, np.nan) for k in (n, n, n, n, 2)))
     found = [bound(row[:n], row[n:]) or none for row in x]
     columns = [*_named("q_measured", J, x[:, :n]), *_named("dq_measured", J, x[:, n:])]
     for stem, part in (("stop_time", "time"), ("stop_forward", "forward"), ("stop_back", "back")):
