@@ -173,7 +173,6 @@ MANY_ARGUMENTS = {
     "artifact.inputs.memories_after": 8,
     "artifact.taped.__call__": 8,
     "effects.signals.arm_signals": 8,
-    "fmu.variables._joints": 9,
     "monitor.daemon.__init__": 11,
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
