@@ -108,7 +108,7 @@ typedef struct {
     double e[PREDICTIONS][NX], w[PREDICTIONS][NX], ends[NM][2], x[NX], u[NJ], du[NJ];
     int64_t age[PREDICTIONS], next, since;
     uint8_t foreign[PREDICTIONS], known;
-} StopsetWatch;
+} StopsetPast;
 
 /* A stop bound and the box of states that it holds for; `steps` since it was made. */
 typedef struct {
@@ -128,7 +128,7 @@ typedef struct {
     double length;                   /* of the last communication step [s], the model's own before */
     double stop_q[NJ], stop_dq[NJ], stop_lo[NX], stop_hi[NX]; /* of the moment a stop was asked for */
     StopsetCertificate certificate[N_STOPS];
-    StopsetWatch watch;
+    StopsetPast past;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
     uint8_t as_identified, violated, outputs_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1, 3 STOP 2; stays until reset */
