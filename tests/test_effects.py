@@ -17,8 +17,8 @@ from stopset.effects import Effect, Signals, catalogue, check, get
 from stopset.effects.selection import base, of_part, usual, usual_friction
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError
+from stopset.offline.description import load_robot
 from stopset.ring import Interval
-from stopset.robot import load_robot
 from stopset.robot.rigid import gravity_torques, torques
 
 NAMES = [

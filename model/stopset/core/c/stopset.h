@@ -468,9 +468,9 @@ STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const
 STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way,
                                       const double *way_ball, const double *pace, const double *pace_ball, double *far, double *fast,
                                       double *box);
-/* Capsules (S, n, 7) that contain every link's axis: both ends [m], radius [m]. */
+/* Capsules (S, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
 STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
-                                       const double *d_hi, const double *tip, double *out);
+                                       const double *d_hi, const double *capsules, double *out);
 /* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
  * Returns how many. */
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
