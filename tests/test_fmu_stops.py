@@ -118,7 +118,7 @@ RAMPS: dict[str, dict[str, Any]] = {
     "monitored, faster": {"monitored": True, "share": 1.3, "kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))},
     "late to rest": {"dq_error": np.full(4, 0.03), "settle": 0.05},
     "never at rest": {"dq_error": np.full(4, 0.03)},
-    "too steep": {"value": Box.of(np.full(4, 0.002), np.full(4, 0.003))},
+    "too steep": {"value": Box.of(np.full(4, 2e-5), np.full(4, 3e-5))},
     "never cut": {"off_after": None},
 }  # fmt: skip
 
