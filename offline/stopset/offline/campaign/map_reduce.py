@@ -6,6 +6,7 @@ Maxima, minima and per-trial sums merged in order give the same bits whatever th
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -19,6 +20,7 @@ from stopset.recording import Recording
 Range = tuple[int, int]  # trials by place in the campaign: first, one past the last
 PER_WORKER = 3  # parts per worker of a cluster, so that a lost one costs little
 CONNECT = 10  # [s] to reach a scheduler
+TOLD = 3.0  # [s] of work that are worth a word
 FEWEST = 64  # trials per part; below, dividing costs more than it saves
 
 
@@ -34,18 +36,37 @@ B = TypeVar("B", bound=Mergeable)
 
 
 class Progress:
-    """Tells every tenth of the trials as they are done, by however many threads."""
+    """Tells every tenth of the trials as they are done, by however many threads, and how long the rest will take."""
 
     def __init__(self, trials: int, tell: Tell) -> None:
         self._trials, self.tell, self._done = max(trials, 1), tell, 0
-        self._lock = Lock()
+        self._lock, self._begun = Lock(), time.monotonic()
 
     def step(self) -> None:
         """One trial more is done."""
         with self._lock:
             before, self._done = self._done, self._done + 1
             if 10 * self._done // self._trials > 10 * before // self._trials:
-                self.tell(f"{self._done} of {self._trials} trials")
+                spent = time.monotonic() - self._begun
+                left = spent * (self._trials / self._done - 1.0)
+                self.tell(f"{self._done} of {self._trials} trials" + (f", about {left:.0f} s to go" if left > TOLD else ""))
+
+
+def passing(source: Source, trials: int, passes: int, tell: Tell) -> Source:
+    """``source``, which is read about so many times: now and then it is told how far that is, and how long the rest will take."""
+    begun, last, done = time.monotonic(), time.monotonic(), 0
+
+    def counted() -> Iterator[Recording]:
+        nonlocal last, done
+        for r in source():
+            yield r
+            done += 1
+            now, share = time.monotonic(), done / (trials * passes)
+            if now - last > TOLD and share < 1.0:
+                last = now
+                tell(f"about {100 * share:.0f} % of it, {(now - begun) * (1 / share - 1):.0f} s to go")
+
+    return counted
 
 
 def within(source: Source, trials: Range) -> Source:
