@@ -30,11 +30,11 @@ from stopset.offline.conform.nonlinear import coarser, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.reading_error import ReadingError
-from stopset.offline.identify.pipeline import Settings, identify
+from stopset.offline.description import load_robot
+from stopset.offline.identify.pipeline import FITTING, Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording, reader
-from stopset.robot import load_robot
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
 from test_abstraction import ROTOR, two_link
@@ -429,9 +429,13 @@ def test_a_model_that_runs_away_reaches_as_far_as_it_holds(tmp_path: Path, monke
 
     monkeypatch.setattr(nonlinear, "windows_of", far_is_too_far)
     told: list[str] = []
-    found = identify(arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0), told.append)
+    found = identify(
+        arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0), lambda text, share=None: told.append(f"{text} {share}")
+    )
     assert asked[0] > 1.0 >= found.model.powered.horizon
-    assert any("predictions run away further ahead" in x for x in found.model.notes) and any("to go" in x for x in told)
+    assert any("predictions run away further ahead" in x for x in found.model.notes) and any(
+        FITTING in x and "None" not in x for x in told
+    )
     monkeypatch.undo()
     monkeypatch.setattr(nonlinear, "RUNAWAY", 1e-9)  # nothing stays within it
     with pytest.raises(NotConformant, match=r"diverges from the recorded motion within 0\.[0-9]+ s"):

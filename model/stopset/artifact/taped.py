@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term
 from stopset.effects.registry import get
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.ring import Tape
 from stopset.robot.rigid import torques
@@ -61,18 +62,48 @@ class Kept:
         self.held.append(ffi.from_buffer(x))
         return ffi.cast(kind, self.held[-1])
 
-    def program(self, effect: Effect, values: Mapping[str, float], rate: bool = False) -> tuple[int, Any, Any]:
-        """``StopsetProgram`` of an effect's torque, or of its (only) state's rate; raises `EffectError` where it has no steps."""
-        tape = Tape()
-        try:
-            s = _signals(tape, len(effect.states))
-            steps, numbers = tape.finished(effect.rates(s, values)[0] if rate else effect.torque(s, values))
-        except (TypeError, ValueError, AttributeError) as e:
-            raise EffectError(
-                f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
-                "functions of stopset.ring: write it with those"
-            ) from e
-        return len(steps), self.array(steps, np.int32), self.array(numbers)
+    def program(self, effect: Effect, values: Mapping[str, float], rate: int = -1) -> tuple[int, Any, Any]:
+        """``StopsetProgram`` of `recorded`."""
+        r = recorded(effect, values, rate)
+        return len(r.steps), self.array(r.steps, np.int32), self.array(r.numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A law's steps (K, 3) and constants; ``apart``: these begin with its parameters, in the order of `parameters_of`; else the law
+    could only be recorded with their values in it."""
+
+    steps: NDArray[np.int32]
+    numbers: Array
+    apart: bool
+
+
+def recorded(effect: Effect, values: Mapping[str, float], rate: int = -1) -> Recorded:
+    """An effect's torque on tape, or the rate of its state number ``rate``; raises `EffectError` where it has no steps."""
+    try:
+        return _record(effect, values, rate, apart=True)
+    except EffectError:  # a law may ask of a parameter what no tape answers, such as whether it is positive
+        return _record(effect, values, rate, apart=False)
+
+
+def _record(effect: Effect, values: Mapping[str, float], rate: int, *, apart: bool) -> Recorded:
+    tape = Tape()
+    given: dict[str, Any] = {k: tape.parameter(values[k]) if apart else values[k] for k in parameters_of(effect, values)}
+    s = _signals(tape, len(effect.states))
+    try:
+        steps, numbers = tape.finished(effect.torque(s, given) if rate < 0 else effect.rates(s, given)[rate])
+    except (TypeError, ValueError, AttributeError) as e:
+        raise EffectError(
+            f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
+            "functions of stopset.ring: write it with those"
+        ) from e
+    return Recorded(steps, numbers, apart)
+
+
+def parameters_of(effect: Effect, values: Mapping[str, float]) -> list[str]:
+    """Symbols of the terms, then of the shapes, that ``values`` holds."""
+    every: list[Term | Shape] = [*effect.terms, *effect.shapes]
+    return [p.symbol for p in every if p.symbol in values]
 
 
 def places(f: Fitted, effect: Effect, joints: Sequence[str]) -> list[tuple[int, int]]:
@@ -126,12 +157,9 @@ class Taped:
         kept.held += [table]
         return cls(struct, kept, first, columns, "dtau" in needs)
 
-    def __call__(
-        self, m: InputMap, q: Array, dq: Array, tau: Array, temp: Array | None, warm: float, t: Array | None,
-        memories: Mapping[int, tuple[Array, ...]],
-    ) -> Array:  # fmt: skip
+    def __call__(self, m: InputMap, samples: Samples, tau: Array, memories: Mapping[int, tuple[Array, ...]]) -> Array:
         """``u`` (N, n) [N m], see `InputMap.__call__`."""
-        n = m.robot.n
+        n, q, dq, temp, t = m.robot.n, samples.q, samples.dq, samples.temp, samples.t
         if q.shape != dq.shape or q.shape != tau.shape or q.shape[1:] != (n,) or (temp is not None and temp.shape != q.shape):
             raise ValueError(f"samples of shapes {q.shape}, {dq.shape}, {tau.shape} for {n} joints; expected one shape (N, {n})")
         states = np.zeros((len(q), self.columns))
@@ -142,9 +170,9 @@ class Taped:
         if self.uses_dtau and t is not None and len(t) > 1:
             dtau = np.gradient(torques(m.robot.chain, m.robot.pi, q, dq, np.zeros_like(q)), t, axis=0)
         arrays = [None if x is None else given(x) for x in (q, dq, tau, temp, dtau, t, states)]
-        samples = ffi.new("StopsetSamples *", (*(ffi.NULL if x is None else view(x) for x in arrays), warm))
+        struct = ffi.new("StopsetSamples *", (*(ffi.NULL if x is None else view(x) for x in arrays), samples.warm))
         u = np.empty(q.shape)
-        check(lib.stopset_inputs(self.struct, len(q), samples, view(u)))
+        check(lib.stopset_inputs(self.struct, len(q), struct, view(u)))
         return u
 
 

@@ -6,7 +6,6 @@ Maxima, minima and per-trial sums merged in order give the same bits whatever th
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -15,12 +14,12 @@ from typing import Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
 from stopset.offline.campaign.survey import Source
+from stopset.progress import Tell, silent
 from stopset.recording import Recording
 
 Range = tuple[int, int]  # trials by place in the campaign: first, one past the last
 PER_WORKER = 3  # parts per worker of a cluster, so that a lost one costs little
 CONNECT = 10  # [s] to reach a scheduler
-TOLD = 3.0  # [s] of work that are worth a word
 FEWEST = 64  # trials per part; below, dividing costs more than it saves
 
 
@@ -30,41 +29,35 @@ class Mergeable(Protocol):
     def merge(self, other: Self, /) -> Self: ...
 
 
-Tell = Callable[[str], None]
 A = TypeVar("A", bound=Mergeable)
 B = TypeVar("B", bound=Mergeable)
 
 
 class Progress:
-    """Tells every tenth of the trials as they are done, by however many threads, and how long the rest will take."""
+    """Tells every tenth of the trials as they are done, by however many threads."""
 
     def __init__(self, trials: int, tell: Tell) -> None:
         self._trials, self.tell, self._done = max(trials, 1), tell, 0
-        self._lock, self._begun = Lock(), time.monotonic()
+        self._lock = Lock()
 
     def step(self) -> None:
         """One trial more is done."""
         with self._lock:
             before, self._done = self._done, self._done + 1
             if 10 * self._done // self._trials > 10 * before // self._trials:
-                spent = time.monotonic() - self._begun
-                left = spent * (self._trials / self._done - 1.0)
-                self.tell(f"{self._done} of {self._trials} trials" + (f", about {left:.0f} s to go" if left > TOLD else ""))
+                self.tell(f"{self._done} of {self._trials} trials", min(1.0, self._done / self._trials))
 
 
-def passing(source: Source, trials: int, passes: int, tell: Tell) -> Source:
-    """``source``, which is read about so many times: now and then it is told how far that is, and how long the rest will take."""
-    begun, last, done = time.monotonic(), time.monotonic(), 0
+def passing(source: Source, trials: int, passes: int, doing: str, tell: Tell) -> Source:
+    """``source`` of so many trials, which is read about so many times: after each trial it is told how far that is."""
+    done = 0
 
     def counted() -> Iterator[Recording]:
-        nonlocal last, done
+        nonlocal done
         for r in source():
             yield r
             done += 1
-            now, share = time.monotonic(), done / (trials * passes)
-            if now - last > TOLD and share < 1.0:
-                last = now
-                tell(f"about {100 * share:.0f} % of it, {(now - begun) * (1 / share - 1):.0f} s to go")
+            tell(doing, min(1.0, done / (trials * passes)))
 
     return counted
 
@@ -88,9 +81,7 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def in_parts(
-    work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = lambda _: None
-) -> tuple[A, B]:
+def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = silent) -> tuple[A, B]:
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
@@ -127,5 +118,5 @@ def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: st
             )
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
         for done, _ in enumerate(as_completed(jobs, loop=client.loop), 1):
-            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers")
+            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers", done / len(jobs))
         return list(client.gather(jobs))

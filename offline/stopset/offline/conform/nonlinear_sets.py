@@ -23,6 +23,7 @@ from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.linear_sets import Conformance, Pairs, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.problem import Options, SetProblem
+from stopset.progress import Tell, silent
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.types import Array
@@ -82,9 +83,7 @@ class Algorithm:
         return self.remembered[key]
 
 
-def conform_nonlinear(
-    pairs: Pairs, problem: SetProblem, trials: int, tell: Callable[[str], None] = lambda _: None
-) -> Conformance:
+def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell = silent) -> Conformance:
     """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``tell`` is told how long it takes.
 
     The sets' grid may be coarser than the problem's.  Raises `NotConformant`.

@@ -16,8 +16,8 @@ from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.evidence.engine import Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.search.held_out import judged_on
-from stopset.offline.diagnose.search.search import Tell
 from stopset.offline.diagnose.standing import moves
+from stopset.progress import Tell, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
@@ -52,7 +52,7 @@ def estimates(
     names: Sequence[str],
     fitted: Sequence[Fitted] = (),
     known: Known | None = None,
-    tell: Tell = lambda _: None,
+    tell: Tell = silent,
 ) -> Estimates:
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
 

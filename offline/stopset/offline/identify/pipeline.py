@@ -27,14 +27,15 @@ from stopset.offline.conform.gather import SetForm, set_problem, sums_of, templa
 from stopset.offline.conform.linear_sets import Conformance, Pairs
 from stopset.offline.conform.nonlinear import Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
-from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
-from stopset.offline.identify.second_reading import read_again
+from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.update.signals_file import Signals
+from stopset.progress import Tell, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
 
@@ -42,11 +43,12 @@ __all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
 
 NEAREST = 0.5  # [s] predictions of a model that runs away are shortened down to this
 PASSES = 8  # about, over the recordings: shared motors, friction laws, the nominal model, and again on one half of the motions
+FITTING = "fitting the nominal model"
 Keep = Literal["signals", "sums"] | None
 
 
 def identify(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = silent,
     scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
@@ -61,13 +63,12 @@ def identify(
 
 
 def identified(
-    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = lambda _: None, scheduler: str | None = None,
+    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = silent, scheduler: str | None = None,
     known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
-    if read_again(robot) is None:
-        tell("the description was read once only: pinocchio is not installed, which would read it again")
+    held_to_pinocchio(robot)
     tell("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:
@@ -77,7 +78,7 @@ def identified(
     for text in told:
         tell(text)
     meta = replace(meta, warnings=(*meta.warnings, *told))
-    tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
+    tell(f"{found.trials} {found.phase} trials, {found.samples} samples")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
@@ -86,7 +87,7 @@ def identified(
         return (r for r in source() if r.suite_key not in held)
 
     run = Run(robot, meta, source, found, chosen)
-    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, tell), survey=learnt)
+    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, tell), survey=learnt)
     shared = _shared(fitting, known)
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
     numbers = known_effects(robot, meta, fitting.trials, asked, known)
@@ -106,8 +107,7 @@ def identified(
     try:
         out = _with_sets(run, nominal, tell, scheduler, tally if keep == "sums" else None)
     except NotConformant as e:
-        limited = [note for note in nominal.notes if note.startswith("held at")]
-        raise NotConformant("; ".join([str(e), *limited])) from e
+        raise NotConformant("; ".join([str(e), *nominal.limited])) from e
     out = stopped(out, stops, tell)
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 

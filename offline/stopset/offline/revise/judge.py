@@ -6,7 +6,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,9 @@ from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
+from stopset.progress import Tell
 from stopset.recording import Recordings
 from stopset.robot import Robot
-
-Tell = Callable[[str], None]
 
 # an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
 # (a single joint's error scatters more), while none rises by as much
@@ -118,10 +117,10 @@ def by_evidence(
     for name in names:
         mine = [k for k, e in enumerate(found) if e.name == name]
         if not mine:
-            judged.append(Judged(name, errors[0], errors[0], False, "", NO_TRACE))
+            judged.append(Judged(name, errors[0], errors[0], helps=False, enters="", why=NO_TRACE))
             continue
         enters = entry(get(name.partition(":")[0]))
-        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], True, enters))
+        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], helps=True, enters=enters))
     return Verdict(tuple(judged), errors[0], more, taken, answer.words)
 
 
