@@ -24,7 +24,7 @@ Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 
 BUDGET = 2_000_000  # simulated steps per pass while searching; the final check takes every start
 CUTS = 12  # ages per side and state that give a plane in one round
-RUNAWAY = 1e3  # [rad/s] a friction polynomial beyond its range may push: no tube there
+RUNAWAY = 1e3  # [rad/s], [rad] no arm gets there; a friction polynomial beyond its range may push: no tube there
 # places of one joint's unknowns
 Q_LO, V_LO, Q_HI, V_HI, NOISE_LO, NOISE_HI, U_LO, U_HI = range(8)
 

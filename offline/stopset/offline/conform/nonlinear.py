@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
-from stopset.offline.conform.corners import Trial
+from stopset.offline.conform.corners import RUNAWAY, Trial
 from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
@@ -38,7 +38,6 @@ GRID = 0.02  # [s] finest step of the time-varying hull, whose cost is quadratic
 WINDOWS = 160  # of the check; the program sees every other one
 AGES = 14  # of a window that give rows in the program, evenly in the logarithm
 BATCH = 64  # nominal solutions integrated at once
-RUNAWAY = 1e3  # [rad], [rad/s] no arm gets there
 NEAREST = 0.5  # [s] predictions of a model that runs away are shortened down to this
 
 
