@@ -179,7 +179,6 @@ def test_modules_and_functions_stay_readable() -> None:
 
 # functions that take more than seven arguments still, and how many: none may join them, none may grow
 MANY_ARGUMENTS = {
-    "fmu.variables._joints": 9,
     "offline.compare.tubes._band": 8,
     "offline.diagnose.columns.elasticity._led": 9,
     "offline.diagnose.columns.elasticity._swung": 10,
