@@ -1,7 +1,8 @@
 """What one cycle of the monitor costs, part by part, and how late it publishes when fed over a bus by another process.
 
-``python benchmarks/monitor.py [MODEL RECORDING] [--json FILE] [--no-live]``; without arguments an arm with torque input,
-friction, gravity and 650 ages is used. ``--json`` writes ``{"cycle_cpu_us": {"median", "p99"}, "wall_us": {"p999"}, "parts_us"}``:
+``python benchmarks/monitor.py [MODEL RECORDING] [--json FILE] [--before FILE] [--no-live]``; without arguments an arm with torque
+input, friction, gravity and 650 ages is used, alone and as twelve arms in one thread. ``--before``: the JSON of another commit, to
+which every part is set in ratio. ``--json`` writes ``{"cycle_cpu_us": {"median", "p99"}, "wall_us": {"p999"}, "parts_us"}``:
 thread CPU from the frames of a cycle in memory to packed bytes, laws evaluated, stop box tested.
 """
 
@@ -42,6 +43,7 @@ from stopset.recording import Recording, read_recordings, write_recordings
 from stopset.sets import Box
 
 CYCLES = 4000
+ARM_TICKS = 2000
 MOST_FRAMES = 32  # of a cycle
 KEY = Key(1, bytes(32))
 
@@ -138,8 +140,30 @@ def run(daemon: Daemon, bus: Frames, clock: Clock) -> np.ndarray:
     return took[:, len(daemon.watch.ages) :] * 1e-3
 
 
-def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
-    """CPU and wall of a whole cycle; then, in a run of its own as clocks cost too, of its parts."""
+def many_arms(model_path: Path, trial: Recording, arms: int) -> dict[str, object]:
+    """Thread CPU [ms] of a tick in which every one of ``arms`` has its cycle, and how many ticks took longer than one lasts."""
+    model = load_model(model_path)
+    cells = [prepared(model, model_path, trial) for _ in range(arms)]
+    took = np.empty(ARM_TICKS)
+    gc.collect()
+    gc.disable()
+    for k in range(ARM_TICKS):
+        begin = time.thread_time_ns()
+        for daemon, bus, clock in cells:
+            bus.ready = bus.cycles[k]
+            clock.now += daemon.cycle_s
+            daemon.cycle()
+        took[k] = time.thread_time_ns() - begin
+    gc.enable()
+    took = took[len(cells[0][0].watch.ages) :] * 1e-6
+    missed = int(np.count_nonzero(took > 1e3 * cells[0][0].cycle_s))
+    print(f"{arms} arms in one thread: {np.median(took):.2f} ms CPU a tick, p99 {np.quantile(took, 0.99):.2f}, max {took.max():.2f}; "
+          f"{missed} of {len(took)} ticks longer than {1e3 * cells[0][0].cycle_s:g} ms")  # fmt: skip
+    return {"arms": arms, "tick_cpu_ms": {"median": float(np.median(took)), "max": float(took.max())}, "missed": missed}
+
+
+def cycle_cost(model_path: Path, trial: Recording, before: dict[str, float]) -> dict[str, object]:
+    """CPU and wall of a whole cycle; then, in a run of its own as clocks cost too, of its parts. ``before``: these, as they were."""
     model = load_model(model_path)
     daemon, *rest = prepared(model, model_path, trial)
     cpu, wall = run(daemon, *rest)
@@ -159,7 +183,9 @@ def cycle_cost(model_path: Path, trial: Recording) -> dict[str, object]:
     warm = slice(len(watch.ages), None)
     said = {n: float(np.median(np.array(p.took[warm])) * 1e-3) for n, p in parts.items()}
     for name, us in (*said.items(), ("the rest", timed - sum(said.values()))):
-        print(f"  {name:<10} {us:8.1f} us CPU")
+        was = f", {before[name] / us:.1f} times less than it was" if name in before else ""
+        print(f"  {name:<10} {us:8.1f} us CPU{was}")
+    print(f"  {np.count_nonzero(cpu > 1e3)} of {len(cpu)} cycles longer than 1 ms, which 1 kHz leaves")
     print(
         f"  cycle      {np.median(cpu):8.1f} us CPU, p99 {np.quantile(cpu, 0.99):.1f}; wall p99.9 {np.quantile(wall, 0.999):.1f} us"
     )
@@ -228,8 +254,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, metavar="MODEL RECORDING")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--before", type=Path, help="the JSON of another commit")
     parser.add_argument("--no-live", action="store_true", help="only the cost of a cycle")
     args = parser.parse_args()
+    before = json.loads(args.before.read_text())["parts_us"] if args.before else {}
     folder = Path(tempfile.mkdtemp())
     model_path, recording = args.files or (folder / "known.model.json", folder / "known.parquet")
     torque_path = model_path
@@ -238,9 +266,10 @@ def main() -> None:
         write_recordings(recording, meta(), [motion(s, 1000, s) for s in range(3)])
         torque_path = folder / "torque.model.json"
         save_model(torque_input(), torque_path)
-        told = cycle_cost(torque_path, motion(0, CYCLES))
+        told = cycle_cost(torque_path, motion(0, CYCLES), before)
+        told["many"] = many_arms(torque_path, motion(0, CYCLES), 12)
     else:
-        told = cycle_cost(model_path, next(iter(read_recordings(recording))))
+        told = cycle_cost(model_path, next(iter(read_recordings(recording))), before)
     if args.json:
         args.json.write_text(json.dumps(told))
     for speed in () if args.no_live else (1.0, 4.0):

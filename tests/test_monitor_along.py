@@ -53,6 +53,19 @@ def coupled() -> Model:
     return replace(m, abstraction=a, sets={"powered": coarse})
 
 
+def whole() -> Model:
+    """Model 3: the same arm with its acceleration as one polynomial of speeds, angles and torques."""
+    m, rows = coupled(), []
+    for j in range(6):
+        own = np.zeros((2, 24), np.int64)
+        own[0, j], own[1, 18 + j] = 1, 1  # dq, u
+        c = m.abstraction.coriolis[j]
+        powers = np.vstack([own, np.hstack([c.exponent, np.zeros((len(c.coefficient), 6), np.int64)])])
+        rows.append(Polynomial(powers, np.concatenate([[-VISCOUS[j], 1.0], -c.coefficient]) / INERTIA[j]))
+    a = m.abstraction
+    return replace(m, abstraction=Abstraction(3, 2, a.Minv, a.viscous, acceleration=tuple(rows)))
+
+
 def read(model: Model, seed: int, samples: int = 300, push: Box = U) -> tuple[Array, Array]:
     """States (N, 12) as read, and torques (N, 6), of the arm that the model tells the truth of: small midpoint steps in numpy."""
     rng = np.random.default_rng(seed)
@@ -75,7 +88,7 @@ def verdicts(model: Model, x: Array, tau: Array, quantum: Quantum = NONE) -> tup
     return said, watch
 
 
-MODELS = {"curved friction": curved, "model 2": coupled}
+MODELS = {"curved friction": curved, "model 2": coupled, "model 3": whole}
 
 
 @pytest.mark.parametrize("which", MODELS)

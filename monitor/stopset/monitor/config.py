@@ -161,7 +161,9 @@ class Config:
     journal: str = ""
     payload_kg: float = 0.0
     warm: tuple[float, ...] = (0.0, 1.0)  # place in the session, if known better: only for models with a warm-up
-    realtime: bool = False  # lock memory; needs the limits of deploy/systemd
+    realtime: bool = False  # lock memory; needs the limits of deploy/systemd, as the next two do
+    priority: int = 0  # of the loop's thread, FIFO; 0 = as it is started
+    cores: tuple[int, ...] = ()  # that it may run on; none = all
     zenoh: Zenoh = field(default_factory=Zenoh)
     publish: Publish = field(default_factory=Publish)
     stops: Stops = field(default_factory=Stops)
@@ -222,6 +224,9 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
         ("stops.ramp_control_s", config.stops.ramp_control_s, 0.0, 10.0),
         ("stops.ramp_off_after_s", config.stops.ramp_off_after_s, 0.0, 10.0),
         ("data_id", config.data_id, 1, 2**32 - 1),
+        ("priority", config.priority, 0, 98),  # above are the kernel's own threads
+        ("the least of cores", min(config.cores, default=0), 0, 4095),
+        ("the greatest of cores", max(config.cores, default=0), 0, 4095),
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
         ("payload_kg", config.payload_kg, 0.0, 1e4),

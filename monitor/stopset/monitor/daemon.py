@@ -32,6 +32,7 @@ from stopset.monitor.orders import Orders
 from stopset.monitor.override import Advisor
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import U64, Outlet, Publisher
+from stopset.monitor.realtime import Claim
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.sample import Sample
@@ -61,6 +62,7 @@ class Beside:
     desk: StopDesk | None = None
     load: Callable[[], Model] | None = None
     recorder: Recorder | None = None
+    granted: Claim = Claim({})  # noqa: RUF009 - frozen
 
 
 class Daemon:
@@ -70,6 +72,7 @@ class Daemon:
         self, config: Config, model: Model, source: Source, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
     ) -> None:
         self.config, self.source, self.cycle_s, self.recorder = config, source, cycle_s, beside.recorder
+        self.granted = beside.granted
         self.clock: Clock = beside.clock or SystemClock()
         self.reloading = Reloading(beside.load, self._prepare)
         self._use(self._prepare(model, beside.desk))
@@ -177,6 +180,8 @@ class Daemon:
         if first:
             self._notify.say("READY=1", "STATUS=listening")
             self.publisher.event("started", model_sha256=self.model.sha256, config_sha256=self.config.sha256)
+            if self.granted.lacking:
+                self.publisher.event("realtime", why=self.granted.lacking)
         if self.recorder is not None:
             self.recorder.take(s, v, CODES[v.conformance], self.watch.inputs)
         new = self.latch.take(s, v, now)

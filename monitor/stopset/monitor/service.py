@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import signal
 import time
@@ -24,6 +23,7 @@ from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import Profile, load_profile
+from stopset.monitor.realtime import claim
 from stopset.monitor.report import about, health
 from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, Source
 from stopset.monitor.watch import check_cycle
@@ -34,6 +34,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
 
     SIGHUP reads the model anew.
     """
+    granted = claim(lock=config.realtime, priority=config.priority, cores=config.cores)
     load = trusted(config)
     model = load()
     profile = load_profile(config.bus.profile) if config.bus else None
@@ -64,7 +65,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     try:
         daemon = Daemon(
             config, model, first_source(), Overheard(link, recorder), cycle_s,
-            Beside(latch=latch, signer=signer, load=load, recorder=recorder),
+            Beside(latch=latch, signer=signer, load=load, recorder=recorder, granted=granted),
         )  # fmt: skip
     except BaseException:
         link.close()
@@ -73,14 +74,14 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     recorder.heard = lambda: daemon.source.heard()
     recorder.start()
     _signals(daemon, seconds)
-    if config.realtime:
-        ctypes.CDLL(None, use_errno=True).mlockall(3)
     gc.collect()
     gc.freeze()
+    gc.disable()  # the loop makes no circles: `benchmarks/monitor_long.py`
     try:
         code = daemon.run(open_source)
         return code, health(daemon)
     finally:
+        gc.enable()
         daemon.close()
         link.close()
 

@@ -38,6 +38,19 @@ class Incident:
     written: Path | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a bundle holds: the ``window`` of readings, the ``model`` to predict them with (None: none looks back), ``frames`` of
+    the bus as (time [s], identifier, bytes)."""
+
+    incident: Incident
+    cause: Cause
+    window: Window
+    model: Dynamics | None
+    joints: tuple[str, ...]
+    frames: list[tuple[float, int, bytes]]
+
+
 def name_of(incident: Incident) -> str:
     """By the time of the violation, in UTC."""
     at = time.gmtime(max(0.0, min(incident.t, 4e9)))
@@ -45,45 +58,34 @@ def name_of(incident: Incident) -> str:
 
 
 def write_bundle(
-    folder: Path, keep_mb: float, incident: Incident, cause: Cause, w: Window, model: Dynamics | None, joints: tuple[str, ...],
-    about: Mapping[str, str], frames: list[tuple[float, int, bytes]], pause: Callable[[], None],
-) -> tuple[Path, str]:  # fmt: skip
+    folder: Path, keep_mb: float, contents: Contents, about: Mapping[str, str], pause: Callable[[], None]
+) -> tuple[Path, str]:
     """Write it and return its name and SHA-256; it is on the disk, whole, when this returns. Raises `OSError`, `OutputError`.
 
     Bundles are never deleted: when they fill ``keep_mb`` no further one is written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    incident = contents.incident
     path = incident.written or folder / name_of(incident)
     used = sum(p.stat().st_size for p in folder.glob("violation-*.mcap") if p != path) / 1e6
     if used > keep_mb:
         raise OutputError(f"{folder} holds {used:.0f} MB of violations; at most {keep_mb:g} MB are kept: take them away")
     with replacing(path) as part, part.open("wb") as f:
-        _write(
-            McapFile(f, "stopset", {**about, "kind": "violation", "t": repr(incident.t)}),
-            incident,
-            cause,
-            w,
-            model,
-            joints,
-            frames,
-            pause,
-        )
+        _write(McapFile(f, "stopset", {**about, "kind": "violation", "t": repr(incident.t)}), contents, pause)
     _sync(folder)
     with path.open("rb") as f:
         return path, hashlib.file_digest(f, "sha256").hexdigest()
 
 
-def _write(
-    file: McapFile, incident: Incident, cause: Cause, w: Window, model: Dynamics | None, joints: tuple[str, ...],
-    frames: list[tuple[float, int, bytes]], pause: Callable[[], None],
-) -> None:  # fmt: skip
-    age = 1 if model is None else max(1, round(incident.first.age / model.dt))
-    for k, (topic, t, message) in enumerate(messages(w, 0, model, joints, age)):
+def _write(file: McapFile, x: Contents, pause: Callable[[], None]) -> None:
+    w, incident, cause = x.window, x.incident, x.cause
+    age = 1 if x.model is None else max(1, round(incident.first.age / x.model.dt))
+    for k, (topic, t, message) in enumerate(messages(w, 0, x.model, x.joints, age)):
         file.add(topic, t, message)
         if k % AT_ONCE == 0:
             pause()
     first, last = (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
-    for k, (t_frame, identifier, data) in enumerate(frames):
+    for k, (t_frame, identifier, data) in enumerate(x.frames):
         if first <= t_frame <= last:
             t = nanoseconds(t_frame)
             file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})

@@ -23,7 +23,7 @@ import numpy as np
 from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.evidence import plausible
-from stopset.monitor.evidence.bundle import Incident, write_bundle
+from stopset.monitor.evidence.bundle import Contents, Incident, write_bundle
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
 from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics
@@ -181,10 +181,8 @@ class Recorder:
         incident.tried, digest = True, ""
         try:
             if self.settings.violations:
-                incident.written, digest = write_bundle(
-                    self.folder, self.settings.keep_mb, incident, cause, w, model, self._model[0].joints, self.about(),
-                    self.heard(), self.pause,
-                )  # fmt: skip
+                contents = Contents(incident, cause, w, model, self._model[0].joints, self.heard())
+                incident.written, digest = write_bundle(self.folder, self.settings.keep_mb, contents, self.about(), self.pause)
                 self.files += whole
             answer = Answer(cause, str(incident.written or ""), digest)
             self.trouble = ""
