@@ -364,6 +364,7 @@ STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript
 #define STOPSET_TUBE_REDOS 4
 #define STOPSET_TUBE_PASSES 40
 #define STOPSET_ENERGY_CLAIMS 12
+#define STOPSET_PULL_CLAIMS 6
 
 /* Bounds over all poses: |d2 M_ij/dq_k dq_l| (n, n, n, n), |d2 g_i/dq_k dq_l| (n, n, n); of M_ii without rotor, |g_i| (n,). */
 typedef struct {
@@ -372,7 +373,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
