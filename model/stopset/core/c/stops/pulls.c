@@ -78,14 +78,65 @@ static void visit(const double *A, int k, Exchange *x) {
     x->inside[joint] = 0;
 }
 
+/* Inverse W of M_c and dM/dq_k W at the expansion's pose; 0 where M_c is not surely positive definite. */
+typedef struct {
+    double W[SN * SN], dMW[SN * SN * SN];
+} Inverse;
+
+static int invert(const Expansion *E, const Local *at, Inverse *out) {
+    const int n = at->n;
+    memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
+    for (int k = 0; k < n; k++) {
+        if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
+        stops_pivot(n, out->W, k, 1);
+    }
+    for (int k = 0; k < n * n; k++) out->W[k] = -out->W[k];
+    for (int k = 0; k < n; k++)
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) {
+                double s = 0.0;
+                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * out->W[o * n + j];
+                out->dMW[(k * n + i) * n + j] = s;
+            }
+    return 1;
+}
+
+/* How far M v can be from M_c v, speeds in v and momenta in p: the box of v alone, or along the angles dM/dq_k W of M_c v = p +- loose. */
+static void looseness(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+    const int n = at->n;
+    double fast[SN], rest[SN], far[SN];
+    for (int j = 0; j < n; j++) fast[j] = largest(v->lo[j], v->hi[j]);
+    for (int i = 0; i < n; i++) {
+        loose[i] = rest[i] = 0.0;
+        for (int j = 0; j < n; j++) {
+            double linear = 0.0;
+            for (int k = 0; k < n; k++) linear += size_of(E->dM[(i * n + j) * n + k]) * at->rad[k];
+            loose[i] += at->dM[i * n + j] * fast[j];
+            rest[i] += most(at->dM[i * n + j] - linear, 1e-12 * linear) * fast[j];
+        }
+    }
+    if (!inverse) return;
+    for (int pass = 0; pass < 2; pass++) {
+        for (int i = 0; i < n; i++) {
+            far[i] = rest[i];
+            for (int k = 0; k < n; k++) {
+                const double *row = inverse->dMW + (k * n + i) * n;
+                double lo = 0.0, hi = 0.0, scale = 0.0;
+                for (int j = 0; j < n; j++) add(row[j], p->lo[j] - loose[j], p->hi[j] + loose[j], &lo, &hi, &scale);
+                far[i] += at->rad[k] * (largest(lo, hi) + stopset_rate_rounding * scale);
+            }
+        }
+        for (int i = 0; i < n; i++) loose[i] = least(loose[i], far[i]);
+    }
+}
+
 /* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
  * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
-static void exchange(const Local *at, const Span *v, const Span *p, Span *out, Span *rest) {
+static void exchange(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
     const int n = at->n;
     Exchange x = {.at = at, .v = v, .out = out, .rest = rest};
+    looseness(E, at, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        x.loose[i] = 0.0;
-        for (int j = 0; j < n; j++) x.loose[i] += at->dM[i * n + j] * largest(v->lo[j], v->hi[j]);
         x.p.lo[i] = p->lo[i] - x.loose[i];
         x.p.hi[i] = p->hi[i] + x.loose[i];
         out->lo[i] = -STOPS_INF;
@@ -97,10 +148,49 @@ static void exchange(const Local *at, const Span *v, const Span *p, Span *out, S
     visit(at->M, 0, &x);
 }
 
+/* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
+static void bow(const Expansion *E, const Local *at, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double *lo,
+                double *hi) {
+    const int n = at->n;
+    double value = 0.0, spread = 0.0, scale = 0.0, c[SN], r[SN];
+    for (int j = 0; j < n; j++) {
+        c[j] = 0.5 * (p->lo[j] + p->hi[j]);
+        r[j] = 0.5 * (p->hi[j] - p->lo[j]) + loose[j] + 1e-12 * largest(p->lo[j], p->hi[j]);
+    }
+    for (int j = 0; j < n; j++) {
+        double turned = 0.0;
+        for (int k = 0; k < n; k++) {
+            double Q = 0.0;
+            for (int o = 0; o < n; o++) {
+                const double part = inverse->W[j * n + o] * inverse->dMW[(i * n + o) * n + k];
+                Q += part;
+                scale += size_of(part) * (size_of(c[j]) + r[j]) * (size_of(c[k]) + r[k]);
+            }
+            turned += Q * c[k];
+            spread += 0.5 * size_of(Q) * r[j] * r[k];
+            const int at_jk = (j * n + k) * n + i;
+            spread += 0.5 * (size_of(E->dMp[at_jk]) + at->turn[at_jk]) * largest(w->lo[j], w->hi[j]) * largest(w->lo[k], w->hi[k]);
+        }
+        value += 0.5 * c[j] * turned;
+        spread += size_of(turned) * r[j];
+    }
+    spread += stopset_rate_rounding * scale;
+    *lo = value - spread;
+    *hi = value + spread;
+}
+
 /* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
-static void rates(const StopsetPlant *p, const Local *at, const Step *s, const Span *w, Span *any, Span *on) {
+static void rates(const StopsetPlant *p, const Expansion *E, const Local *at, const Inverse *inverse, const Step *s, const Span *w,
+                  const Span *momenta, const StopsetParts *parts, Span *any, Span *on) {
+    double loose[SN];
+    looseness(E, at, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
-        const double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i];
+        double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i], lo, hi;
+        if (inverse) {
+            bow(E, at, inverse, w, momenta, loose, i, &lo, &hi);
+            up = least(up, parts->christoffel * hi - at->g_lo[i] + p->u_hi[i]);
+            down = most(down, parts->christoffel * lo - at->g_hi[i] + p->u_lo[i]);
+        }
         on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
         on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);
         any->hi[i] = w->lo[i] > 0.0 ? on->hi[i] : up + s->B_hi[i] + p->viscous_hi[i] * most(-w->lo[i], 0.0);
@@ -114,6 +204,20 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
         out->lo[i] = p->lo[i] + h * least(any->lo[i], 0.0) * stopset_energy_rounding;
         out->hi[i] = p->hi[i] + h * most(any->hi[i], 0.0) * stopset_energy_rounding;
     }
+}
+
+/* Rates, momenta, speeds and pulls on a step of h seconds with speeds in w, from momenta p. */
+static void speak(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, const Span *p, double h,
+                  const StopsetParts *parts, Span *any, Span *on, Span *step, Span *raw, Span *rest) {
+    Inverse room;
+    const Inverse *inverse = invert(E, at, &room) ? &room : 0;
+    rates(plant, E, at, 0, s, w, p, parts, any, on);
+    during(at->n, p, any, h, step);
+    if (inverse) {
+        rates(plant, E, at, inverse, s, w, step, parts, any, on);
+        during(at->n, p, any, h, step);
+    }
+    exchange(E, at, inverse, w, step, raw, rest);
 }
 
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p) {
@@ -154,9 +258,7 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
             x_hi[i] = q_hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(E, &plant->curvature, x_lo, x_hi, claim.lo, claim.hi, parts, at);
-        rates(plant, at, s, &claim, &any, &on);
-        during(n, p, &any, h, &step);
-        exchange(at, &claim, &step, &raw, &rest);
+        speak(plant, E, at, s, &claim, p, h, parts, &any, &on, &step, &raw, &rest);
         for (int i = 0; i < n; i++) {
             if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
                 enough = 0;
@@ -176,12 +278,10 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
 }
 
 /* Momenta after a step of h seconds on which `at` holds and speeds lie in w. */
-void stops_pull_on(const StopsetPlant *plant, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p) {
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p) {
     const int n = at->n;
     Span any, on, step, raw, rest;
-    rates(plant, at, s, w, &any, &on);
-    during(n, p, &any, h, &step);
-    exchange(at, w, &step, &raw, &rest);
+    speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any.hi[i], lo = p->lo[i] + h * any.lo[i], push = most(0.0, h * on.hi[i]), back = least(0.0, h * on.lo[i]);
         const double rest_hi = parts->pull > 0.0 ? rest.hi[i] : -STOPS_INF, rest_lo = parts->pull > 0.0 ? rest.lo[i] : STOPS_INF;
@@ -194,16 +294,17 @@ void stops_pull_on(const StopsetPlant *plant, const Local *at, const Step *s, co
 }
 
 /* At a moment: speeds in v cut by momenta in p, and these by the speeds. Returns a bound of sqrt(v' M v). */
-double stops_pull_cut(const Local *at, Span *p, Span *v) {
+double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
     const int n = at->n;
     double power = 0.0;
     Span raw, rest, known;
+    Inverse inverse;
     stops_start_pulls(at, v->lo, v->hi, &known);
     for (int i = 0; i < n; i++) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(at, v, p, &raw, &rest);
+    exchange(E, at, invert(E, at, &inverse) ? &inverse : 0, v, p, &raw, &rest);
     for (int i = 0; i < n; i++) {
         v->lo[i] = most(v->lo[i], raw.lo[i]);
         v->hi[i] = least(v->hi[i], raw.hi[i]);

@@ -316,10 +316,10 @@ static void pull(March *m, double *v_lo, double *v_hi) {
     Span w, end;
     memcpy(w.lo, m->x_lo, row);
     memcpy(w.hi, m->x_hi, row);
-    stops_pull_on(m->p, &m->at, &m->s, &w, m->h, m->parts, &m->momenta);
+    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta);
     memcpy(end.lo, v_lo, row);
     memcpy(end.hi, v_hi, row);
-    m->energy.y = least(m->energy.y, stops_pull_cut(&m->at, &m->momenta, &end));
+    m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
     stops_cap_bands(m->n, &m->end, &end);
     stops_total(m->n, &m->end, v_lo, v_hi);
     m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
