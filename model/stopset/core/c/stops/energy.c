@@ -171,7 +171,9 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
                 way[i] = 1.1 * work / -w[i] + 1e-9;
             }
         }
-        if (enough) return 1;
+        if (!enough) continue;
+        for (int i = 0; i < n; i++) way[i] = work / -w[i] * stopset_energy_rounding;
+        return 1;
     }
     return 0;
 }

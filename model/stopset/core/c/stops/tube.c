@@ -295,12 +295,14 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
-    double way[SN];
+    double *way = t->way + k * n;
     if (stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
         for (int i = 0; i < n; i++) {
             m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way[i]);
             m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way[i]);
         }
+    else
+        for (int i = 0; i < n; i++) way[i] = STOPS_INF;
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
     stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
@@ -415,6 +417,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     m.energetic = energetic;
     m.h = h;
     tube->t[0] = 0.0;
+    for (int i = 0; i < n; i++) tube->way[i] = STOPS_INF;
     for (int i = 0; i < n; i++) {
         middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
         engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
@@ -436,6 +439,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
         settle(&m, k, y, verified);
         tube->t[k + 1] = now + h;
         *made = k + 1;
+        for (int i = 0; i < n; i++) tube->way[(k + 1) * n + i] = STOPS_INF;
         for (int i = 0; i < n; i++) {
             const double wide = tube->v_hi[(k + 1) * n + i] - tube->v_lo[(k + 1) * n + i];
             const double way = tube->d_hi[(k + 1) * n + i] - tube->d_lo[(k + 1) * n + i];
