@@ -58,7 +58,9 @@ def test_a_resting_joint_is_pulled() -> None:
     for seed in range(4):
         q, dq, tube = tube_from(s, seed, ALL_PARTS._replace(pull=0.0))
         if tube.end == OK:
-            escaped += sample_stops(s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 100, seed).escaped
+            escaped += sample_stops(
+                s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 100, seed
+            ).escaped
     assert escaped > 0
 
 

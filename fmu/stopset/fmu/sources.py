@@ -24,7 +24,7 @@ OWN_UNITS = ("core.c", "linear.c", "tube.c", "body.c", "motion.c", "stops.c", "f
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
-PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "tube")
+PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "pulls", "tube")
 CORE_UNITS = ("maths.c", "rigid.c", *(f"stops/{name}.c" for name in PROOF))
 CORE_HEADERS = ("maths.h", "stopset.h", "vectors.h", "stops/stops.h")
 UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))
