@@ -19,6 +19,7 @@ from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
 from stopset.offline.conform.problem import Options, SetProblem
 from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.nominal.model import NominalPart, pairs_of, roller
+from stopset.progress import silent
 from stopset.recording import Meta, Recording, SuiteKey
 from stopset.types import Array
 
@@ -99,4 +100,4 @@ def sums_of(
 
         return gather(pairs, problem, halves=halves, bands=in_bands), figures
 
-    return Sums(*in_parts(part, found.places, scheduler, (lambda _: None) if progress is None else progress.tell))
+    return Sums(*in_parts(part, found.places, scheduler, silent if progress is None else progress.tell))

@@ -17,9 +17,10 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
-from stopset.offline.diagnose.search.search import Claim, Tell
+from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
+from stopset.progress import Tell, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -86,7 +87,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 
 def diagnose_model(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = lambda _: None
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
@@ -97,7 +98,7 @@ def diagnose_model(
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
-        return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
+        return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
     base = baseline(model, recordings)
     # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
     fitted = settled(model) if base.known is None else model.effects

@@ -15,8 +15,9 @@ from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import Claim, Found, Tell, search
+from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
+from stopset.progress import Tell, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
@@ -48,7 +49,7 @@ class Examination:
 
 def examine(
     robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
-    names: Sequence[str] | None = None, known: Known | None = None, tell: Tell = lambda _: None,
+    names: Sequence[str] | None = None, known: Known | None = None, tell: Tell = silent,
 ) -> Examination:  # fmt: skip
     """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
 

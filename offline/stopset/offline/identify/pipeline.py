@@ -27,14 +27,15 @@ from stopset.offline.conform.gather import SetForm, set_problem, sums_of, templa
 from stopset.offline.conform.linear_sets import Conformance, Pairs
 from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
-from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
-from stopset.offline.identify.second_reading import read_again
+from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.update.signals_file import Signals
+from stopset.progress import Tell, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
 
@@ -44,7 +45,7 @@ Keep = Literal["signals", "sums"] | None
 
 
 def identify(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = silent,
     scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
@@ -59,13 +60,12 @@ def identify(
 
 
 def identified(
-    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = lambda _: None, scheduler: str | None = None,
+    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = silent, scheduler: str | None = None,
     known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
-    if read_again(robot) is None:
-        tell("the description was read once only: pinocchio is not installed, which would read it again")
+    held_to_pinocchio(robot)
     tell("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,9 @@ from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined, sharpened
 from stopset.offline.diagnose.search.wanted import exact, wanted
+from stopset.progress import Tell, silent
 from stopset.types import Array
 
-Tell = Callable[[str], None]
 UNHEARD = 1e9  # noise variance of rows that are to say nothing
 
 
@@ -48,9 +48,7 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(
-    engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = lambda _: None
-) -> Found:
+def search(engine: Engine, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = silent) -> Found:
     """Claim effects one after another, refit all after each, and drop a claim that the later ones made needless.
 
     ``tell`` is told each claim as it is made.
