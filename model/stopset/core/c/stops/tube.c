@@ -15,11 +15,13 @@ enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0};
 
+static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
+
 typedef struct {
     const StopsetPlant *p;
     const StopsetParts *parts;
     const StopsetTube *tube;
-    int n, energetic;
+    int n, energetic, pulled; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
     double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
     Step s;
@@ -304,7 +306,14 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
     else
         for (int i = 0; i < n; i++) way[i] = STOPS_INF;
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
-    stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
+    for (int i = 0; i < n; i++) {
+        m->cap.lo[i] = -m->energy.cap[i];
+        m->cap.hi[i] = m->energy.cap[i];
+    }
+    if (m->pulled)
+        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
+    m->pulled = 0;
+    for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
         t->v_lo[k * n + i] = most(t->v_lo[k * n + i], m->cap.lo[i]);
         t->v_hi[k * n + i] = least(t->v_hi[k * n + i], m->cap.hi[i]);
@@ -352,7 +361,10 @@ static void settle(March *m, int64_t k, double y, int verified) {
     }
     stops_tighten(&m->end, &m->momentum, &m->at, &m->start, m->v0_lo, m->v0_hi, v_lo, v_hi);
     stops_total(n, &m->end, v_lo, v_hi);
-    if (m->energetic) pull(m, v_lo, v_hi);
+    if (m->energetic && m->pulled)
+        pull(m, v_lo, v_hi);
+    else if (m->energetic)
+        m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
     const Bands swap = m->b;
     m->b = m->end;
     m->end = swap;
@@ -414,7 +426,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     m.parts = parts;
     m.tube = tube;
     m.n = n;
-    m.energetic = energetic;
+    m.energetic = m.pulled = energetic;
     m.h = h;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->way[i] = STOPS_INF;
