@@ -284,9 +284,9 @@ void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *a
     speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any.hi[i], lo = p->lo[i] + h * any.lo[i], push = most(0.0, h * on.hi[i]), back = least(0.0, h * on.lo[i]);
-        const double rest_hi = parts->pull > 0.0 ? rest.hi[i] : -STOPS_INF, rest_lo = parts->pull > 0.0 ? rest.lo[i] : STOPS_INF;
-        const double forward = w->hi[i] < 0.0 ? rest_hi : most(p->hi[i] + h * on.hi[i], rest_hi + push);
-        const double backward = w->lo[i] > 0.0 ? rest_lo : least(p->lo[i] + h * on.lo[i], rest_lo + back);
+        const double pull_hi = parts->pull > 0.0 ? rest.hi[i] + push : -STOPS_INF, pull_lo = parts->pull > 0.0 ? rest.lo[i] + back : STOPS_INF;
+        const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
+        const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
         const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
         p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
