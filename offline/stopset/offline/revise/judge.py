@@ -102,7 +102,7 @@ def by_evidence(
     base = baseline(judge.model, recordings)
     had = settled(judge.model)
     kept = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known)
+    answer = estimates(base.robot, recordings, names, had, base.known, judge.tell)
     found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")
@@ -117,10 +117,10 @@ def by_evidence(
     for name in names:
         mine = [k for k, e in enumerate(found) if e.name == name]
         if not mine:
-            judged.append(Judged(name, errors[0], errors[0], False, "", NO_TRACE))
+            judged.append(Judged(name, errors[0], errors[0], helps=False, enters="", why=NO_TRACE))
             continue
         enters = entry(get(name.partition(":")[0]))
-        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], True, enters))
+        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], helps=True, enters=enters))
     return Verdict(tuple(judged), errors[0], more, taken, answer.words)
 
 
