@@ -18,7 +18,7 @@ from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import link_frames
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -71,7 +71,8 @@ def ways(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
     for k in range(count):
         x = draw(s.plant, k % 5, sign, W, rng)
         q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:n], s.noise.radius[n:], rng)
-        qs, _ = simulate_stop(s.plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u)
+        arm = StoppingArm(s.plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise)
+        qs, _ = simulate_stop(arm, q0, v0, DT, steps, x.u)
         gone = np.vstack([np.zeros(n), np.abs(np.diff(qs, axis=0)).cumsum(axis=0)])
         at = np.minimum(np.ceil(tube.t / DT).astype(int), steps)  # a little later than the knot: no more is left
         worst = max(worst, float(((gone[-1] - gone[at]) / tube.way).sum(axis=1).max()))
