@@ -39,6 +39,7 @@ WINDOWS = 160  # of the check; the program sees every other one
 AGES = 14  # of a window that give rows in the program, evenly in the logarithm
 BATCH = 64  # nominal solutions integrated at once
 RUNAWAY = 1e3  # [rad], [rad/s] no arm gets there
+NEAREST = 0.5  # [s] predictions of a model that runs away are shortened down to this
 
 
 class Diverges(NotConformant):

@@ -25,7 +25,7 @@ from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
 from stopset.offline.conform.linear_sets import Conformance, Pairs
-from stopset.offline.conform.nonlinear import Diverges, coarser
+from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
@@ -41,7 +41,6 @@ from stopset.robot import Robot
 
 __all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
 
-NEAREST = 0.5  # [s] predictions of a model that runs away are shortened down to this
 PASSES = 8  # about, over the recordings: shared motors, friction laws, the nominal model, and again on one half of the motions
 FITTING = "fitting the nominal model"
 Keep = Literal["signals", "sums"] | None
