@@ -501,6 +501,7 @@ STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript
 #define STOPSET_TUBE_REDOS 4
 #define STOPSET_TUBE_PASSES 40
 #define STOPSET_ENERGY_CLAIMS 12
+#define STOPSET_PULL_CLAIMS 6
 
 /* Bounds over all poses: |d2 M_ij/dq_k dq_l| (n, n, n, n), |d2 g_i/dq_k dq_l| (n, n, n); of M_ii without rotor, |g_i| (n,). */
 typedef struct {
@@ -509,7 +510,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -531,6 +532,7 @@ typedef struct {
     double *e_lo, *e_hi;                /* (steps, n) */
     double *rates[4];                   /* (steps, n) each: forward lo, hi, backward lo, hi [rad/s^2] */
     double *margin;                     /* (n,) [N m] */
+    double *way;                        /* (steps + 1, n) [rad]: from this knot on sum_i of all ways of joint i / way_i <= 1; or inf */
 } StopsetTube;
 
 /* Sum of angles [rad] from the pose of expansion after which a new one is worth its cost; outward factor of energies and widening
@@ -559,10 +561,11 @@ STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const doubl
 STOPSET_API void stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
                                       const double *B_lo, const double *v_lo, const double *v_hi, double *w);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
- * speeds (S, n). */
+ * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the ways (S, n) allow, as in a tube. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
-                                   const double *d_hi, const double *v_lo, const double *v_hi, int link, const double *point, double *way,
-                                   double *way_ball, double *pace, double *pace_ball);
+                                   const double *d_hi, const double *v_lo, const double *v_hi, const double *near_lo,
+                                   const double *near_hi, const double *left, int link, const double *point, double *way, double *way_ball,
+                                   double *pace, double *pace_ball);
 /* The largest length [m], speed [m/s] and box (3, 2) [m] of such sets. */
 STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way,
                                       const double *way_ball, const double *pace, const double *pace_ball, double *far, double *fast,
@@ -573,8 +576,9 @@ STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, c
 /* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
  * Returns how many. */
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
-                                   const double *e_lo, const double *e_hi, const double *t, int64_t count, double *border, double *work,
-                                   double *out_dl, double *out_dh, double *out_vl, double *out_vh);
+                                   const double *e_lo, const double *e_hi, const double *t, const double *way, int64_t count,
+                                   double *border, double *work, double *out_dl, double *out_dh, double *out_vl, double *out_vh,
+                                   double *near_lo, double *near_hi, double *left);
 /* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
 
 #define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */

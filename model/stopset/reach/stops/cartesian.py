@@ -25,20 +25,27 @@ SLICES: int = lib.STOPSET_STOP_SLICES
 
 
 class Slices(NamedTuple):
-    """Displacement and speed boxes that hold during whole stretches of time, (S, n); ``t``: (S + 1,) their borders."""
+    """Displacement and speed boxes that hold during whole stretches of time, (S, n); ``t``: (S + 1,) their borders.
+
+    ``near_lo, near_hi, left`` (S, n), where known: the joints were in this box before, and all they have gone since, each divided by
+    ``left`` [rad], adds up to 1 at most (what the brakes take is torque times way).
+    """
 
     t: Array
     d_lo: Array
     d_hi: Array
     v_lo: Array
     v_hi: Array
+    near_lo: Array | None = None
+    near_hi: Array | None = None
+    left: Array | None = None
 
 
 def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
     K, n = len(tube.t) - 1, tube.d_lo.shape[1]
-    held = [given(x) for x in (tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi, tube.t)]
-    border, work, out = np.zeros(count + 1), np.empty(K + 1), np.zeros((4, count, n))
+    held = [given(x) for x in (tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi, tube.t, tube.way)]
+    border, work, out = np.zeros(count + 1), np.empty(K + 1), np.zeros((7, count, n))
     made = lib.stopset_slices(K, n, *(view(x) for x in held), count, view(border), view(work), *(view(x) for x in out))
     return Slices(border[: made + 1], *out[:, :made])
 
@@ -56,7 +63,7 @@ def point_sets(
         raise ValueError(f"a point {point.shape} of link {link} at {q.shape} +- {q_radius.shape} for {n} joints")
     way, pace, balls = np.empty((S, 3, n + 1)), np.empty((S, 3, n + 1)), np.empty((2, S))
     pose = [view(given(x)) for x in (q, q_radius)]
-    box = [view(given(x)) for x in parts[1:]]
+    box = [ffi.NULL if x is None else view(given(x)) for x in parts[1:]]
     arm = arm_struct(chain, None)
     check(
         lib.stopset_point_sets(arm, *pose, S, *box, link, view(given(point)), view(way), view(balls[0]), view(pace), view(balls[1]))

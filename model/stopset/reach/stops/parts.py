@@ -13,6 +13,7 @@ class Parts(NamedTuple):
     gravity_slope: float = 1.0
     whole_step: float = 1.0  # 0: brakes and speeds taken at the end of each step only
     bend: float = 1.0  # what the inertia has beyond its first slopes
+    pull: float = 1.0  # what the others pull at a joint that rests
 
 
 ALL_PARTS = Parts()

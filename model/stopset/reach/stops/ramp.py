@@ -171,7 +171,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     nothing = np.zeros((KNOTS, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
-        nothing, nothing, nothing, nothing, np.full(n, np.nan), False,
+        nothing, nothing, nothing, nothing, np.full(n, np.nan), False, np.full((KNOTS + 1, n), np.inf),
     )  # fmt: skip
 
 

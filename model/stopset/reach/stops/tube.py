@@ -94,6 +94,7 @@ class Tube(NamedTuple):
     backward_hi: Array
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
     energetic: bool  # whether the kinetic energy had to help
+    way: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of all of the way / this <= 1; inf where that is not known
 
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
@@ -132,18 +133,18 @@ def march(
     if any(x.shape != (n,) for x in box):
         raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
     struct, _held = plant_struct(plant)
-    t, knots, ends = np.empty(steps + 1), np.empty((4, steps + 1, n)), np.empty((2, steps, n))
+    t, knots, ends = np.empty(steps + 1), np.empty((5, steps + 1, n)), np.empty((2, steps, n))
     rates, margin = np.empty((4, steps, n)), np.empty(n)
-    lines = [view(x) for x in (t, *knots, *ends)]
-    tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin)))
+    lines = [view(x) for x in (t, *knots[:4], *ends)]
+    tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4])))
     end = lib.stopset_stop_tube(
         struct, *(view(x) for x in box), h, steps, ffi.new("StopsetParts *", tuple(parts)), int(energetic), tube, made
     )
     check(-min(end, 0))
     m = made[0]
-    d_lo, d_hi, v_lo, v_hi = knots[:, : m + 1]
+    d_lo, d_hi, v_lo, v_hi, way = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
-    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic)  # type: ignore[call-arg]
+    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, way)  # type: ignore[call-arg]
 
 
 def inertia_box(plant: Plant, q: Array, x_lo: Array, x_hi: Array, parts: Parts) -> tuple[Array, Array, Array]:

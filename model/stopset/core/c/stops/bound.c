@@ -13,7 +13,7 @@ enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIE
 enum { STEPS = KNOTS * PATIENCE > ENERGY_KNOTS * MORE_PATIENCE ? KNOTS * PATIENCE : ENERGY_KNOTS *MORE_PATIENCE };
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone */
 
-int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + STEPS + 1 + SLICES * (4 * n + 6 * n + 8) + 1; }
+int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
 
 /* The next `count` numbers of the work space. */
 static double *take(double **room, int64_t count) {
@@ -152,10 +152,12 @@ static void tool_motion(const StopAsk *a, const double *q, const double *q_radiu
     const int n = arm->n, m = 3 * (n + 1);
     double *room = a->cut, border[SLICES + 1], box[6];
     double *dl = take(&room, SLICES * n), *dh = take(&room, SLICES * n), *vl = take(&room, SLICES * n), *vh = take(&room, SLICES * n);
+    double *near_lo = take(&room, SLICES * n), *near_hi = take(&room, SLICES * n), *left = take(&room, SLICES * n);
     double *way = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *way_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
     const int64_t cut =
-        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, SLICES, border, a->lines, dl, dh, vl, vh);
-    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
+        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, t->way, SLICES, border, a->lines, dl, dh,
+                       vl, vh, near_lo, near_hi, left);
+    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, near_lo, near_hi, left, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
     stopset_point_motion(arm, cut, n - 1, a->stops->tool, way, way_ball, pace, pace_ball, far, fast, box);
 }
 
@@ -186,6 +188,7 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
     a->tube.e_hi = take(&room, lines);
     for (int k = 0; k < 4; k++) a->tube.rates[k] = take(&room, lines);
     a->tube.margin = take(&room, n);
+    a->tube.way = take(&room, knots);
     a->lines = take(&room, STEPS + 1);
     a->cut = room;
     for (int i = 0; i < n; i++) out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;

@@ -24,13 +24,15 @@ static void locate(const StopsetArm *arm, const double *q, int link, const doubl
     }
 }
 
-/* Largest distance from each axis while the angles stay within `radius`: tip to base, it moves by the joints beyond. */
-static void reach_of(int n, const double *distance, const double *radius, int link, double *out) {
-    double beyond = 0.0;
-    memset(out, 0, (size_t)n * sizeof *out);
+/* Largest distance of a point from each axis while the angles stay within `radius`: tip to base, it moves by the joints beyond; and it is
+ * never farther than the links beyond are long. */
+static void reach_of(const StopsetArm *arm, const double *distance, const double *radius, int link, const double *point, double *out) {
+    double beyond = 0.0, arm_length = sqrt(dot(point, point));
+    memset(out, 0, (size_t)arm->n * sizeof *out);
     for (int i = link; i >= 0; i--) {
-        out[i] = distance[i] + beyond;
+        out[i] = least(distance[i] + beyond, arm_length * (1.0 + 1e-12));
         beyond += out[i] * radius[i];
+        arm_length += sqrt(dot(arm->p + 3 * i, arm->p + 3 * i));
     }
 }
 
@@ -59,42 +61,74 @@ static double longest(const double *start, const double *G, int stride, const do
     return sqrt(best);
 }
 
+typedef struct {
+    const StopsetArm *arm;
+    const double *q, *q_radius, *point;
+    int link;
+    Point start;
+} Asked;
+
+/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of ways / left_i <= 1 (left 0: not at all): the
+ * point moves by no more than max_i reach_i left_i. `here`, `reach`: at the middle, and from everywhere. Returns the ball's radius. */
+static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Point *here, double *wide, double *reach,
+                        double *way) {
+    const int n = a->arm->n, m = n + 1;
+    double c[SN], r[SN], far[SN], at[SN], farther = 0.0;
+    for (int i = 0; i < n; i++) {
+        c[i] = 0.5 * (d_lo[i] + d_hi[i]);
+        r[i] = 0.5 * (d_hi[i] - d_lo[i]);
+        wide[i] = r[i] + a->q_radius[i];
+        far[i] = wide[i] + size_of(c[i]) + (left ? left[i] : 0.0); /* also on the way from q to q + c */
+        at[i] = a->q[i] + c[i];
+    }
+    locate(a->arm, at, a->link, a->point, here);
+    reach_of(a->arm, here->distance, far, a->link, a->point, reach);
+    double ball = 0.5 * curved(reach, wide, wide, a->link) + 0.5 * curved(reach, a->q_radius, a->q_radius, a->link);
+    for (int x = 0; x < 3; x++) way[x * m] = here->p[x] - a->start.p[x];
+    for (int i = 0; i <= a->link; i++) {
+        const double *J = here->J, *S = a->start.J, change[3] = {J[i] - S[i], J[n + i] - S[n + i], J[2 * n + i] - S[2 * n + i]};
+        ball += a->q_radius[i] * sqrt(dot(change, change));
+        for (int x = 0; x < 3; x++) way[x * m + i + 1] = J[x * n + i] * r[i];
+        if (left) farther = most(farther, reach[i] * left[i]);
+    }
+    return ball + farther * (1.0 + 1e-12);
+}
+
+static double span_of(const double *way, int m, int link, double ball) {
+    double one[SN];
+    const double from[3] = {way[0], way[m], way[2 * m]};
+    for (int i = 0; i <= link; i++) one[i] = 1.0;
+    return longest(from, way + 1, m, one, link) + ball;
+}
+
 int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
-                       const double *v_lo, const double *v_hi, int link, const double *point, double *way, double *way_ball, double *pace,
-                       double *pace_ball) {
+                       const double *v_lo, const double *v_hi, const double *near_lo, const double *near_hi, const double *left, int link,
+                       const double *point, double *way, double *way_ball, double *pace, double *pace_ball) {
     const int n = arm->n, m = n + 1;
-    Point start, here;
-    double wide[SN], c[SN], r[SN], vc[SN], vr[SN], far[SN], fast[SN], at[SN], reach[SN];
+    Asked a = {arm, q, q_radius, point, link, {{0}, {0}, {0}}};
+    Point here, there;
+    double wide[SN], fast[SN], reach[SN], other[SN], widest[SN], set[3 * (SN + 1)];
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    locate(arm, q, link, point, &start);
+    locate(arm, q, link, point, &a.start);
     memset(way, 0, (size_t)(S * 3 * m) * sizeof *way);
     memset(pace, 0, (size_t)(S * 3 * m) * sizeof *pace);
     for (int64_t s = 0; s < S; s++, way += 3 * m, pace += 3 * m) {
-        for (int i = 0; i < n; i++) {
-            const int64_t k = s * n + i;
-            c[i] = 0.5 * (d_lo[k] + d_hi[k]);
-            r[i] = 0.5 * (d_hi[k] - d_lo[k]);
-            vc[i] = 0.5 * (v_lo[k] + v_hi[k]);
-            vr[i] = 0.5 * (v_hi[k] - v_lo[k]);
-            wide[i] = r[i] + q_radius[i];
-            far[i] = wide[i] + size_of(c[i]); /* also on the way from q to q + c */
-            fast[i] = size_of(vc[i]) + vr[i];
-            at[i] = q[i] + c[i];
-        }
-        locate(arm, at, link, point, &here);
-        reach_of(n, here.distance, far, link, reach);
-        way_ball[s] = 0.5 * curved(reach, wide, wide, link) + 0.5 * curved(reach, q_radius, q_radius, link);
-        pace_ball[s] = curved(reach, wide, fast, link);
-        for (int x = 0; x < 3; x++) way[x * m] = here.p[x] - start.p[x];
+        way_ball[s] = displaced(&a, d_lo + s * n, d_hi + s * n, 0, &here, wide, reach, way);
         for (int i = 0; i <= link; i++) {
-            const double change[3] = {here.J[i] - start.J[i], here.J[n + i] - start.J[n + i], here.J[2 * n + i] - start.J[2 * n + i]};
-            way_ball[s] += q_radius[i] * sqrt(dot(change, change));
+            const double vc = 0.5 * (v_lo[s * n + i] + v_hi[s * n + i]), vr = 0.5 * (v_hi[s * n + i] - v_lo[s * n + i]);
+            fast[i] = size_of(vc) + vr;
             for (int x = 0; x < 3; x++) {
-                way[x * m + i + 1] = here.J[x * n + i] * r[i];
-                pace[x * m + i + 1] = here.J[x * n + i] * vr[i];
-                pace[x * m] += here.J[x * n + i] * vc[i];
+                pace[x * m + i + 1] = here.J[x * n + i] * vr;
+                pace[x * m] += here.J[x * n + i] * vc;
             }
         }
+        pace_ball[s] = curved(reach, wide, fast, link);
+        if (!left || !(left[s * n] < STOPS_INF)) continue;
+        memset(set, 0, sizeof set);
+        const double ball = displaced(&a, near_lo + s * n, near_hi + s * n, left + s * n, &there, widest, other, set);
+        if (!(span_of(set, m, link, ball) < span_of(way, m, link, way_ball[s]))) continue;
+        memcpy(way, set, (size_t)(3 * m) * sizeof *way);
+        way_ball[s] = ball;
     }
     return STOPSET_OK;
 }
@@ -140,7 +174,7 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
             for (int e = 0; e < 2; e++) {
                 locate(arm, at, link, capsules + 7 * link + 3 * e, &here);
                 memcpy(out + 3 * e, here.p, sizeof here.p);
-                reach_of(n, here.distance, r, link, reach);
+                reach_of(arm, here.distance, r, link, capsules + 7 * link + 3 * e, reach);
                 radius = most(radius, longest(none, here.J, n, r, link) + 0.5 * curved(reach, r, r, link));
             }
             out[6] = radius + capsules[7 * link + 6];
@@ -149,9 +183,26 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
     return STOPSET_OK;
 }
 
+/* The knot up to `last` from which what is left of the ways adds least, joints nearer to the base counted more; -1 if none knows. */
+static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_hi, const double *way) {
+    int64_t best = -1;
+    double least_so_far = STOPS_INF;
+    for (int64_t k = 0; k <= last; k++) {
+        double width = 0.0, farthest = 0.0;
+        for (int i = 0; i < n; i++) {
+            width += (n - i) * (d_hi[k * n + i] - d_lo[k * n + i]);
+            farthest = most(farthest, (n - i) * way[k * n + i]);
+        }
+        if (!(width + 2.0 * farthest < least_so_far)) continue;
+        least_so_far = width + 2.0 * farthest;
+        best = k;
+    }
+    return best;
+}
+
 int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi, const double *e_lo,
-                       const double *e_hi, const double *t, int64_t count, double *border, double *work, double *out_dl, double *out_dh,
-                       double *out_vl, double *out_vh) {
+                       const double *e_hi, const double *t, const double *way_left, int64_t count, double *border, double *work,
+                       double *out_dl, double *out_dh, double *out_vl, double *out_vh, double *near_lo, double *near_hi, double *left) {
     int64_t begin = 0, made = 0;
     double *way = work;
     way[0] = 0.0;
@@ -184,6 +235,12 @@ int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi,
             out_dh[s * n + i] = dh;
             out_vl[s * n + i] = vl;
             out_vh[s * n + i] = vh;
+        }
+        const int64_t from = way_left ? nearest(n, begin, d_lo, d_hi, way_left) : -1;
+        for (int i = 0; i < n; i++) {
+            near_lo[s * n + i] = from < 0 ? 0.0 : d_lo[from * n + i];
+            near_hi[s * n + i] = from < 0 ? 0.0 : d_hi[from * n + i];
+            left[s * n + i] = from < 0 ? STOPS_INF : way_left[from * n + i];
         }
         made = s + 1;
         border[made] = t[end];

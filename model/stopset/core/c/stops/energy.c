@@ -171,7 +171,9 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
                 way[i] = 1.1 * work / -w[i] + 1e-9;
             }
         }
-        if (enough) return 1;
+        if (!enough) continue;
+        for (int i = 0; i < n; i++) way[i] = work / -w[i] * stopset_energy_rounding;
+        return 1;
     }
     return 0;
 }
@@ -186,24 +188,27 @@ double stops_by_power(int n, double y, const double *w, const double *x_lo, cons
     return sqrt(most(y * y + 2.0 * h * power, 0.0)) * stopset_energy_rounding;
 }
 
-/* Speed bands cut to +-cap. */
-void stops_cap_bands(int n, Bands *b, const double *cap) {
+/* Speed bands cut to the caps; a joint that has rested may rest. */
+void stops_cap_bands(int n, Bands *b, const Span *cap) {
     for (int i = 0; i < n; i++) {
-        b->first_lo[i] = most(b->first_lo[i], -cap[i]);
-        b->first_hi[i] = least(b->first_hi[i], cap[i]);
-        b->later_lo[i] = most(b->later_lo[i], -cap[i]);
-        b->later_hi[i] = least(b->later_hi[i], cap[i]);
+        b->first_lo[i] = most(b->first_lo[i], cap->lo[i]);
+        b->first_hi[i] = least(b->first_hi[i], cap->hi[i]);
+        b->later_lo[i] = most(b->later_lo[i], least(cap->lo[i], 0.0));
+        b->later_hi[i] = least(b->later_hi[i], most(cap->hi[i], 0.0));
         /* the excursion cannot last; keep the end that is nearer to rest */
         if (b->first_lo[i] > b->first_hi[i]) b->first_lo[i] = b->first_hi[i] = b->sign[i] > 0.0 ? b->first_hi[i] : b->first_lo[i];
     }
 }
 
+/* Whether the displacement under the line from v to e (upper side) is larger than that under the constant c; a line that crosses zero is
+ * counted at its end. */
+static int beyond(double v, double e, double c) { return (v < 0.0 && e >= 0.0 ? e : 0.5 * (v + e)) > c; }
+
 /* The lines that bound the speeds on a step, lowered to the caps where these are lower, or `alone` the caps. */
-void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone) {
+void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone) {
     for (int i = 0; i < n; i++) {
-        const double c = cap[i];
-        if (alone || 0.5 * (most(v_hi[i], 0.0) + e_hi[i]) > c || (v_hi[i] < 0.0 && e_hi[i] > c)) v_hi[i] = e_hi[i] = c;
-        if (alone || 0.5 * (least(v_lo[i], 0.0) + e_lo[i]) < -c || (v_lo[i] > 0.0 && e_lo[i] < -c)) v_lo[i] = e_lo[i] = -c;
+        if (alone || beyond(v_hi[i], e_hi[i], cap->hi[i])) v_hi[i] = e_hi[i] = cap->hi[i];
+        if (alone || beyond(-v_lo[i], -e_lo[i], -cap->lo[i])) v_lo[i] = e_lo[i] = cap->lo[i];
     }
 }
 

@@ -121,6 +121,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         vc[k] = 0.5 * (w_lo[k] + w_hi[k]);
         vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
         va[k] = size_of(vc[k]) + vr[k];
+        out->rad[k] = rad[k];
     }
     inertia(E, K, mid, rad, far, parts, out);
     for (int i = 0; i < n; i++) {
@@ -133,6 +134,8 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         }
         velocity_terms(E, out->turn, i, vc, vr, va, v);
         const double share = parts->christoffel;
+        out->g_lo[i] = g - r;
+        out->g_hi[i] = g + r;
         out->h_lo[i] = g - r + share * (v[0] - v[1]);
         out->h_hi[i] = g + r + share * (v[0] + v[1]);
         out->e_lo[i] = share * (v[2] - v[3]) - g - r;

@@ -58,6 +58,7 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
             tube->d_hi[at] = k ? d_hi + r->q_error[i] : d_hi;
             tube->v_lo[at] = w_lo - r->dq_error[i] - bend;
             tube->v_hi[at] = w_hi + r->dq_error[i] + bend;
+            tube->way[at] = STOPS_INF; /* no brakes' work bounds a ramp */
             fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
         }
         for (int k = 0; k < KNOTS; k++) {

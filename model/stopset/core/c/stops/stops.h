@@ -24,11 +24,12 @@ typedef struct {
 } Expansion;
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
- * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; turn: how far dM_ij/dq_k can be from the pose's. */
+ * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; g: gravity alone; turn: how far dM_ij/dq_k can be from the
+ * pose's; rad: half the box of angles. */
 typedef struct {
     int n;
     double M[SN * SN], M_rad[SN * SN], Mp[SN * SN], Mp_rad[SN * SN], dM[SN * SN], h_lo[SN], h_hi[SN], e_lo[SN], e_hi[SN],
-        turn[SN * SN * SN];
+        g_lo[SN], g_hi[SN], turn[SN * SN * SN], rad[SN];
 } Local;
 
 /* Speed bounds of every joint, apart for its first excursion and for later. */
@@ -42,6 +43,11 @@ typedef struct {
 typedef struct {
     double P_lo[SN], P_hi[SN], up[SN], down[SN], needed[SN], drive[SN], restart_up[SN], restart_down[SN];
 } Momentum;
+
+/* Of every joint, from lo to hi. */
+typedef struct {
+    double lo[SN], hi[SN];
+} Span;
 
 /* Bound of sqrt(v' M v), speed caps on a step and at its end, bound of the inverse inertia, gravity on the step. */
 typedef struct {
@@ -83,6 +89,11 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
 int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                    const StopsetParts *parts, Local *at, double *way);
 double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
-void stops_cap_bands(int n, Bands *b, const double *cap);
-void stops_cap_lines(int n, const double *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
+void stops_cap_bands(int n, Bands *b, const Span *cap);
+void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
+void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
+void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
+                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p);
+double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v);
 #endif

@@ -13,13 +13,15 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0};
+
+static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
 typedef struct {
     const StopsetPlant *p;
     const StopsetParts *parts;
     const StopsetTube *tube;
-    int n, energetic;
+    int n, energetic, pulled; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
     double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
     Step s;
@@ -28,6 +30,7 @@ typedef struct {
     Bands b, end;
     Momentum momentum;
     Energy energy;
+    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
 } March;
 
 static double ramp(double t, double delay, double rise) {
@@ -57,13 +60,12 @@ static void guess_claims(March *m, int64_t k) {
 static void claimed_speeds(March *m, const double *lo, const double *hi) {
     Step *s = &m->s;
     for (int i = 0; i < m->n; i++) {
-        const double *cap = m->energy.cap;
         double z = lo[i] + m->h * least(0.0, lo[i] > 0.0 ? m->claim[0][i] : m->claim[2][i]);
         if (lo[i] > 0.0 && z <= 0.0) z = m->h * least(0.0, m->claim[2][i]);
-        m->w_lo[i] = most(z, -cap[i]);
+        m->w_lo[i] = most(z, m->cap.lo[i]);
         z = hi[i] + m->h * most(0.0, hi[i] < 0.0 ? m->claim[3][i] : m->claim[1][i]);
         if (hi[i] < 0.0 && z >= 0.0) z = m->h * most(0.0, m->claim[1][i]);
-        m->w_hi[i] = least(z, cap[i]);
+        m->w_hi[i] = least(z, m->cap.hi[i]);
         s->plus[i] = m->w_hi[i] > 0.0;
         s->minus[i] = m->w_lo[i] < 0.0;
         s->zero[i] = m->w_lo[i] <= 0.0 && m->w_hi[i] >= 0.0;
@@ -209,14 +211,11 @@ static int verify(March *m, int64_t k) {
 /* Where claims cannot be verified the caps alone bound the step: accelerations of which nothing is known. */
 static void caps_alone(March *m, int64_t k) {
     const int n = m->n;
-    double below[SN];
     for (int i = 0; i < n; i++) {
-        const double cap = m->energy.cap[i];
-        below[i] = -cap;
-        m->x_lo[i] = m->q_lo[i] + m->tube->d_lo[k * n + i] - m->E.q[i] - m->h * cap;
-        m->x_hi[i] = m->q_hi[i] + m->tube->d_hi[k * n + i] - m->E.q[i] + m->h * cap;
+        m->x_lo[i] = m->q_lo[i] + m->tube->d_lo[k * n + i] - m->E.q[i] + m->h * least(m->cap.lo[i], 0.0);
+        m->x_hi[i] = m->q_hi[i] + m->tube->d_hi[k * n + i] - m->E.q[i] + m->h * most(m->cap.hi[i], 0.0);
     }
-    stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, below, m->energy.cap, m->parts, &m->at);
+    stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->cap.lo, m->cap.hi, m->parts, &m->at);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
@@ -236,9 +235,9 @@ static int take_step(March *m, int64_t k) {
         if (!verified && !m->energetic) return 0;
         if (!verified) caps_alone(m, k);
         advance(m);
-        if (!verified) stops_cap_bands(n, &m->end, m->energy.cap);
+        if (!verified) stops_cap_bands(n, &m->end, &m->cap);
         stops_total(n, &m->end, e_lo, e_hi);
-        if (m->energetic) stops_cap_lines(n, m->energy.cap, v_lo, v_hi, e_lo, e_hi, !verified);
+        if (m->energetic) stops_cap_lines(n, &m->cap, v_lo, v_hi, e_lo, e_hi, !verified);
         for (int i = 0; i < n; i++) {
             m->x_lo[i] = least(v_lo[i], e_lo[i]);
             m->x_hi[i] = most(v_hi[i], e_hi[i]);
@@ -298,18 +297,43 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
-    double way[SN];
+    double *way = t->way + k * n;
     if (stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
         for (int i = 0; i < n; i++) {
             m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way[i]);
             m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way[i]);
         }
+    else
+        for (int i = 0; i < n; i++) way[i] = STOPS_INF;
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
+    for (int i = 0; i < n; i++) {
+        m->cap.lo[i] = -m->energy.cap[i];
+        m->cap.hi[i] = m->energy.cap[i];
+    }
+    if (m->pulled)
+        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
+    m->pulled = 0;
+    for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
-        t->v_lo[k * n + i] = most(t->v_lo[k * n + i], -m->energy.cap[i]);
-        t->v_hi[k * n + i] = least(t->v_hi[k * n + i], m->energy.cap[i]);
+        t->v_lo[k * n + i] = most(t->v_lo[k * n + i], m->cap.lo[i]);
+        t->v_hi[k * n + i] = least(t->v_hi[k * n + i], m->cap.hi[i]);
     }
     return 1;
+}
+
+/* Momenta of all joints after a step, and what they and the energy know of the speeds at its end. */
+static void pull(March *m, double *v_lo, double *v_hi) {
+    const size_t row = (size_t)m->n * sizeof *v_lo;
+    Span w, end;
+    memcpy(w.lo, m->x_lo, row);
+    memcpy(w.hi, m->x_hi, row);
+    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta);
+    memcpy(end.lo, v_lo, row);
+    memcpy(end.hi, v_hi, row);
+    m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
+    stops_cap_bands(m->n, &m->end, &end);
+    stops_total(m->n, &m->end, v_lo, v_hi);
+    m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
 }
 
 /* Momenta, energy and bands at the knot after step k. */
@@ -327,12 +351,20 @@ static void settle(March *m, int64_t k, double y, int verified) {
             stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
             m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, m->h));
         }
-        stops_cap_bands(n, &m->end, m->energy.end);
+        Span end;
+        for (int i = 0; i < n; i++) {
+            end.lo[i] = -m->energy.end[i];
+            end.hi[i] = m->energy.end[i];
+        }
+        stops_cap_bands(n, &m->end, &end);
         stops_total(n, &m->end, v_lo, v_hi);
     }
     stops_tighten(&m->end, &m->momentum, &m->at, &m->start, m->v0_lo, m->v0_hi, v_lo, v_hi);
     stops_total(n, &m->end, v_lo, v_hi);
-    if (m->energetic) m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
+    if (m->energetic && m->pulled)
+        pull(m, v_lo, v_hi);
+    else if (m->energetic)
+        m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
     const Bands swap = m->b;
     m->b = m->end;
     m->end = swap;
@@ -370,12 +402,14 @@ static void begin(March *m, const double *q_lo, const double *q_hi, const double
         x_lo[i] = q_lo[i] - m->E.q[i];
         x_hi[i] = q_hi[i] - m->E.q[i];
         m->tube->margin[i] = -STOPS_INF;
-        m->energy.cap[i] = m->energy.end[i] = m->farthest_hi[i] = STOPS_INF;
+        m->energy.cap[i] = m->energy.end[i] = m->farthest_hi[i] = m->cap.hi[i] = STOPS_INF;
+        m->cap.lo[i] = -STOPS_INF;
         m->farthest_lo[i] = -STOPS_INF;
     }
     stops_box_terms(&m->E, &m->p->curvature, x_lo, x_hi, v0_lo, v0_hi, m->parts, &m->start);
     m->at.n = n;
     stops_start_bands(n, v0_lo, v0_hi, &m->b);
+    stops_start_pulls(&m->start, v0_lo, v0_hi, &m->momenta);
     m->end = m->b;
     stops_start_momentum(&m->start, v0_lo, v0_hi, &m->b, &m->momentum);
     m->energy.y = stops_largest(&m->start, v0_lo, v0_hi);
@@ -392,9 +426,10 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     m.parts = parts;
     m.tube = tube;
     m.n = n;
-    m.energetic = energetic;
+    m.energetic = m.pulled = energetic;
     m.h = h;
     tube->t[0] = 0.0;
+    for (int i = 0; i < n; i++) tube->way[i] = STOPS_INF;
     for (int i = 0; i < n; i++) {
         middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
         engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
@@ -416,6 +451,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
         settle(&m, k, y, verified);
         tube->t[k + 1] = now + h;
         *made = k + 1;
+        for (int i = 0; i < n; i++) tube->way[(k + 1) * n + i] = STOPS_INF;
         for (int i = 0; i < n; i++) {
             const double wide = tube->v_hi[(k + 1) * n + i] - tube->v_lo[(k + 1) * n + i];
             const double way = tube->d_hi[(k + 1) * n + i] - tube->d_lo[(k + 1) * n + i];

@@ -1,0 +1,314 @@
+/* What the momenta p = M v of all joints together know of all speeds, whoever slides, rests or turns round.
+ *
+ * p_i' = 1/2 v' dM/dq_i v - g_i - D_i v_i + u_i - f_i holds only the joint's own friction. While joint i moves forward it takes from p_i; a
+ * joint that comes to rest, or goes backward, has no more momentum than the others pull at it, sup of p_i over v_i <= 0. So every p_i lies
+ * between two lines, and M v = p between boxes of v and p is linear: solved for the speeds of every subset of joints.
+ *
+ * The lemma and its proof are in docs/stops.md. Source: Goodnight (1979) for the sweep operator.
+ */
+#include <math.h>
+#include <string.h>
+
+#include "stops.h"
+
+enum { CLAIMS = STOPSET_PULL_CLAIMS };
+
+typedef struct {
+    const Local *at;
+    const Span *v;
+    Span p, *out, *rest; /* p: of M_c v, what M is uncertain by included */
+    double loose[SN];    /* how far M v can be from M_c v */
+    int inside[SN], open[SN], count;
+} Exchange;
+
+static double largest(double lo, double hi) { return most(size_of(lo), size_of(hi)); }
+
+/* w [lo, hi], added; `scale` grows by its size. */
+static void add(double w, double lo, double hi, double *out_lo, double *out_hi, double *scale) {
+    *out_lo += w > 0.0 ? w * lo : w * hi;
+    *out_hi += w > 0.0 ? w * hi : w * lo;
+    *scale += size_of(w) * largest(lo, hi);
+}
+
+/* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
+static void read_rows(const double *A, Exchange *x) {
+    const int n = x->at->n;
+    for (int i = 0; i < n; i++) {
+        double lo = 0.0, hi = 0.0, scale = 0.0;
+        const double sign = x->inside[i] ? -1.0 : 1.0;
+        for (int j = 0; j < n; j++) {
+            if (x->inside[j])
+                add(sign * A[i * n + j], x->p.lo[j], x->p.hi[j], &lo, &hi, &scale);
+            else if (j != i)
+                add(sign * A[i * n + j], x->v->lo[j], x->v->hi[j], &lo, &hi, &scale);
+        }
+        if (x->inside[i]) {
+            const double slack = stopset_rate_rounding * scale;
+            x->out->lo[i] = most(x->out->lo[i], lo - slack);
+            x->out->hi[i] = least(x->out->hi[i], hi + slack);
+            continue;
+        }
+        const double own = A[i * n + i], slack = stopset_rate_rounding * (scale + size_of(own) * largest(x->v->lo[i], x->v->hi[i])) + x->loose[i];
+        if (x->v->lo[i] <= 0.0) {
+            const double a = own * x->v->lo[i], b = own * least(x->v->hi[i], 0.0);
+            x->rest->hi[i] = least(x->rest->hi[i], hi + most(a, b) + slack);
+        }
+        if (x->v->hi[i] >= 0.0) {
+            const double a = own * x->v->hi[i], b = own * most(x->v->lo[i], 0.0);
+            x->rest->lo[i] = most(x->rest->lo[i], lo + least(a, b) - slack);
+        }
+    }
+}
+
+/* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
+static void visit(const double *A, int k, Exchange *x) {
+    const int n = x->at->n;
+    double B[SN * SN];
+    if (k == x->count) {
+        read_rows(A, x);
+        return;
+    }
+    const int joint = x->open[k];
+    visit(A, k + 1, x);
+    if (!(A[joint * n + joint] > 1e-6 * x->at->M[joint * n + joint])) return;
+    memcpy(B, A, (size_t)(n * n) * sizeof *B);
+    stops_pivot(n, B, joint, 1);
+    x->inside[joint] = 1;
+    visit(B, k + 1, x);
+    x->inside[joint] = 0;
+}
+
+/* Inverse W of M_c and dM/dq_k W at the expansion's pose; 0 where M_c is not surely positive definite. */
+typedef struct {
+    double W[SN * SN], dMW[SN * SN * SN];
+} Inverse;
+
+static int invert(const Expansion *E, const Local *at, Inverse *out) {
+    const int n = at->n;
+    memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
+    for (int k = 0; k < n; k++) {
+        if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
+        stops_pivot(n, out->W, k, 1);
+    }
+    for (int k = 0; k < n * n; k++) out->W[k] = -out->W[k];
+    for (int k = 0; k < n; k++)
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) {
+                double s = 0.0;
+                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * out->W[o * n + j];
+                out->dMW[(k * n + i) * n + j] = s;
+            }
+    return 1;
+}
+
+/* How far M v can be from M_c v, speeds in v and momenta in p: the box of v alone, or along the angles dM/dq_k W of M_c v = p +- loose. */
+static void looseness(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+    const int n = at->n;
+    double fast[SN], rest[SN], far[SN];
+    for (int j = 0; j < n; j++) fast[j] = largest(v->lo[j], v->hi[j]);
+    for (int i = 0; i < n; i++) {
+        loose[i] = rest[i] = 0.0;
+        for (int j = 0; j < n; j++) {
+            double linear = 0.0;
+            for (int k = 0; k < n; k++) linear += size_of(E->dM[(i * n + j) * n + k]) * at->rad[k];
+            loose[i] += at->dM[i * n + j] * fast[j];
+            rest[i] += most(at->dM[i * n + j] - linear, 1e-12 * linear) * fast[j];
+        }
+    }
+    if (!inverse) return;
+    for (int pass = 0; pass < 2; pass++) {
+        for (int i = 0; i < n; i++) {
+            far[i] = rest[i];
+            for (int k = 0; k < n; k++) {
+                const double *row = inverse->dMW + (k * n + i) * n;
+                double lo = 0.0, hi = 0.0, scale = 0.0;
+                for (int j = 0; j < n; j++) add(row[j], p->lo[j] - loose[j], p->hi[j] + loose[j], &lo, &hi, &scale);
+                far[i] += at->rad[k] * (largest(lo, hi) + stopset_rate_rounding * scale);
+            }
+        }
+        for (int i = 0; i < n; i++) loose[i] = least(loose[i], far[i]);
+    }
+}
+
+/* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
+ * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
+static void exchange(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
+    const int n = at->n;
+    Exchange x = {.at = at, .v = v, .out = out, .rest = rest};
+    looseness(E, at, inverse, v, p, x.loose);
+    for (int i = 0; i < n; i++) {
+        x.p.lo[i] = p->lo[i] - x.loose[i];
+        x.p.hi[i] = p->hi[i] + x.loose[i];
+        out->lo[i] = -STOPS_INF;
+        out->hi[i] = STOPS_INF;
+        rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
+        rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
+        if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
+    }
+    visit(at->M, 0, &x);
+}
+
+/* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
+static void bow(const Expansion *E, const Local *at, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double *lo,
+                double *hi) {
+    const int n = at->n;
+    double value = 0.0, spread = 0.0, scale = 0.0, c[SN], r[SN];
+    for (int j = 0; j < n; j++) {
+        c[j] = 0.5 * (p->lo[j] + p->hi[j]);
+        r[j] = 0.5 * (p->hi[j] - p->lo[j]) + loose[j] + 1e-12 * largest(p->lo[j], p->hi[j]);
+    }
+    for (int j = 0; j < n; j++) {
+        double turned = 0.0;
+        for (int k = 0; k < n; k++) {
+            double Q = 0.0;
+            for (int o = 0; o < n; o++) {
+                const double part = inverse->W[j * n + o] * inverse->dMW[(i * n + o) * n + k];
+                Q += part;
+                scale += size_of(part) * (size_of(c[j]) + r[j]) * (size_of(c[k]) + r[k]);
+            }
+            turned += Q * c[k];
+            spread += 0.5 * size_of(Q) * r[j] * r[k];
+            const int at_jk = (j * n + k) * n + i;
+            spread += 0.5 * (size_of(E->dMp[at_jk]) + at->turn[at_jk]) * largest(w->lo[j], w->hi[j]) * largest(w->lo[k], w->hi[k]);
+        }
+        value += 0.5 * c[j] * turned;
+        spread += size_of(turned) * r[j];
+    }
+    spread += stopset_rate_rounding * scale;
+    *lo = value - spread;
+    *hi = value + spread;
+}
+
+/* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
+static void rates(const StopsetPlant *p, const Expansion *E, const Local *at, const Inverse *inverse, const Step *s, const Span *w,
+                  const Span *momenta, const StopsetParts *parts, Span *any, Span *on) {
+    double loose[SN];
+    looseness(E, at, inverse, w, momenta, loose);
+    for (int i = 0; i < at->n; i++) {
+        double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i], lo, hi;
+        if (inverse) {
+            bow(E, at, inverse, w, momenta, loose, i, &lo, &hi);
+            up = least(up, parts->christoffel * hi - at->g_lo[i] + p->u_hi[i]);
+            down = most(down, parts->christoffel * lo - at->g_hi[i] + p->u_lo[i]);
+        }
+        on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
+        on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);
+        any->hi[i] = w->lo[i] > 0.0 ? on->hi[i] : up + s->B_hi[i] + p->viscous_hi[i] * most(-w->lo[i], 0.0);
+        any->lo[i] = w->hi[i] < 0.0 ? on->lo[i] : down - s->B_hi[i] - p->viscous_hi[i] * most(w->hi[i], 0.0);
+    }
+}
+
+/* Momenta on a step of h seconds, from p. */
+static void during(int n, const Span *p, const Span *any, double h, Span *out) {
+    for (int i = 0; i < n; i++) {
+        out->lo[i] = p->lo[i] + h * least(any->lo[i], 0.0) * stopset_energy_rounding;
+        out->hi[i] = p->hi[i] + h * most(any->hi[i], 0.0) * stopset_energy_rounding;
+    }
+}
+
+/* Rates, momenta, speeds and pulls on a step of h seconds with speeds in w, from momenta p. */
+static void speak(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, const Span *p, double h,
+                  const StopsetParts *parts, Span *any, Span *on, Span *step, Span *raw, Span *rest) {
+    Inverse room;
+    const Inverse *inverse = invert(E, at, &room) ? &room : 0;
+    rates(plant, E, at, 0, s, w, p, parts, any, on);
+    during(at->n, p, any, h, step);
+    if (inverse) {
+        rates(plant, E, at, inverse, s, w, step, parts, any, on);
+        during(at->n, p, any, h, step);
+    }
+    exchange(E, at, inverse, w, step, raw, rest);
+}
+
+void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p) {
+    const int n = at->n;
+    for (int i = 0; i < n; i++) {
+        double scale = 0.0, loose = 0.0;
+        p->lo[i] = p->hi[i] = 0.0;
+        for (int j = 0; j < n; j++) {
+            add(at->M[i * n + j], v_lo[j], v_hi[j], &p->lo[i], &p->hi[i], &scale);
+            loose += at->dM[i * n + j] * largest(v_lo[j], v_hi[j]);
+        }
+        loose += stopset_rate_rounding * scale;
+        p->lo[i] -= loose;
+        p->hi[i] += loose;
+    }
+}
+
+/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, and
+ * claimed again while too small; in the end no more is claimed than `fastest`. */
+void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
+                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap) {
+    const int n = E->n;
+    double x_lo[SN] = {0}, x_hi[SN] = {0};
+    Span claim, any, on, step, raw, rest;
+    for (int i = 0; i < n; i++) {
+        const double room = 0.05 * (v_hi[i] - v_lo[i]) + 0.02;
+        claim.lo[i] = most(-fastest[i], v_lo[i] - room);
+        claim.hi[i] = least(fastest[i], v_hi[i] + room);
+    }
+    for (int attempt = 0; attempt < CLAIMS; attempt++) {
+        int enough = 1;
+        for (int i = 0; i < n; i++) {
+            if (attempt == CLAIMS - 1) {
+                claim.lo[i] = -fastest[i];
+                claim.hi[i] = fastest[i];
+            }
+            x_lo[i] = q_lo[i] + h * least(claim.lo[i], 0.0);
+            x_hi[i] = q_hi[i] + h * most(claim.hi[i], 0.0);
+        }
+        stops_box_terms(E, &plant->curvature, x_lo, x_hi, claim.lo, claim.hi, parts, at);
+        speak(plant, E, at, s, &claim, p, h, parts, &any, &on, &step, &raw, &rest);
+        for (int i = 0; i < n; i++) {
+            if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
+                enough = 0;
+                claim.lo[i] = most(-fastest[i], raw.lo[i] - 0.1 * (claim.lo[i] - raw.lo[i]) - 0.01);
+            }
+            if (!(raw.hi[i] < claim.hi[i]) && claim.hi[i] < fastest[i]) {
+                enough = 0;
+                claim.hi[i] = least(fastest[i], raw.hi[i] + 0.1 * (raw.hi[i] - claim.hi[i]) + 0.01);
+            }
+        }
+        if (enough) break;
+    }
+    for (int i = 0; i < n; i++) {
+        cap->lo[i] = most(claim.lo[i], raw.lo[i]);
+        cap->hi[i] = least(claim.hi[i], raw.hi[i]);
+    }
+}
+
+/* Momenta after a step of h seconds on which `at` holds and speeds lie in w. */
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p) {
+    const int n = at->n;
+    Span any, on, step, raw, rest;
+    speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
+    for (int i = 0; i < n; i++) {
+        const double hi = p->hi[i] + h * any.hi[i], lo = p->lo[i] + h * any.lo[i], push = most(0.0, h * on.hi[i]), back = least(0.0, h * on.lo[i]);
+        const double pull_hi = parts->pull > 0.0 ? rest.hi[i] + push : -STOPS_INF, pull_lo = parts->pull > 0.0 ? rest.lo[i] + back : STOPS_INF;
+        const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
+        const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
+        const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
+        p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
+        p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
+    }
+}
+
+/* At a moment: speeds in v cut by momenta in p, and these by the speeds. Returns a bound of sqrt(v' M v). */
+double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
+    const int n = at->n;
+    double power = 0.0;
+    Span raw, rest, known;
+    Inverse inverse;
+    stops_start_pulls(at, v->lo, v->hi, &known);
+    for (int i = 0; i < n; i++) {
+        p->lo[i] = most(p->lo[i], known.lo[i]);
+        p->hi[i] = least(p->hi[i], known.hi[i]);
+    }
+    exchange(E, at, invert(E, at, &inverse) ? &inverse : 0, v, p, &raw, &rest);
+    for (int i = 0; i < n; i++) {
+        v->lo[i] = most(v->lo[i], raw.lo[i]);
+        v->hi[i] = least(v->hi[i], raw.hi[i]);
+        power += most(most(v->lo[i] * p->lo[i], v->lo[i] * p->hi[i]), most(v->hi[i] * p->lo[i], v->hi[i] * p->hi[i]));
+    }
+    return sqrt(most(power, 0.0)) * stopset_energy_rounding;
+}
