@@ -97,7 +97,7 @@ def measured(count: int, seconds: float, port: int) -> dict[str, float]:
         own, there = time.process_time() - own, used.value - there
         ok = sum(r["word"] == "OK" for r in fleet.rows())
         processes[-1].kill()
-        killed, gone = time.monotonic(), min(GROUP, count)
+        killed, gone = time.monotonic(), count % GROUP or GROUP
         while sum(r["word"] == "NO DATA" for r in fleet.rows()) < gone and time.monotonic() - killed < 10:
             time.sleep(0.01)
         return {"arms": count, "ok": ok, "overview": own / took, "router": there / took, "grey_s": time.monotonic() - killed}
@@ -115,10 +115,9 @@ def main() -> None:
     args = parser.parse_args()
     for k, count in enumerate(int(n) for n in args.arms.split(",")):
         m = measured(count, args.seconds, args.port + k)
-        print(
-            f"{m['arms']:4.0f} arms, {m['ok']:.0f} seen OK: overview {100 * m['overview']:5.1f} % of a core ({1e3 * m['overview'] / count:.2f} ms "
-            f"per arm and second), router {100 * m['router']:5.1f} % ({1e3 * m['router'] / count:.2f} ms); a killed group grey after {m['grey_s']:.2f} s"
-        )
+        share = {who: f"{100 * m[who]:5.1f} % of a core ({1e3 * m[who] / count:.2f} ms an arm)" for who in ("overview", "router")}
+        print(f"{count:4d} arms, {m['ok']:.0f} seen OK: overview {share['overview']}, router {share['router']};", end=" ")
+        print(f"a killed group grey after {m['grey_s']:.2f} s")
 
 
 if __name__ == "__main__":
