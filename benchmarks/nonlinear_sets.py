@@ -22,9 +22,9 @@ from stopset.offline.compare.compare import inputs
 from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform.nonlinear import leak
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal
-from stopset.robot import load_robot
 from stopset.sets import Box
 
 MODELS = ((1, 1), (2, 3), (2, 5), (3, 3), (3, 5))

@@ -52,8 +52,8 @@ def schunk_file(shared_data: Callable[[str], Path]) -> Path:
 @pytest.fixture(scope="session")
 def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The identification of the Schunk arm with the default settings, once per session."""
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import identify
-    from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file])
 
@@ -61,8 +61,8 @@ def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="session")
 def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The same on the paper's definition: predictions from each trial's start, no margin."""
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import Settings, identify
-    from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0))
 

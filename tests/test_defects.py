@@ -21,12 +21,12 @@ from stopset.cli.main import DEBUG, DEFECT, FILES, commands, main
 from stopset.errors import NotConformant
 from stopset.offline.conform import monotone_sets, program
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.baseline import drive_gain
 from stopset.offline.diagnose.evidence.priors import DRIVES
 from stopset.offline.nominal import physical, qp
 from stopset.recording import write_recordings
-from stopset.robot.arm import robot_from_text
 from stopset.sets import Box
 
 SOLVERS = re.compile(r"highs|osqp|clarabel|cvxpy|toppra|simplex|status|infeasible|solver|traceback", re.IGNORECASE)

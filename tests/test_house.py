@@ -123,6 +123,17 @@ def test_no_import_cycle() -> None:
             visit(m)
 
 
+def test_descriptions_are_read_in_one_place() -> None:
+    """The model file holds the arm: no one but the offline part's first stage parses a URDF, or needs pinocchio for it."""
+    tools = ("xml", "lxml", "pinocchio", "coal", "hppfcl")
+    readers = {m for m in modules() for i in imports(m, everywhere=True) if i.partition(".")[0] in tools}
+    writer = "stopset.fmu.description"  # of the FMU's own description
+    assert writer in readers and not re.search(r"fromstring|parse\(", modules()[writer].read_text(encoding="utf-8"))
+    assert all(m.startswith("stopset.offline.description.") for m in readers - {writer}), readers
+    asked = {m for m in modules() for i in imports(m, everywhere=True) if i.startswith("stopset.offline.description")}
+    assert all(m.split(".")[1] in ("offline", "cli") for m in asked), asked
+
+
 def test_import_linter_agrees() -> None:
     pytest.importorskip("importlinter")
     script = Path(sys.executable).with_name("lint-imports")
@@ -318,7 +329,7 @@ def test_the_overview_lists_every_command() -> None:
     assert "not a certified safety function" in done.stdout
 
 
-@pytest.mark.parametrize("command", [c for c in commands() if c not in ("demo", "monitor", "replay", "reset", "watch")])
+@pytest.mark.parametrize("command", [c for c in commands() if c not in ("demo", "monitor", "renew", "replay", "reset", "watch")])
 def test_every_command_that_answers_takes_json_and_report(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     from stopset.cli.main import main
 

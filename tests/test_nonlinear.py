@@ -27,11 +27,11 @@ from stopset.offline.conform.linear_sets import Pairs
 from stopset.offline.conform.nonlinear import coarser, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording, reader
-from stopset.robot import load_robot
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
 from test_abstraction import ROTOR, two_link

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,12 +20,12 @@ from stopset.offline.conform.linear_program import Fit, fit_sets
 from stopset.offline.conform.linear_sets import BOX, enclosing
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.update.sums_file import load_sums as load_state
 from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.reach.flowpipe import along_joints, deviation_tube
 from stopset.recording import Recording, read_recordings
-from stopset.robot import load_robot
 from stopset.sets import Box, Zonotope
 from synthetic import arm as robot_of
 from synthetic import names, recordings, save_trials
@@ -226,7 +225,6 @@ def test_from_recordings_to_the_model_file_and_back(together: tuple[Path, Identi
     assert powered.zonotope is not None and powered.U.encloses(powered.zonotope.set.box)
     assert found.conformance.table["all"].cost < 0.95 * found.conformance.table[BOX].cost
     saved = save_model(found.model, tmp_path / "m.json")
-    assert json.loads((tmp_path / "m.json").read_text())["schema"] == 2
     again = load_model(tmp_path / "m.json")
     z = again.powered.zonotope
     assert z is not None and again.sha256 == saved.sha256
@@ -246,13 +244,10 @@ def test_a_box_that_is_not_around_its_zonotope_is_refused(together: tuple[Path, 
         load_model(tmp_path / "m.json")
 
 
-def test_files_without_zonotopes_are_of_the_first_schema(together: tuple[Path, Identification], tmp_path: Path) -> None:
-    """What an older stopset wrote and reads."""
+def test_a_file_without_zonotopes_has_none(together: tuple[Path, Identification], tmp_path: Path) -> None:
     model = together[1].model
     plain = replace(model, sets={k: s.boxed for k, s in model.sets.items()})
     save_model(plain, tmp_path / "m.json")
-    body = json.loads((tmp_path / "m.json").read_text())
-    assert body["schema"] == 1 and all("zonotope" not in s for s in body["sets"].values())
     assert load_model(tmp_path / "m.json").powered.zonotope is None
 
 

@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Add; exit code 1 when the effect does not help and is not forced."""
-    from stopset.artifact import load_model, save_model
+    from stopset.artifact import save_model
+    from stopset.offline.description.older import load_model
     from stopset.offline.revise.revise import add
 
     check_outputs(args.out, args.json, args.keep, args.report)

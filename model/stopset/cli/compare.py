@@ -45,10 +45,10 @@ def _over(model: Model, found: Comparison) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
-    from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
     from stopset.offline.compare.tightness import table
     from stopset.offline.compare.verdict import by_failure, verdict
+    from stopset.offline.description.older import load_model
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)

@@ -21,8 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose; the exit code is 0 whatever the verdict."""
-    from stopset.artifact import load_model
     from stopset.effects import get
+    from stopset.offline.description.older import load_model
     from stopset.offline.diagnose import diagnose_model
     from stopset.recording import read_recordings
 

@@ -31,11 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export; exit code 0."""
-    from stopset.artifact import load_model
     from stopset.errors import OutputError
     from stopset.fmu import Contents, export
     from stopset.fmu.build import chosen
     from stopset.fmu.stops import stop_refusal
+    from stopset.offline.description.older import load_model
 
     check_outputs(args.out, args.json, args.report)
     if args.out.suffix != ".fmu":

@@ -160,8 +160,8 @@ def verdict(found: Identification, accepted: bool) -> int:
 def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
     from stopset.offline.campaign.conditions import tagged
     from stopset.offline.campaign.source import campaign_of
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import Settings, identified
-    from stopset.robot import load_robot
 
     if args.robot is None:
         raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
@@ -178,7 +178,7 @@ def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
 
 
 def _updated(args: argparse.Namespace, tell: Tell) -> Identification:
-    from stopset.artifact import load_model
+    from stopset.offline.description.older import load_model
     from stopset.offline.update.update import load_state, update
 
     parser = argparse.ArgumentParser()

@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the campaign into the folder and its table to the terminal."""
     from stopset.errors import StopsetError
+    from stopset.offline.description import load_robot
     from stopset.offline.plan import Wishes, design, write_plan
     from stopset.offline.plan.files import as_dict, summary
     from stopset.recording import stream_recordings
-    from stopset.robot import load_robot
 
     robot = load_robot(args.robot)
     fresh = not args.out.exists()

@@ -40,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.errors import EffectError, OutputError
     from stopset.files import write_text
+    from stopset.offline.description import load_robot
     from stopset.progress import counted
     from stopset.recording import write_recordings
-    from stopset.robot import load_robot
     from stopset.simulation import prepare
 
     if args.seed < 0:

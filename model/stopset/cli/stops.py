@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from stopset.artifact import load_model
     from stopset.cli.common import check_outputs, say, write_json
     from stopset.errors import OutputError
     from stopset.files import write_bytes, write_text
+    from stopset.offline.description.older import load_model
     from stopset.offline.stops.measured import measured_stops
     from stopset.offline.stops.page import build_page
     from stopset.offline.stops.safety_file import build_pdf

@@ -68,14 +68,14 @@ from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windo
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
-from stopset.robot import arm, generic
+from stopset.robot import drives, generic
 
 SCHEMA = 2  # of the hash: counted up when a name changes or the way values are written
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
-    ("robot", arm, "STANDARD_GRAVITY"),
+    ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),
     ("effects", base, "REFERENCE_TEMPERATURE"),

@@ -19,9 +19,9 @@ from stopset.offline.conform.gather import Kept, SetForm, Sums, set_problem
 from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import Conformance, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
+from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
-from stopset.offline.identify.second_reading import read_again
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
@@ -147,6 +147,6 @@ def _provenance(run: Run, nominal: NominalPart) -> dict[str, Any]:
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
         "taken_out": list(nominal.taken_out),
-        "description_read_again": None if (again := read_again(robot)) is None else asdict(again),
+        "description_read_again": asdict(held_to_pinocchio(robot)),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

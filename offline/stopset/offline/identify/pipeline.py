@@ -27,8 +27,8 @@ from stopset.offline.conform.gather import SetForm, set_problem, sums_of, templa
 from stopset.offline.conform.linear_sets import Conformance, Pairs
 from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
+from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
-from stopset.offline.identify.second_reading import read_again
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
@@ -65,8 +65,7 @@ def identified(
 ) -> Identification:  # fmt: skip
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
-    if read_again(robot) is None:
-        tell("the description was read once only: pinocchio is not installed, which would read it again")
+    held_to_pinocchio(robot)
     tell("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:

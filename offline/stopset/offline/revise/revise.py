@@ -28,7 +28,6 @@ from stopset.progress import Tell, silent
 from stopset.reach.stops import stop
 from stopset.recording import read_meta
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 
 if TYPE_CHECKING:
     from stopset.offline.conform.gather import Kept
@@ -65,7 +64,7 @@ def add(
     ``keep``: also keep what later recordings can be added to (`stopset.offline.update.update`).
     Raises `EffectError` if an effect or joint is unknown or already part of the model.
     """
-    robot, settings = description(model), settings_of(model)
+    robot, settings = model.robot.as_described, settings_of(model)
     names = _names(effect, joint, robot, settings)
     campaign = tagged(campaign_of(robot, paths), conditions, paths)
     if not settings.mixed:
@@ -139,11 +138,6 @@ def _note(taken: Sequence[Judged], judged_on: str) -> str:
     """What the model file says of a revision: where each effect went, and which were forced."""
     parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
     return "; ".join([*parts, f"judged on {judged_on}"])
-
-
-def description(model: Model) -> Robot:
-    """The robot as it was described (CAD and data sheet), from the texts in the model."""
-    return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
 
 
 def stop_figures(model: Model, seen: Model) -> dict[str, float]:

@@ -34,7 +34,7 @@ from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
-from stopset.offline.revise.revise import description, settings_of
+from stopset.offline.revise.revise import settings_of
 from stopset.offline.update.signals_file import meta_of
 from stopset.recording import Recording, SuiteKey, counted
 from stopset.sets import Box
@@ -118,7 +118,7 @@ def load_sums(path: str | Path, model: Model) -> Kept:
 
 
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
-    data = load_nominal(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
+    data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
         model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
     )

@@ -30,7 +30,7 @@ from stopset.offline.conform.gather import Kept, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.inspect.gate import check_signals
-from stopset.offline.revise.revise import description, settings_of
+from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
@@ -80,7 +80,7 @@ def update(
 
 def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """Everything identified anew from the kept signals and the new recordings."""
-    robot, old = description(model), kept.campaign.meta
+    robot, old = model.robot.as_described, kept.campaign.meta
     campaign = continued(kept.campaign, robot, paths, kept.places)
     fresh = identified(robot, campaign, settings_of(model), tell, scheduler, kept.known, "signals")
     names = ", ".join(name for name, _ in campaign.meta.sources[len(old.sources) :])
@@ -93,7 +93,7 @@ def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell,
 
 def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
-    settings, robot = settings_of(model), replace(description(model), notes=())
+    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, files = joined(kept.meta, paths), len(kept.meta.sources)
 
     def source() -> Iterator[Recording]:
@@ -146,7 +146,7 @@ def from_scratch(
 
     ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
     """
-    settings, robot = settings_of(model), replace(description(model), notes=())
+    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
     tell("reading the recordings")
     tally = Tally(kept.tally.phase)

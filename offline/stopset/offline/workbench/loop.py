@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stopset.artifact import load_model
 from stopset.effects import names
 from stopset.errors import OutputError, RecordingError, StopsetError
 from stopset.files import writable
 from stopset.offline.compare.compare import check_effort
 from stopset.offline.compare.dependence import partial_residual
+from stopset.offline.description.older import load_model
 from stopset.offline.report.page import DISCLAIMER
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.page import FIGURES, floor

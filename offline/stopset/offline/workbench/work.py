@@ -14,20 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from stopset.artifact import Model, load_model, save_model
+from stopset.artifact import Model, save_model
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable, write_text
 from stopset.offline.compare.compare import answer, compare, inputs
 from stopset.offline.compare.dependence import explained
 from stopset.offline.compare.page import page as compare_page
 from stopset.offline.compare.verdict import verdict
+from stopset.offline.description.older import load_model
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.page import page as diagnose_page
 from stopset.offline.plan import Wishes, design, write_plan
 from stopset.offline.plan.page import page as plan_page
 from stopset.offline.report.thin import spread
-from stopset.offline.revise.revise import add, description
+from stopset.offline.revise.revise import add
 from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Message, Order, Revised, Says
 from stopset.offline.workbench.scene import listed
 from stopset.recording import read_recordings
@@ -153,7 +154,7 @@ def _plan(order: Order, model: Model, send: Send) -> None:
     assert order.target is not None
     folder, tell = order.target, _Teller(send)
     tell("designing the experiments")
-    plan = design(description(model), Wishes(), read_recordings(order.data, model.robot), tell)
+    plan = design(model.robot.as_described, Wishes(), read_recordings(order.data, model.robot), tell)
     try:
         folder.mkdir()
     except OSError as e:
