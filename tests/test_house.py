@@ -329,7 +329,9 @@ def test_the_overview_lists_every_command() -> None:
     assert "not a certified safety function" in done.stdout
 
 
-@pytest.mark.parametrize("command", [c for c in commands() if c not in ("demo", "fleet", "monitor", "renew", "replay", "reset", "watch")])
+@pytest.mark.parametrize(
+    "command", [c for c in commands() if c not in ("demo", "fleet", "monitor", "renew", "replay", "reset", "watch")]
+)
 def test_every_command_that_answers_takes_json_and_report(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     from stopset.cli.main import main
 
