@@ -80,7 +80,7 @@ def python_page() -> str:
     for name in API:
         module, _, word = name.rpartition(".")
         thing = getattr(importlib.import_module(module), word)
-        given = str(inspect.signature(thing)).replace("'", "")
+        given = re.sub(r"<function (\w+) at 0x\w+>", r"\1", str(inspect.signature(thing)).replace("'", ""))
         out += [f"## {word}\n", f"```python\nfrom {module} import {word}\n\n{word}{given}\n```\n", f"{inspect.getdoc(thing)}\n"]
     return "\n".join(out)
 
