@@ -55,6 +55,7 @@ class StopBound:
     motion: PointSets | None = None
     capsules: Array | None = None
     extrapolated: str = ""
+    here: tuple[str, ...] = ()  # those of the assumptions that are about this state alone
 
     def _repr_html_(self) -> str:
         if self.time is None or self.forward is None or self.back is None:
