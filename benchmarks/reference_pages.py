@@ -7,6 +7,8 @@ With ``--tutorial`` also run the commands of docs/tutorials/simulated-cell.md (a
 from __future__ import annotations
 
 import argparse
+import importlib
+import inspect
 import re
 import shlex
 import subprocess
@@ -49,6 +51,38 @@ def taken(action: argparse.Action) -> tuple[str, str]:
     return f"`{f'{name} {value}'.strip()}`" + (" ..." if action.nargs in ("+", "*") else ""), helped + (
         " (required)" if action.required and name else ""
     )
+
+
+# what a script or notebook needs, in the order in which it is used
+API = (
+    "stopset.offline.description.load_robot", "stopset.recording.read_recordings", "stopset.recording.stream_recordings",
+    "stopset.offline.identify.pipeline.identify", "stopset.offline.identify.settings.Settings", "stopset.artifact.load_model",
+    "stopset.artifact.save_model", "stopset.offline.compare.compare.compare", "stopset.offline.compare.verdict.verdict",
+    "stopset.offline.diagnose.diagnose_model", "stopset.offline.revise.revise.add", "stopset.reach.stops.stop",
+    "stopset.reach.stops.StopBounds", "stopset.offline.stops.table.stop_table", "stopset.offline.plan.design", "stopset.fmu.export",
+)  # fmt: skip
+
+
+def python_page() -> str:
+    out = [
+        "# Python\n",
+        "Written by `python benchmarks/reference_pages.py` from the docstrings. The functions behind the commands, for scripts and notebooks:",
+        "everything is SI, arrays are numpy, and `Model`, `Comparison`, `Diagnosis` and `StopBound` show themselves in a notebook.\n",
+        "```python",
+        "from stopset.artifact import load_model",
+        "from stopset.offline.compare.compare import compare",
+        "from stopset.reach.stops import stop\n",
+        'model = load_model("arm.model.json")',
+        'found = compare(model, ["other.parquet"])',
+        'stop(model, q=model.domain.q.centre, dq=model.domain.dq.hi, category="0")',
+        "```\n",
+    ]
+    for name in API:
+        module, _, word = name.rpartition(".")
+        thing = getattr(importlib.import_module(module), word)
+        given = re.sub(r"<function (\w+) at 0x\w+>", r"\1", str(inspect.signature(thing)).replace("'", ""))
+        out += [f"## {word}\n", f"```python\nfrom {module} import {word}\n\n{word}{given}\n```\n", f"{inspect.getdoc(thing)}\n"]
+    return "\n".join(out)
 
 
 def commands_page() -> str:
@@ -138,7 +172,12 @@ def tutorial(page: str) -> str:
 
 def pages() -> dict[Path, str]:
     """What this script writes, by file."""
-    return {DOCS / "reference" / "commands.md": commands_page(), DOCS / "reference" / "state-message.md": message_page()}
+    folder = DOCS / "reference"
+    return {
+        folder / "commands.md": commands_page(),
+        folder / "python.md": python_page(),
+        folder / "state-message.md": message_page(),
+    }
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ PARTS = ("model", "offline", "monitor", "fmu")
 # who may use whom: only those further down (offline, monitor and fmu never each other)
 LAYERS = (
     ("cli",), ("offline", "monitor", "fmu"), ("simulation",), ("reach",), ("artifact",), ("recording",), ("effects",), ("robot",),
-    ("sets",), ("ring",), ("core",), ("serving",), ("files",), ("progress",), ("errors",), ("types",),
+    ("sets",), ("ring",), ("core",), ("serving",), ("files",), ("progress",), ("notebook",), ("errors",), ("types",),
 )  # fmt: skip
 LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
 # what the monitor's host must not need
@@ -370,7 +370,9 @@ def test_the_overview_lists_every_command() -> None:
     assert "not a certified safety function" in done.stdout
 
 
-@pytest.mark.parametrize("command", [c for c in commands() if c not in ("demo", "monitor", "renew", "replay", "reset", "watch")])
+@pytest.mark.parametrize(
+    "command", [c for c in commands() if c not in ("demo", "fleet", "monitor", "renew", "replay", "reset", "watch")]
+)
 def test_every_command_that_answers_takes_json_and_report(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     from stopset.cli.main import main
 

@@ -230,3 +230,23 @@ def test_every_bit_of_the_file_counts(cell: Path) -> None:
             with pytest.raises(ModelFileError):
                 load_trusted(cell / "m.json", keys)
         path.write_bytes(data)
+
+
+def test_a_key_with_a_passphrase_signs_with_it_alone(cell: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever has the file alone signs nothing; each mistake is one sentence, and no signature is written."""
+    (cell / "word").write_text("hose and cable\nsecond line\n")
+    (cell / "wrong").write_text("guessed\n")
+    (cell / "empty").write_text("\n")
+    signature_path(cell / "m.json").unlink()
+    assert main(["sign", "--new-key", str(cell / "locked"), "--passphrase", str(cell / "word")]) == 0
+    assert b"ENCRYPTED" in (cell / "locked").read_bytes()
+    asked = ["sign", str(cell / "m.json"), "--key"]
+    for key, more, says in (
+        ("locked", [], "asks for a passphrase"), ("locked", ["--passphrase", str(cell / "wrong")], "not its passphrase"),
+        ("release", ["--passphrase", str(cell / "word")], "has no passphrase"), ("locked", ["--passphrase", str(cell / "none")], "cannot be read"),
+        ("locked", ["--passphrase", str(cell / "empty")], "is empty"),
+    ):  # fmt: skip
+        assert main([*asked, str(cell / key), *more]) == 2
+        assert says in capsys.readouterr().err and not signature_path(cell / "m.json").exists()
+    assert main([*asked, str(cell / "locked"), "--passphrase", str(cell / "word")]) == 0
+    assert load_trusted(cell / "m.json", accepted(cell, "locked")).n == 6

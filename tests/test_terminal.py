@@ -65,6 +65,7 @@ def test_what_is_left_is_said_only_of_what_has_begun() -> None:
 def test_on_a_terminal_one_line_is_rewritten_and_none_is_longer_than_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
     near, far = pty.openpty()
     monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setattr(steps, "BLINK", 0.05)  # a terminal nobody reads holds 4 kB
     with os.fdopen(far, "w") as terminal:
         monkeypatch.setattr("sys.stderr", terminal)
         monkeypatch.setattr("sys.stdout", terminal)

@@ -218,7 +218,7 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
     """The shipped router, daemon and PLC files with fresh certificates, on loopback: a PLC cannot forge the state."""
     deploy = Path(__file__).resolve().parents[1] / "deploy/zenoh"
     pki = tmp_path / "pki"
-    names = ["stopset-daemon", "stopset-plc", "stopset-operator"]
+    names = ["stopset-daemon", "stopset-plc", "stopset-operator", "stopset-robot"]
     subprocess.run([str(deploy / "pki/make-certs.sh"), str(pki), "localhost", *names], check=True, capture_output=True)
     port = free_port()
     files = {}
@@ -229,9 +229,11 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
         files[name].write_text(text)
     operator = tmp_path / "operator.json5"
     operator.write_text(files["plc"].read_text().replace("stopset-plc", "stopset-operator"))
+    controller = tmp_path / "robot.json5"
+    controller.write_text(files["plc"].read_text().replace("stopset-plc", "stopset-robot"))
     prefix = "site/cell/arm/stopset"
-    links = [ZenohLink(prefix, file=f) for f in (files["router"], files["daemon"], files["plc"], operator)]
-    _, daemon, plc, person = links
+    links = [ZenohLink(prefix, file=f) for f in (files["router"], files["daemon"], files["plc"], operator, controller)]
+    _, daemon, plc, person, robot = links
     try:
         heard: dict[str, list[str]] = {"daemon": [], "plc": [], "person": []}
         daemon.subscribe("*", lambda k, d: None)
@@ -240,8 +242,14 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
         plc.subscribe("state", lambda _, d: heard["plc"].append(d.decode()))
         person.subscribe("state", lambda _, d: heard["person"].append(d.decode()))
         daemon.serve("model", lambda: b"the model")
+        moved: list[str] = []
+        daemon.subscribe("/site/cell/arm/joint_states", lambda _, d: moved.append(d.decode()))
         time.sleep(0.8)
         daemon.put("state", "true")
+        for link, who in ((robot, "robot"), (plc, "plc"), (person, "person")):
+            link.put("/site/cell/arm/joint_states", f"moved by the {who}")
+        for name in ("state", "reset", "challenge", "model"):
+            robot.put(name, "not the robot's")
         plc.put("state", "forged by the PLC")
         person.put("state", "forged by a person")
         plc.put("challenge", "nonce")
@@ -251,6 +259,11 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
         # a session hears itself without the router; what matters is what reaches the others
         assert sorted(heard["plc"]) == ["forged by the PLC", "true"] and sorted(heard["person"]) == ["forged by a person", "true"]
         assert sorted(heard["daemon"]) == ["challenge nonce", "reset by a person"]
+        assert moved == ["moved by the robot"], "who measures the arm is who its certificate says"
+        for k in range(200):
+            plc.put("challenge", f"flood {k}")
+        time.sleep(0.5)
+        assert sum("flood" in h for h in heard["daemon"]) < 60, "a flood ends at the router"
         assert plc.get("model") == [(f"{prefix}/model", b"the model")]
         stranger = (
             files["plc"]

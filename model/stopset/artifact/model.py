@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
+from stopset.notebook import shown
 from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
 from stopset.types import Array
@@ -193,6 +194,17 @@ class Model:
     @property
     def joints(self) -> tuple[str, ...]:
         return self.robot.joints
+
+    def _repr_html_(self) -> str:
+        last = self.revisions[-1] if self.revisions else None
+        head = ("joint", "U from [N m]", "to [N m]", "torque error [N m]", "floor [N m]")
+        errors = [self.errors.get(j, {}) for j in self.joints]
+        rows = [
+            (j, lo, hi, e.get("torque_rmse"), e.get("torque_rmse_floor"))
+            for j, lo, hi, e in zip(self.joints, self.powered.U.lo, self.powered.U.hi, errors, strict=True)
+        ]
+        what = f"revision {last.number}, {last.added or 'first identification'}" if last else "no revision"
+        return shown(f"{self.robot.name}: {what}, SHA-256 {self.sha256[:16] or 'not saved'}", self.guarantee.text, head, rows)
 
     @property
     def n(self) -> int:

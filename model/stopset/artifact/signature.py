@@ -85,8 +85,11 @@ def key_id(key: Ed25519PublicKey) -> str:
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:16]
 
 
-def new_key(path: str | Path) -> str:
-    """Make a key pair: the secret half in ``path`` (readable by its owner alone), the public one in ``path``.pub; its id."""
+def new_key(path: str | Path, passphrase: str = "") -> str:
+    """Make a key pair: the secret half in ``path`` (readable by its owner alone), the public one in ``path``.pub; its id.
+
+    With a ``passphrase`` the file alone signs nothing.
+    """
     from cryptography.hazmat.primitives import serialization as s
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -95,17 +98,18 @@ def new_key(path: str | Path) -> str:
         if p.exists():
             raise OutputError(f"{p} exists already; expected a new name: a key that signed something must not be lost")
     secret = Ed25519PrivateKey.generate()
-    write_private(path, secret.private_bytes(s.Encoding.PEM, s.PrivateFormat.PKCS8, s.NoEncryption()))
+    kept = s.BestAvailableEncryption(passphrase.encode()) if passphrase else s.NoEncryption()
+    write_private(path, secret.private_bytes(s.Encoding.PEM, s.PrivateFormat.PKCS8, kept))
     text = secret.public_key().public_bytes(s.Encoding.PEM, s.PublicFormat.SubjectPublicKeyInfo).decode()
     write_text(public, text)
     return key_id(secret.public_key())
 
 
-def sign(model: str | Path, key: str | Path) -> tuple[Statement, str]:
+def sign(model: str | Path, key: str | Path, passphrase: str = "") -> tuple[Statement, str]:
     """Write the signature of a model file beside it; what was signed, and the key's id. Raises `ModelFileError`, `SigningKeyError`."""
     data = read_model_text(model)
     statement = Statement.of(data, model_of(data, model))
-    secret = _secret(key)
+    secret = _secret(key, passphrase)
     public = secret.public_key()
     body = {
         "format": FORMAT, "schema": SCHEMA, **asdict(statement), "key": key_id(public),
@@ -191,11 +195,22 @@ def public_key(path: str | Path) -> Ed25519PublicKey:
     return key
 
 
-def _secret(path: str | Path) -> Ed25519PrivateKey:
+def locked(path: str | Path) -> bool:
+    """Whether a secret key asks for a passphrase. Raises `SigningKeyError` where there is no key."""
+    return b"ENCRYPTED" in _pem(path, lambda data: data, "secret")
+
+
+def _secret(path: str | Path, passphrase: str) -> Ed25519PrivateKey:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-    key = _pem(path, lambda data: load_pem_private_key(data, None), "secret")
+    if locked(path) != bool(passphrase):
+        said = "no passphrase" if not passphrase else "one"
+        raise SigningKeyError(
+            f"{path} {'asks for a' if not passphrase else 'has no'} passphrase, and {said} was given; expected the one it was made with: "
+            f"{'add' if not passphrase else 'leave out'} --passphrase"
+        )
+    key = _pem(path, lambda data: load_pem_private_key(data, passphrase.encode() or None), "secret")
     if not isinstance(key, Ed25519PrivateKey):
         raise SigningKeyError(
             f"{path} holds a {type(key).__name__}; expected an Ed25519 secret key: make one with `stopset sign --new-key`"
@@ -218,6 +233,8 @@ def _pem(path: str | Path, read: Any, what: str) -> Any:
             f"{path}: no such file; expected a {what} key in PEM: make one with `stopset sign --new-key`"
         ) from e
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as e:
+        if isinstance(e, ValueError) and "ncorrect password" in str(e):
+            raise SigningKeyError(f"{path}: that is not its passphrase; expected the one it was made with: try again") from e
         raise SigningKeyError(
             f"{path} is no {what} key ({type(e).__name__}); expected PEM from `stopset sign --new-key`: give that"
         ) from e

@@ -18,6 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--new-key", type=Path, metavar="FILE", help="make a key: FILE (keep it secret) and FILE.pub (give it away)"
     )
+    parser.add_argument(
+        "--passphrase", nargs="?", const="-", metavar="FILE",
+        help="the key's passphrase: asked for on the terminal, or the first line of FILE; with --new-key the key gets it",
+    )  # fmt: skip
     add_output_options(parser)
 
 
@@ -28,15 +32,15 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args.json, args.report)
     if args.new_key is None and (args.model is None or args.key is None):
         raise SigningKeyError("a model to sign and --key FILE are needed; expected both, or --new-key FILE: add what is missing")
-    made = None
+    made, passphrase = None, _passphrase(args.passphrase, args.new_key is not None)
     if args.new_key is not None:
-        made = new_key(args.new_key)
+        made = new_key(args.new_key, passphrase)
         say(f"key {made}: secret {args.new_key}, public {args.new_key}.pub")
     if args.model is None:
         if args.json:
             write_json(args.json, {"key": made})
         return 0
-    statement, key = sign(args.model, args.key or args.new_key)
+    statement, key = sign(args.model, args.key or args.new_key, passphrase)
     say(f"{args.model}: revision {statement.revision} of {statement.robot} signed by {key} in {signature_path(args.model)}")
     if args.json:
         write_json(args.json, {"key": key, **asdict(statement)})
@@ -51,3 +55,34 @@ def run(args: argparse.Namespace) -> int:
         )
         page.save(args.report)
     return 0
+
+
+def _passphrase(source: str | None, fresh: bool) -> str:
+    """What was asked for, empty where nothing was; a ``fresh`` one is typed twice. Raises `SigningKeyError`."""
+    from stopset.artifact.signature import SigningKeyError
+
+    if source is None:
+        return ""
+    if source == "-":
+        import getpass
+        import sys
+
+        if not sys.stdin.isatty():
+            raise SigningKeyError(
+                "--passphrase asks on a terminal, and there is none; expected one, or --passphrase FILE: name a file"
+            )
+        found = getpass.getpass("passphrase of the key: ")
+        if fresh and getpass.getpass("once more: ") != found:
+            raise SigningKeyError("the two passphrases differ; expected the same twice: begin again")
+    else:
+        try:
+            found = Path(source).read_text(encoding="utf-8").partition("\n")[0]
+        except (OSError, ValueError) as e:
+            raise SigningKeyError(
+                f"--passphrase {source} cannot be read ({type(e).__name__}); expected a text file: name one"
+            ) from e
+    if not found:
+        raise SigningKeyError(
+            "the passphrase is empty; expected at least one letter: leave --passphrase out for a key without one"
+        )
+    return found

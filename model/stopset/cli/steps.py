@@ -33,6 +33,8 @@ class Steps:
         self._text, self._share = "begins", cast("float | None", None)  # what it does, and the share of that which is done
         self._tenth = 0  # of the step that were told
         self._live, self._lock, self._over = sys.stderr.isatty(), threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True, name="steps")
+        self._thread.start()
 
     def tell(self, text: str, share: float | None = None) -> None:
         """A step; one without a share is a line of its own."""
@@ -46,7 +48,7 @@ class Steps:
                 self._tenth = int(10 * share + 1e-9)
                 self._write(text, whole=True)
 
-    def watch(self) -> None:
+    def _watch(self) -> None:
         """Write how far it is until it is over."""
         while not self._over.wait(BLINK):
             with self._lock:
@@ -56,8 +58,9 @@ class Steps:
                     self._write(self._text + self._rest(now), whole=False)
 
     def end(self) -> None:
-        """Nothing more is written."""
+        """Nothing more is written; only then the line is free."""
         self._over.set()
+        self._thread.join()
         if self._live:
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
@@ -99,14 +102,11 @@ def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) ->
     rates = _rates()
     known = rates.get(command)
     found = Steps(known * size if known else None)
-    thread = threading.Thread(target=found.watch, daemon=True, name="steps")
-    thread.start()
     try:
         yield found.tell
         _keep({**rates, command: found.seconds / size})
     finally:
         found.end()
-        thread.join()
 
 
 def _file() -> Path | None:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stopset.notebook import shown
 from stopset.reach.stops.directed import PointSets
 from stopset.types import Array
 
@@ -55,6 +56,15 @@ class StopBound:
     capsules: Array | None = None
     extrapolated: str = ""
     here: tuple[str, ...] = ()  # those of the assumptions that are about this state alone
+
+    def _repr_html_(self) -> str:
+        if self.time is None or self.forward is None or self.back is None:
+            return shown(f"STOP {self.category}: no stop provable", self.why)
+        rows = [(k + 1, t, f, b) for k, (t, f, b) in enumerate(zip(self.time, self.forward, self.back, strict=True))]
+        way = "not provable" if self.tcp is None else f"{self.tcp:.4g} m"
+        said = f"Tool centre point: {way}. {self.extrapolated or ('Certified for the stated assumptions.' if self.certified else '')} {self.why}"
+        head = ("joint", "time [s]", "forward [rad]", "back [rad]")
+        return shown(f"STOP {self.category}: upper bounds", " ".join(said.split()), head, rows)
 
     @property
     def angle(self) -> Array | None:

@@ -21,7 +21,7 @@ COLOURS = {
 }
 
 
-def _number(x: float | None, unit: str, factor: float = 1.0, digits: int = 0) -> str:
+def number(x: float | None, unit: str, factor: float = 1.0, digits: int = 0) -> str:
     """A bound, rounded up: what is shown never promises more than what was proved."""
     return "not provable" if x is None else f"{math.ceil(x * factor * 10**digits - 1e-9) / 10**digits:.{digits}f} {unit}"
 
@@ -38,9 +38,7 @@ def terminal(view: View) -> RenderableType:
     stops = twin["stops"] if shot["fresh"] and word != "NO DATA" else {}
     for category, s in stops.items():
         rows.append(
-            Text(
-                f"STOP {category:<13} {_number(s['time_s'], 'ms', 1e3):>14} {_number(s['tcp_m'], 'mm', 1e3):>14}  {s['why'][:90]}"
-            )
+            Text(f"STOP {category:<13} {number(s['time_s'], 'ms', 1e3):>14} {number(s['tcp_m'], 'mm', 1e3):>14}  {s['why'][:90]}")
         )
     table = Table(box=None, pad_edge=False)
     for title in ("joint", "room", "STOP 0 time", "STOP 0 angle", "violations"):
@@ -54,8 +52,8 @@ def terminal(view: View) -> RenderableType:
         table.add_row(
             j,
             "" if room is None else f"{'█' * filled:<20} {room:5.2f}",
-            _number(here.get("time_s"), "ms", 1e3),
-            _number(angle, "rad", 1.0, 4),
+            number(here.get("time_s"), "ms", 1e3),
+            number(angle, "rad", 1.0, 4),
             Text(str(bad[j]), style="bold red" if bad[j] else ""),
         )
     rows.append(table)

@@ -11,6 +11,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import RecordingError
+from stopset.notebook import shown
 from stopset.offline.campaign.survey import Survey, on_grid, survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.compare.metrics import Figures, torque_error
@@ -74,6 +75,12 @@ class Comparison:
     @property
     def outside_domain(self) -> int:
         return sum(not r.inside_domain for r in self.rows)
+
+    def _repr_html_(self) -> str:
+        keys = ("torque_rmse", "torque_rmse_floor", "velocity_rmse", "position_rmse")
+        said = f"{len(self.violations)} of {len(self.rows)} recordings leave the sets, {self.outside_domain} the domain."
+        head = ("joint", "torque [N m]", "floor [N m]", "velocity [rad/s]", "position [rad]")
+        return shown("Model and measurements, RMS", said, head, [(j, *(row[k] for k in keys)) for j, row in self.figures.items()])
 
 
 def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) -> Iterator[tuple[int, Recording, Array]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stopset.effects import Fitted
+from stopset.notebook import shown
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.changes import Change
 from stopset.offline.diagnose.explain.identifiable import Blind
@@ -82,6 +83,15 @@ class Diagnosis:
     changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
     taken_out: tuple[Mapping[str, Any], ...] = ()  # by identification, before anything was asked: see `Nominal.taken_out`
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
+
+    def _repr_html_(self) -> str:
+        rows = [(r.label, r.error_before, r.error_after, r.unit, r.says) for r in self.ranked]
+        return shown(
+            f"Diagnosis: {self.verdict}",
+            self.next_experiment or "",
+            ("effect", "error before", "after", "unit", "what it is"),
+            rows,
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Plain data of the answer's fixed shape."""

@@ -88,7 +88,7 @@ function sides(s) {
   }
   const [l, r] = ['lefthand', 'righthand'].map(k => s.models[Number($(k).value)].answers.compare);
   if (!l || !r) return fill('sides', small('Both are shown once they are compared.'));
-  const pair = (a, b) => [figure(num(a)), figure(el('span', {className: a == null || b == null || a === b ? '' : b < a ? 'good' : 'bad'}, num(b) + (a && b != null && b !== a ? ` (${b > a ? '+' : ''}${((b / a - 1) * 100).toFixed(0)} %)` : '')))];
+  const pair = (a, b) => [figure(num(a)), figure(el('span', {className: a == null || b == null || Math.abs(b - a) < 0.005 * a ? '' : b < a ? 'good' : 'bad'}, num(b) + (a && b != null && b !== a ? ` (${b > a ? '+' : ''}${((b / a - 1) * 100).toFixed(0)} %)` : '')))];
   const wideOf = (c, j) => c.sets[j].U[1] - c.sets[j].U[0];
   fill('sides', table('Two revisions', ['joint', 'floor [N m]', ...['torque error [N m]', 'width of U [N m]', 'velocity [rad/s]', 'position [rad]'].flatMap(h => [h, 'right'])],
     s.joints.map(j => [words(j), figure(num(l.joints[j].torque_rmse_floor)), ...pair(l.joints[j].torque_rmse, r.joints[j].torque_rmse), ...pair(wideOf(l, j), wideOf(r, j)),
@@ -165,7 +165,7 @@ function added(done, figures) {
   $('addedsection').hidden = !done;
   if (!done) return fill('add');
   const own = (done.joint || '').split('+').filter(Boolean), rows = [];
-  const row = (title, key) => { const b = done.before[key], x = done.after[key]; if (b != null && x != null) rows.push([words(title), figure(num(b)), figure(num(x)), figure(el('span', {className: x <= b ? 'good' : 'bad'}, b ? ((x / b - 1) * 100).toFixed(0) + ' %' : ''))]); };
+  const row = (title, key) => { const b = done.before[key], x = done.after[key]; if (b != null && x != null) rows.push([words(title), figure(num(b)), figure(num(x)), figure(el('span', {className: Math.abs(x - b) < 0.005 * b ? '' : x < b ? 'good' : 'bad'}, b ? ((x / b - 1) * 100).toFixed(0) + ' %' : ''))]); };
   own.forEach(j => figures.forEach(f => row(`at ${j}: ${f.title}`, `${f.key}:${j}`)));
   figures.forEach(f => row(`whole arm: ${f.title}`, f.key));
   return fill('add', el('p', null, el('b', {className: done.file ? 'good' : 'bad'}, `${done.effect}${done.joint ? ' at ' + done.joint : ''}: ` + (done.file ? 'added' + (done.why ? ', though ' + done.why : '') : 'refused, ' + done.why)), `, judged on ${done.judged_on}`),

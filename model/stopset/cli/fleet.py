@@ -1,0 +1,68 @@
+"""``stopset fleet``: many arms at a glance."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from stopset.cli.common import check_outputs, say, write_json
+
+HELP = "all arms of a router at a glance: one line or tile each, discovered by themselves"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", metavar="ENDPOINT", help="zenoh router (default: %(default)s)")
+    parser.add_argument("--zenoh", metavar="FILE.json5", help="zenoh configuration (TLS) instead of --connect")
+    parser.add_argument(
+        "--arms", default="*/*/*", metavar="SITE/CELL/ARM", help="which ones; * stands for any (default: %(default)s)"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address of the page (default: this machine only)")
+    parser.add_argument("--port", type=int, default=8620, help="port of the page, 0 for none (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="at the end, write what held of every arm here")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look until Ctrl-C or ``--seconds``; exit code 1 if no arm was found."""
+    import sys
+    import time
+
+    from rich.console import Console
+    from rich.live import Live
+
+    from stopset.errors import BusError
+    from stopset.monitor.fleet import Fleet, Page, terminal
+    from stopset.monitor.links.zenoh_link import ZenohLink
+
+    check_outputs(args.json)
+    if not re.fullmatch(r"[^/#?$]+/[^/#?$]+/[^/#?$]+", args.arms):
+        raise BusError(f"--arms {args.arms!r}; expected SITE/CELL/ARM, each a name or *, like hall3/*/*: write it so")
+    link = ZenohLink(mode="client", connect=[] if args.zenoh else [args.connect], file=args.zenoh)
+    fleet = Fleet()
+    try:
+        link.watch_alive(f"{args.arms}/stopset/alive", fleet.take_alive)
+        link.subscribe(f"{args.arms}/stopset/state/json", fleet.take_json)
+        if args.port:
+            page = Page(fleet, args.host, args.port)
+            page.start()
+            say(f"page: {page.url}")
+        end = time.monotonic() + (args.seconds or float("inf"))
+        if sys.stdout.isatty():
+            with Live(terminal(fleet), refresh_per_second=4) as live:
+                while time.monotonic() < end:
+                    time.sleep(0.25)
+                    live.update(terminal(fleet, max(5, live.console.height - 5)))
+        else:
+            while time.monotonic() < end:
+                time.sleep(min(0.2, max(0.0, end - time.monotonic())))
+            Console().print(terminal(fleet, 1000))
+    except KeyboardInterrupt:
+        say("")
+    finally:
+        link.close()
+    shot = fleet.snapshot(1_000_000)
+    if args.json:
+        write_json(args.json, shot)
+    return 0 if shot["arms"] else 1

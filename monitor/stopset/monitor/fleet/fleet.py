@@ -1,0 +1,119 @@
+"""Which arms there are, and what each monitor said last: found by their liveliness tokens, grey when they fall silent.
+
+An overview reads the slow words of every monitor, not the message of every cycle: a hundred arms cost a few per cent of a core. It
+proves nothing about their age beyond that words keep coming; whom it matters to looks at one arm with `stopset watch`, which does.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from stopset.monitor.layout import State
+from stopset.monitor.viewer.words import plain
+
+SILENT_S = 1.0  # without words: five that should have come
+LARGEST = 1 << 20  # bytes of a message
+MOST = 20_000  # arms; tokens of strangers do not fill the memory
+GONE = "NO DATA"
+ORDER = ("FAULT", "VIOLATION", GONE, "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+
+
+class _Stop(msgspec.Struct):
+    time_s: float | None = None
+    tcp_m: float | None = None
+
+
+class _Words(msgspec.Struct):
+    """What of ``state/json`` an overview shows."""
+
+    state: str
+    why: str
+    stops: dict[str, _Stop] = {}
+    violation_class: str = ""
+    model_sha256: str = ""
+
+
+_decode = msgspec.json.Decoder(_Words).decode
+
+
+@dataclass(slots=True)
+class _Arm:
+    alive: bool = False
+    words: _Words | None = None
+    heard: float = float("-inf")
+    since: float = 0.0  # when its word changed last
+
+
+class Fleet:
+    """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._arms: dict[str, _Arm] = {}
+        self._clock, self._lock, self.garbled = clock, threading.Lock(), 0
+
+    def take_alive(self, key: str, there: bool) -> None:
+        """A token appeared or went."""
+        with self._lock:
+            if (arm := self._arm(key)) is not None:
+                if arm.alive != there:
+                    arm.since = self._clock()
+                arm.alive = there
+
+    def take_json(self, key: str, data: bytes) -> None:
+        """``state/json`` of an arm."""
+        try:
+            words = _decode(data) if len(data) <= LARGEST else None
+        except (msgspec.MsgspecError, ValueError, RecursionError):
+            words = None
+        with self._lock:
+            if words is None or words.state not in State.__members__:
+                self.garbled += 1
+                return
+            if (arm := self._arm(key)) is not None:
+                now = self._clock()
+                if arm.words is None or arm.words.state != words.state or now - arm.heard > SILENT_S:
+                    arm.since = now
+                arm.words, arm.heard, arm.alive = words, now, True
+
+    def _arm(self, key: str) -> _Arm | None:
+        name = plain(key.partition("/stopset/")[0])
+        if name not in self._arms and len(self._arms) < MOST:
+            self._arms[name] = _Arm(since=self._clock())
+        return self._arms.get(name)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One per arm, what needs somebody first; numbers only of an arm that speaks."""
+        with self._lock:
+            now = self._clock()
+            rows = [_row(name, arm, now) for name, arm in self._arms.items()]
+        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), r["arm"]))
+
+    def snapshot(self, most: int = 400) -> dict[str, Any]:
+        """What the displays show: how many arms are in which state, and the first ``most`` of them."""
+        rows = self.rows()
+        counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
+        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled}
+
+
+def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:
+    w, quiet = arm.words, now - arm.heard
+    row: dict[str, Any] = {"arm": name, "since_s": round(now - arm.since, 1), "model": "", "class": "", "stops": {}}
+    if not arm.alive or w is None or quiet > SILENT_S:
+        why = (
+            "its monitor is gone"
+            if not arm.alive
+            else "alive, but nothing was said yet"
+            if w is None
+            else f"silent for {quiet:.1f} s"
+        )
+        return row | {"word": GONE, "why": why}
+    stops = {plain(k): {"time_s": s.time_s, "tcp_m": s.tcp_m} for k, s in list(w.stops.items())[:4]}
+    return row | {
+        "word": w.state, "why": plain(w.why)[:200], "class": plain(w.violation_class)[:60], "model": plain(w.model_sha256)[:16], "stops": stops,
+    }  # fmt: skip

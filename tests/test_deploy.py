@@ -1,0 +1,148 @@
+"""The files of deploy/: units that systemd takes, an image pinned and without a compiler, certificates that end, an upgrade that goes back."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
+UNITS = ("stopset.service", "stopset-expiry.service")
+EXPOSED = 2.0
+
+
+def sh(*words: object, **more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False, env={**os.environ, **more})
+
+
+@pytest.fixture
+def units(tmp_path: Path) -> Path:
+    """The units, their programs replaced by one that is there: systemd asks for that."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not on this machine")
+    for file in (DEPLOY / "systemd").iterdir():
+        text = re.sub(r"^(Exec\w+=)/opt/\S+", r"\1/bin/true", file.read_text(), flags=re.MULTILINE)
+        (tmp_path / file.name).write_text(text)
+    return tmp_path
+
+
+def test_systemd_takes_the_units(units: Path) -> None:
+    files = [units / name for name in (*UNITS, "stopset-expiry.timer", "stopset.slice")]
+    done = sh("systemd-analyze", "verify", "--man=no", "--recursive-errors=no", *files)
+    told = [line for line in done.stderr.splitlines() if "stopset" in line]
+    assert told == [] and done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_the_units_are_shut_in(units: Path, name: str) -> None:
+    done = sh("systemd-analyze", "security", "--offline=true", "--json=short", units / name)
+    if done.returncode != 0 and "unrecognized" in done.stderr:
+        pytest.skip("this systemd-analyze looks at running units only")
+    said = sh("systemd-analyze", "security", "--offline=true", units / name).stdout
+    level = re.search(r"exposure level for \S+: ([\d.]+)", said)
+    assert json.loads(done.stdout) and level is not None and float(level.group(1)) <= EXPOSED, said[-300:]
+
+
+def instructions(text: str) -> list[list[tuple[str, str]]]:
+    """A Dockerfile's stages as (instruction, words), read by its grammar: comments, continued lines."""
+    stages: list[list[tuple[str, str]]] = [[]]
+    for line in re.sub(r"\\\n", " ", re.sub(r"^\s*#.*\n", "", text, flags=re.MULTILINE)).splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == "FROM":
+            stages.append([])
+        if word:
+            stages[-1].append((word, " ".join(rest.split())))
+    return stages
+
+
+def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
+    """Read by a parser: no image is built here."""
+    before, build, final = instructions((DEPLOY / "container/Dockerfile").read_text())
+    assert before == [("ARG", "BASE")], "a base without a default, so none without a digest"
+    assert build[0] == ("FROM", "${BASE} AS build") and final[0] == ("FROM", "${BASE}")
+    installs = " ".join(rest for word, rest in build if word == "RUN")
+    assert "--require-hashes" in installs and "--no-deps --no-index" in installs and "cyclonedx-py" in installs
+    kept = " ".join(rest for word, rest in final if word == "RUN")
+    assert not re.search(r"gcc|pip|apt-get|compiler", kept)
+    assert [rest for word, rest in final if word == "USER"] == ["10001"]
+    health = next(rest for word, rest in final if word == "HEALTHCHECK")
+    assert '"--check"' in health and '"--config"' in health
+    compose = (DEPLOY / "container/compose.yaml").read_text()
+    for line in (
+        "read_only: true",
+        "cap_drop: [ALL]",
+        "no-new-privileges:true",
+        "restart: always",
+        'user: "10001"',
+        "STOPSET_IMAGE:?",
+    ):
+        assert line in compose, line
+
+
+def test_every_package_of_the_image_has_a_hash() -> None:
+    lock = (DEPLOY / "container/requirements.lock").read_text()
+    entries = re.findall(r"^([a-z0-9][\w.-]*(?:\[[\w,]+\])?)==\S+((?: \\\n    --hash=sha256:[0-9a-f]{64})+)", lock, re.MULTILINE)
+    assert len(entries) == len(re.findall(r"^\S+==", lock, re.MULTILINE)) > 10
+    names = {name.partition("[")[0] for name, _ in entries}
+    assert {"numpy", "eclipse-zenoh", "python-can", "canopen", "msgspec", "cryptography", "pyarrow"} <= names
+    assert "http" not in lock, "no place is named: whoever builds says where from"
+
+
+@pytest.mark.parametrize(
+    "base", ["python:3.11-slim", "python@sha256:12", "python:3.11-slim@sha256:" + "g" * 64, "sha256:" + "a" * 64]
+)
+def test_a_base_without_a_digest_is_refused(base: str) -> None:
+    done = sh(DEPLOY / "container/build.sh", base, "tag", DOCKER="/bin/echo")
+    assert done.returncode == 2 and "names no digest" in done.stderr and done.stdout == ""
+    good = sh(DEPLOY / "container/build.sh", "python:3.11-slim@sha256:" + "a" * 64, "tag", DOCKER="/bin/echo")
+    assert good.returncode == 0 and f"BASE=python:3.11-slim@sha256:{'a' * 64}" in good.stdout
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")
+def test_certificates_that_end_are_told_and_renewed_by_the_same_authority(tmp_path: Path) -> None:
+    pki = DEPLOY / "zenoh/pki"
+    assert sh(pki / "make-certs.sh", tmp_path, "localhost", "stopset-daemon").returncode == 0
+    assert sh(pki / "expiry.sh", tmp_path).returncode == 0
+    late = sh(pki / "expiry.sh", tmp_path, 800)  # they were made for 730 days
+    assert late.returncode == 1 and "router.pem ends within 800 days" in late.stdout and "ca.pem" not in late.stdout
+    before = (tmp_path / "stopset-daemon.pem").read_bytes()
+    assert sh(pki / "renew-certs.sh", tmp_path, "localhost", "stopset-daemon").returncode == 0
+    assert (tmp_path / "stopset-daemon.pem").read_bytes() != before == (tmp_path / "stopset-daemon.pem.old").read_bytes()
+    assert sh("openssl", "verify", "-CAfile", tmp_path / "ca.pem", tmp_path / "stopset-daemon.pem").returncode == 0
+    (tmp_path / "odd.pem").write_text("rubbish")
+    assert sh(pki / "expiry.sh", tmp_path).returncode == 1
+    assert sh(pki / "expiry.sh", tmp_path / "nowhere").returncode == 2
+    (tmp_path / "ca.key").unlink()
+    assert sh(pki / "renew-certs.sh", tmp_path, "localhost").returncode == 2
+
+
+def version(folder: Path, healthy: bool) -> Path:
+    program = folder / "bin/stopset"
+    program.parent.mkdir(parents=True)
+    program.write_text(f"#!/bin/sh\nexit {int(not healthy)}\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    return folder
+
+
+def test_an_upgrade_that_is_not_healthy_goes_back(tmp_path: Path) -> None:
+    """The script is the shipped one; the versions are programs that answer the health check well or not."""
+    old, good, bad = (version(tmp_path / n, h) for n, h in (("old", True), ("good", True), ("bad", False)))
+    link = tmp_path / "stopset"
+    link.symlink_to(old)
+    restarts = tmp_path / "restarts"
+    ctl = tmp_path / "systemctl"
+    ctl.write_text(f'#!/bin/sh\necho "$@" >> {restarts}\n')
+    ctl.chmod(0o755)
+    words = {"STOPSET_LINK": str(link), "SYSTEMCTL": str(ctl), "PATIENCE": "2", "PAUSE": "0"}
+    done = sh(DEPLOY / "checks/upgrade.sh", bad, **words)
+    assert done.returncode == 1 and link.resolve() == old and "is back" in done.stderr
+    assert restarts.read_text() == "restart stopset.service\n" * 2
+    assert sh(DEPLOY / "checks/upgrade.sh", good, **words).returncode == 0 and link.resolve() == good
+    for wrong in (good, tmp_path / "nowhere"):
+        assert sh(DEPLOY / "checks/upgrade.sh", wrong, **words).returncode == 2 and link.resolve() == good
