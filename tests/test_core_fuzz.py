@@ -29,7 +29,7 @@ from stopset.robot.rigid import (
     torques,
 )
 from stopset.simulation.inclusion import solve_inclusion
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 WILD = np.array([0.0, -0.0, 1.0, -1.0, 1e-320, 1e-8, 3.14159, 1e6, 1.1e6, 1e17, 1e308, -1e308, math.inf, -math.inf, math.nan])
@@ -123,7 +123,14 @@ def test_simulated_friction_and_stops(seed: int) -> None:
     chain = Chain(np.tile(np.eye(3), (n, 1, 1)), drawn(rng, n, 3), np.tile([0.0, 1.0, 0.0], (n, 1)), np.array([0.0, 0.0, -9.81]))
     pi = np.tile([1.0, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1], (n, 1))
     one = np.ones(n)
-    simulate_stop(chain, pi, one, one, one, one, 0.01 * one, 0.01 * one, drawn(rng, n), drawn(rng, n), 1e-3, 20, drawn(rng, 2, n))
+    simulate_stop(
+        StoppingArm(chain, pi, one, one, one, one, 0.01 * one, 0.01 * one),
+        drawn(rng, n),
+        drawn(rng, n),
+        1e-3,
+        20,
+        drawn(rng, 2, n),
+    )
 
 
 @settings(max_examples=40, deadline=None)

@@ -15,6 +15,7 @@ from stopset.core.library import ffi, lib, view
 from stopset.effects import Fitted
 from stopset.effects.memory import coefficients, stepped
 from stopset.effects.registry import catalogue, get
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.monitor.layout import outward
 from stopset.offline.description import load_robot
@@ -35,12 +36,12 @@ def plainly(m: InputMap, q: Array, dq: Array, tau: Array, temp: Array, warm: flo
     if m.effort != "compensated_torque":
         c, pi = m.robot.chain, m.robot.pi
         u = u - (torques(c, pi, q, dq, np.zeros_like(q)) if m.swift else gravity_torques(c, pi, q))
-    memories = memories_along(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t)
-    moving = u - effect_torques(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t, memories=memories)
+    memories = memories_along(m.robot, m.effects, Samples(q, dq, None, temp, warm, t))
+    moving = u - effect_torques(m.robot, m.effects, Samples(q, dq, None, temp, warm, t), memories=memories)
     if m.effort == "compensated_torque":
         return moving
     ahead, back = (
-        effect_torques(m.robot, m.effects, q, np.zeros_like(dq), way=way, temp=temp, warm=warm, memories=memories)
+        effect_torques(m.robot, m.effects, Samples(q, np.zeros_like(dq), None, temp, warm), direction=way, memories=memories)
         for way in (1.0, -1.0)
     )
     held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
@@ -139,7 +140,9 @@ def test_a_states_interval_goes_on_as_its_flow_says() -> None:
     z = inputs.carried.ends.copy()[0]
     for k in range(20):
         q, dq = Q[k, : model.n], DQ[k, : model.n]
-        b, a = coefficients(get("hysteresis"), law_signals(model.robot, [(f, get("hysteresis"))], q[None], dq[None])[0], f.values)
+        b, a = coefficients(
+            get("hysteresis"), law_signals(model.robot, [(f, get("hysteresis"))], Samples(q[None], dq[None]))[0], f.values
+        )
         _, du = inputs(q, dq, TAU[k, : model.n], None)
         assert du[0] == pytest.approx(0.5 * 12.0 * (z[1] - z[0]), rel=1e-12, abs=1e-15) and not du[1:].any()
         z = np.array([stepped(z, b, a, DT).min(), stepped(z, b, a, DT).max()])

@@ -55,7 +55,7 @@ class Size:
 
 
 # as found on recorded arms: the wide one holds nearly every motion, narrow ones give numbers that hardly widen
-WIDE, NARROW = Size(0.2, 1.0, True), Size(0.04, 0.2, False)
+WIDE, NARROW = Size(0.2, 1.0, starts=True), Size(0.04, 0.2, starts=False)
 
 
 @dataclass(slots=True)

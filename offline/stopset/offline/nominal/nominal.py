@@ -61,6 +61,7 @@ class Nominal:
     base_parameters: int
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
+    limited: tuple[str, ...]  # those of the notes that say what a limit decided
     data: NormalEquations
     prior: Prior  # as it counted: a description that the recordings contradict counts for less
 
@@ -241,6 +242,7 @@ def _nominal(
         base_parameters=base_count(robot),
         undetermined=undetermined(robot, data, prior, result),
         notes=(*notes, *skipped),
+        limited=result.limited,
         data=data,
         prior=replace(prior, precision=result.precision),
     )
