@@ -201,7 +201,8 @@ def test_what_counts_bounds_passed_and_finds_a_certificate() -> None:
             assert lib.stopset_beyond(n, *map(view, (x, lo[0].copy(), hi[0].copy(), slack))) == beyond
 
 
-def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for() -> None:
+@pytest.mark.parametrize("loaded", [False, True])
+def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for(loaded: bool) -> None:
     """Rounded positions, speeds and torques, an unknown state and friction that falls with temperature: the input of any true sample
     is within ``u +- du``."""
     from monitor_arm import known_model
@@ -214,10 +215,12 @@ def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for()
         Fitted("hysteresis", model.joints[0], {"F_h": 12.0, "delta": 0.02}, {}),
         Fitted("thermal_coulomb", model.joints[1], {"k_C": -0.2}, {}),
         Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),
+        *((Fitted("load_coulomb", model.joints[1], {"k_lift": 0.1, "k_lower": 0.05}, {}),) if loaded else ()),
     )
     model = replace(model, effects=effects)
     fine = Quantum(np.full(n, 1e-3), np.full(n, 2e-3), np.full(n, 0.1))
-    for quantum, temp in ((fine, TEMP[:, :n]), (fine, None), (Quantum.none(n), TEMP[:, :n])):
+    speeds_alone = replace(fine, q=np.zeros(n))
+    for quantum, temp in ((fine, TEMP[:, :n]), (fine, None), (Quantum.none(n), TEMP[:, :n]), (speeds_alone, None)):
         inputs = Inputs.of(model, quantum, (0.0, 0.0))
         for k in range(10):
             q, dq, tau, heat = Q[k, :n], DQ[k, :n], TAU[k, :n], None if temp is None else temp[k]

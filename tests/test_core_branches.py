@@ -1,0 +1,259 @@
+"""Turns of the core's C that ordinary arms never take: sizes it refuses, damping beyond a step, directions, numbers at an edge.
+
+`.ci/coverage` holds the files that decide a verdict or a stop bound to every branch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from monitor_arm import known_model
+from stopset.artifact import Abstraction
+from stopset.artifact.model import TorqueZonotope, UncertaintySets
+from stopset.core.library import ffi, given, lib, view
+from stopset.effects.base import Fitted
+from stopset.monitor.inputs import Inputs
+from stopset.monitor.watch import Quantum
+from stopset.offline.description import robot_from_text
+from stopset.reach.flowpipe import deviation_tube, discretise, responses
+from stopset.reach.stops.cartesian import slices
+from stopset.reach.stops.tube import OK, Tube
+from stopset.robot.rigid import arm_struct, torques
+from stopset.sets import Box
+from stopset.types import Array
+from test_description import serial
+
+SIZED = (
+    "stopset_torques", "stopset_bent_torques", "stopset_gravity_torques", "stopset_mass_matrices", "stopset_regressors",
+    "stopset_levers", "stopset_link_frames", "stopset_point", "stopset_expand", "stopset_inertia_box", "stopset_point_sets",
+    "stopset_swept_capsules", "stopset_power_off", "stopset_stop_tube", "stopset_largest_energy", "stopset_discretise",
+    "stopset_linear_step", "stopset_responses", "stopset_along", "stopset_sim_mass_and_bias", "stopset_sim_torques",
+)  # fmt: skip
+
+
+def argument(kind: ffi.CType, n: int) -> object:
+    """Nothing of its ``kind``, but an arm of ``n`` joints where one is in it."""
+    if kind.kind == "primitive":
+        return n if kind.cname == "int" else 0
+    made = ffi.NULL
+    if kind.kind == "pointer" and kind.item.kind == "struct":
+        made = ffi.new(f"{kind.item.cname} *")
+        inner = made
+        while inner is not None:
+            fields = (
+                dict(ffi.typeof(inner).item.fields or ())
+                if ffi.typeof(inner).kind == "pointer"
+                else dict(ffi.typeof(inner).fields)
+            )
+            if "n" in fields:
+                inner.n = n
+            inner = next((getattr(inner, name) for name in ("arm", "plant") if name in fields), None)
+    return made
+
+
+@pytest.mark.parametrize("n", [-1, 0, 33, 1000])
+@pytest.mark.parametrize("name", SIZED)
+def test_an_arm_of_no_size_is_refused_before_anything_is_touched(name: str, n: int) -> None:
+    """By its code, whatever else is handed over: here nothing at all."""
+    function = getattr(lib, name)
+    kinds = ffi.typeof(function).args
+    code = function(*(argument(kind, n) for kind in kinds))
+    assert abs(code) == lib.STOPSET_TOO_MANY_JOINTS
+
+
+# ---- the linear model's step, responses and tube
+
+
+def coupled(damping: float, n: int = 2) -> Abstraction:
+    M = np.array([[2.0, 0.5], [0.5, 1.0]])[:n, :n]
+    return Abstraction(1, 1, np.linalg.inv(M), np.full((n, 1), damping))
+
+
+@pytest.mark.parametrize("damping", [0.1, 30.0, 3e3, -4.0])
+def test_a_step_is_the_exponential_however_fast_speeds_decay(damping: float) -> None:
+    a, h = coupled(damping), 0.05
+    Ad, Bd = discretise(a, h)
+    A = np.zeros((6, 6))
+    A[:2, 2:4] = np.eye(2)
+    A[2:4, 2:4] = -a.Minv * damping
+    A[2:4, 4:] = a.Minv
+    want = expm(A * h)
+    assert pytest.approx(want[:4, :4], rel=1e-11, abs=1e-13) == Ad and pytest.approx(want[:4, 4:], rel=1e-11, abs=1e-13) == Bd
+
+
+def test_what_is_without_end_stays_visible() -> None:
+    """An infinite coefficient ends the halvings; what comes out is not taken for a step."""
+    Ad, _ = discretise(replace(coupled(1.0), viscous=np.full((2, 1), np.inf)), 0.01)
+    assert not np.isfinite(Ad[2:, 2:]).all()
+
+
+def sets_of(**more: object) -> UncertaintySets:
+    U = Box.of([-1.0, -2.0], [1.5, 2.0])
+    given = {"X0": Box.symmetric(np.full(4, 1e-3)), "U": U, "V": Box.symmetric(np.full(4, 1e-4)), "dt": 0.01, "horizon": 0.2}
+    return UncertaintySets(**{**given, **more})  # type: ignore[arg-type]
+
+
+def sampled(a: Abstraction, pushes: list[Array], dt: float, steps: int, start: Array) -> Array:
+    """(steps + 1, 2n) the largest states that torques held over steps make from ``start``."""
+    Ad, Bd = discretise(a, dt)
+    rng, far = np.random.default_rng(3), np.zeros((steps + 1, 4))
+    for _ in range(200):
+        x = start * rng.choice([-1.0, 1.0], 4)
+        for k in range(steps + 1):
+            far[k] = np.maximum(far[k], x)
+            x = Ad @ x + Bd @ pushes[rng.integers(len(pushes))]
+    return far
+
+
+@pytest.mark.parametrize("damping", [0.5, -6.0])
+def test_tubes_of_boxes_and_of_zonotopes_hold_what_their_corners_do(damping: float) -> None:
+    a, plain = coupled(damping), sets_of()
+    G, c = np.array([[1.0, 0.3, 0.0], [-0.5, 0.8, 0.2]]), np.array([0.2, -0.1])
+    z = TorqueZonotope(c, G, np.eye(2))
+    shaped = replace(plain, U=z.set.box, zonotope=z)
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    for sets, pushes in (
+        (plain, [np.array(p) for p in ((-1.0, -2.0), (1.5, -2.0), (-1.0, 2.0), (1.5, 2.0))]),
+        (shaped, [c + G @ s for s in signs]),
+    ):
+        tube = deviation_tube(a, sets)
+        far = sampled(a, pushes, sets.dt, len(tube.ages) - 1, sets.X0.hi)
+        assert np.all(far + sets.V.hi <= tube.hi) and np.all(far[-1, 2:] > 0.3 * tube.hi[-1, 2:])
+        # looked at along a direction it is no wider than along the joints, and the joints' own directions are the joints
+        across = np.vstack([np.eye(2), [[0.6, -0.8]]])
+        looked = deviation_tube(a, sets, across)
+        assert looked.hi[:, [0, 1, 3, 4]] == pytest.approx(tube.hi, rel=1e-9)
+        assert np.all(looked.hi[:, 2] <= tube.hi[:, 0] * 0.6 - tube.lo[:, 1] * 0.8 + 1e-12)
+
+
+def test_nothing_is_promised_about_speeds_where_positions_alone_were_held() -> None:
+    both, alone = deviation_tube(coupled(0.5), sets_of()), deviation_tube(coupled(0.5), sets_of(conform="position"))
+    assert (
+        np.array_equal(alone.hi[:, :2], both.hi[:, :2])
+        and np.all(alone.hi[:, 2:] == np.inf)
+        and np.all(alone.lo[:, 2:] == -np.inf)
+    )
+
+
+def test_responses_of_a_joint_that_keeps_its_sign_are_exact() -> None:
+    """Decoupled and damped: the response from zero, by hand."""
+    a = Abstraction(1, 1, np.diag([0.5, 2.0]), np.full((2, 1), 0.3))
+    R, rate = responses(a, 0.02, 10), 0.3 * np.array([0.5, 2.0])
+    for k, t in enumerate(0.02 * np.arange(11)):
+        assert np.diag(R.plus[k, 2:]) == pytest.approx((1 - np.exp(-rate * t)) / 0.3, rel=1e-10, abs=1e-15)
+        assert not R.minus[k].any()
+
+
+# ---- predictions of nonlinear models
+
+
+def test_a_march_is_powers_of_its_step() -> None:
+    A, x = np.array([[1.0, 0.1], [0.0, 0.9]]), np.zeros((4, 2))
+    x[0] = 1.0, -2.0
+    x[1:] = 0.5  # pushes, to be added to
+    want = [x[0].copy()]
+    for k in range(3):
+        want.append(A @ want[k] + 0.5)
+    lib.stopset_march(2, view(A), 4, view(x))
+    assert x == pytest.approx(np.array(want))
+
+
+@pytest.mark.parametrize("v", [0.0, 1e-6, 1.3])
+def test_the_corners_sensitivity_is_its_derivative(v: float) -> None:
+    """With no damping in the middle of a step (a series there), and with some."""
+    w, c = np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.7])
+
+    def end(q: float, v: float, more: float) -> Array:
+        out = np.empty((4, 2))
+        lib.stopset_corner(q, v, 3, view(w + more), 2, view(c), 0.01, 4, view(out))
+        return out[-1]
+
+    S, q, at = np.zeros((2, 3)), ffi.new("double *", 0.2), ffi.new("double *", v)
+    lib.stopset_corner_sensitivity(q, at, 3, view(w), 2, view(c), 0.01, 4, view(S))
+    d = 1e-5
+    up, down = ([end(0.2 + s * e[0], v + s * e[1], s * e[2]) for e in np.eye(3)] for s in (d, -d))
+    by_difference = (np.transpose(up) - np.transpose(down)) / (2 * d)
+    assert [q[0], at[0]] == pytest.approx(end(0.2, v, 0.0)) and pytest.approx(by_difference, rel=1e-3, abs=1e-7) == S
+
+
+def test_responses_to_what_is_not_a_number_are_none() -> None:
+    n, H = 2, 3
+    J_x, J_u = np.zeros((H + 1, n, 2 * n)), np.zeros((H + 1, n, n))
+    J_u[1:3, 0, 0] = np.nan
+    E1, plus, minus, work = np.empty((H + 1, 4, 4)), np.empty((H + 1, 4, 2)), np.empty((H + 1, 4, 2)), np.empty(3 * H * 8)
+    assert lib.stopset_along(n, H, view(J_x), view(J_u), 0.01, view(E1), view(plus), view(minus), view(work)) == lib.STOPSET_OK
+    assert np.isnan(plus[-1, 0, 0]) and np.isnan(minus[-1, 2, 0]) and np.isfinite(plus[:, 1, 1]).all()
+
+
+# ---- torques, inputs and stretches of time
+
+
+@pytest.mark.parametrize("joint", [-1, 2, 7])
+def test_a_joint_that_is_none_is_not_bent(joint: int) -> None:
+    arm = robot_from_text(serial("revolute", "revolute"))
+    x, tau = np.random.default_rng(5).normal(size=(3, 4, 2)), np.empty((4, 2))
+    more = np.full(4, 0.3)
+    bent = (view(more) for _ in range(3))
+    struct = arm_struct(arm.chain, arm.pi)
+    assert lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), joint, *bent, 0, view(tau)) == lib.STOPSET_OK
+    assert np.array_equal(tau, torques(arm.chain, arm.pi, *x))
+
+
+def test_inputs_of_many_samples_with_a_memory_are_each_samples() -> None:
+    """Blocks of samples are computed together: the memory goes along from block to block."""
+    model = known_model()
+    model = replace(model, effects=(Fitted("hysteresis", model.joints[0], {"F_h": 12.0, "delta": 0.02}, {}),))
+    rng, N = np.random.default_rng(6), 500
+    q, dq, tau = rng.normal(size=(3, N, model.n))
+    state = rng.uniform(-1, 1, N)
+    together = model.input(q, dq, tau, memories={0: (state,)})
+    alone = [model.input(q[k : k + 1], dq[k : k + 1], tau[k : k + 1], memories={0: (state[k : k + 1],)})[0] for k in range(N)]
+    assert (
+        np.array_equal(together, alone)
+        and np.ptp(together[:, 0] - model.input(q, dq, tau, memories={0: (0 * state,)})[:, 0]) > 1.0
+    )
+
+
+def test_inputs_without_any_memory_need_none() -> None:
+    """A caller that has no states hands none over."""
+    model = known_model()
+    map_ = Inputs.of(model, Quantum.none(model.n), (0.0, 0.0)).struct.map
+    q, dq, tau = (given(x) for x in np.random.default_rng(7).normal(size=(3, 40, model.n)))
+    u = np.empty((40, model.n))
+    samples = ffi.new("StopsetSamples *", {"q": view(q), "dq": view(dq), "tau": view(tau)})
+    assert lib.stopset_inputs(map_, 40, samples, view(u)) == lib.STOPSET_OK
+    assert np.array_equal(u, model.input(q, dq, tau))
+
+
+def test_a_tube_is_cut_into_no_more_stretches_than_it_has_steps() -> None:
+    tube = simple_tube(3)
+    cut = slices(tube, 10)
+    assert len(cut.d_lo) == 3 and cut.t.tolist() == tube.t.tolist()
+    assert len(slices(tube, 1).d_lo) == 1
+
+
+def simple_tube(steps: int) -> Tube:
+    """Two joints that move on at 1 and 2 rad/s."""
+    t = 0.1 * np.arange(steps + 1)
+    d, v = t[:, None] * [1.0, 2.0], np.tile([1.0, 2.0], (steps + 1, 1))
+    return Tube(OK, t, d, d, v, v, v[1:], v[1:], *(0 * v[1:] for _ in range(4)), np.zeros(2), False)
+
+
+# ---- numbers at an edge of their type
+
+
+@pytest.mark.parametrize("x", [0.0, -0.0, 1e-60, -1e-60, 0.1, -0.1, 0.7, -0.7, 1e39, -1e39, np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("side", [1, 0, -1])
+def test_numbers_go_outward_to_a_neighbour(x: float, side: int) -> None:
+    bits = np.zeros(1, np.uint32)
+    lib.stopset_outward(1, view(np.array([x])), ffi.new("int8_t *", side), ffi.cast("uint32_t *", bits.ctypes.data))
+    out = float(bits.view(np.float32)[0])
+    if np.isnan(x):
+        assert np.isnan(out) if side == 0 else out == side * np.inf
+        return
+    with np.errstate(over="ignore"):
+        assert (out >= x, np.isclose(out, np.float32(x), rtol=1e-6) or abs(x) > 1e38 or abs(x) < 1e-40, out <= x)[1 - side]
