@@ -15,9 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like, ur5_like
 
-from stopset.offline.stops.sampling import DT
+from stop_sampling import DT
 from stopset.reach.stops import Certificate, StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march

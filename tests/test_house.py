@@ -187,7 +187,6 @@ MANY_ARGUMENTS = {
     "offline.diagnose.columns.elasticity._led": 9,
     "offline.diagnose.columns.elasticity._swung": 10,
     "offline.nominal.nominal._nominal": 8,
-    "offline.stops.sampling.sample_stops": 9,
     "reach.stops.bounds.of": 8,
     "reach.stops.failed.failed_stops": 8,
     "reach.stops.ramp._ramp_torques": 9,

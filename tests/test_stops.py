@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_sampling import sample_stops, tightness, tube_at
 from stopset.artifact import Brakes
 from stopset.effects import Fitted
 from stopset.errors import NotCovered
-from stopset.offline.stops.sampling import sample_stops, tightness, tube_at
 from stopset.reach.stops import Ramp, StopBounds, stop
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
