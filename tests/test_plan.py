@@ -6,7 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path as FilePath
+from pathlib import PlannedMotion as FilePath
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
 from stopset.offline.plan.design import STARTS
 from stopset.offline.plan.excitation import Series, excitations
-from stopset.offline.plan.motion import Path, envelope, heights, violations
+from stopset.offline.plan.motion import PlannedMotion, envelope, heights, violations
 from stopset.offline.plan.ptp import ptp, random_goals
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import Robot
@@ -130,7 +130,7 @@ def test_todays_gaps_are_named() -> None:
     assert now["shoulder.rotor"] < 0.5 * before["shoulder.rotor"]
 
 
-def driven(truth: Truth, path: Path, suite: int, trial: int, seed: int) -> Recording:
+def driven(truth: Truth, path: PlannedMotion, suite: int, trial: int, seed: int) -> Recording:
     """A planned motion as the true arm would have been recorded on it."""
     rng = np.random.default_rng([seed, suite, trial])
     r = truth.robot
