@@ -98,10 +98,12 @@ def test_predictions(seed: int) -> None:
         Ad = np.where(np.kron(np.ones((2, 2)), np.eye(n)) != 0.0, Ad, 0.0)
     age, foreign, row = rng.integers(-1, ages, rows), np.zeros(rows, np.uint8), np.zeros((2, m), np.int64)
     lo, hi, room, seen = -np.abs(drawn(rng, ages, m)), np.abs(drawn(rng, ages, m)), np.empty(m), ffi.new("int64_t[2]")
+    middle, reach, nearest = np.empty((ages, m)), np.empty((ages, m)), rng.integers(-2, rows + 2, m)
     struct = ffi.new("StopsetPredictions *", (
         m, rows, ages, view(e), view(w), integers(age), ffi.from_buffer("uint8_t[]", foreign), view(Ad), view(Bd), view(lo), view(hi),
-        view(room), integers(row),
+        view(middle), view(reach), view(room), integers(nearest), integers(row),
     ))  # fmt: skip
+    lib.stopset_centre(struct)
     x, before, u, du = drawn(rng, m), drawn(rng, m), drawn(rng, n), np.abs(drawn(rng, n))
     live = lib.stopset_advance(struct, view(x), view(before), view(u), view(du), int(rng.integers(2)), int(rng.integers(2)), seen)
     assert (

@@ -16,7 +16,9 @@ from stopset.effects.memory import coefficients, stepped
 from stopset.effects.signals import Samples
 from stopset.errors import NotCovered
 from stopset.monitor.carried import Carried
-from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch
 from stopset.recording import Recording
 from stopset.types import Array
 

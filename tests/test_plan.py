@@ -6,7 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import PlannedMotion as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,7 +200,7 @@ def test_same_seed_same_plan_other_seed_other_plan() -> None:
     assert not np.array_equal(a.poses, c.poses)
 
 
-def test_command_writes_everything(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     rec = tmp_path / "rec.parquet"
@@ -247,7 +247,7 @@ def test_command_writes_everything(tmp_path: FilePath, capsys: pytest.CaptureFix
     assert "not checked" in capsys.readouterr().out  # collisions
 
 
-def test_bad_wishes_are_one_sentence(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_wishes_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     assert main(["plan", "--robot", str(urdf), "--out", str(tmp_path / "p"), "--speed", "3"]) == 2
@@ -259,13 +259,13 @@ def test_bad_wishes_are_one_sentence(tmp_path: FilePath, capsys: pytest.CaptureF
         design(arm(), replace(WISHES, motions=0))
 
 
-def test_write_needs_a_folder(plan: Plan, tmp_path: FilePath) -> None:
+def test_write_needs_a_folder(plan: Plan, tmp_path: Path) -> None:
     files = write_plan(plan, tmp_path)
     assert all(f.stat().st_size > 0 for f in files)
     assert "| open_loop | 24 | 5 |" in (tmp_path / "plan.md").read_text()
 
 
-def test_a_refused_plan_leaves_nothing_behind(tmp_path: FilePath) -> None:
+def test_a_refused_plan_leaves_nothing_behind(tmp_path: Path) -> None:
     from stopset.cli.main import main
 
     bad = tmp_path / "bad.parquet"

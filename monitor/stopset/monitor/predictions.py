@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.monitor.watch import Quantum
+from stopset.monitor.sample import Quantum
 from stopset.reach.nonlinear import STEP, nominal, parts, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
