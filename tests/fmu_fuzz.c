@@ -1,6 +1,6 @@
 /* Calls an FMI 3 unit in any order with any values, linked with its sources and the sanitizers.
  *
- * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED
+ * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED VR_MEASURED
  * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, a true `covered` has bounds
  * in order, a true `stop_certified` has numbers of at least zero.
  */
@@ -37,11 +37,11 @@ static long errors, covered_seen, certified_seen;
 #define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), 1
 
 int main(int argc, char **argv) {
-    if (argc < 14) return 2;
+    if (argc < 15) return 2;
     const char *token = argv[1];
     long first = atol(argv[2]), count = atol(argv[3]);
-    unsigned v[10];
-    for (int k = 0; k < 10; k++) v[k] = (unsigned)atoi(argv[4 + k]);
+    unsigned v[11];
+    for (int k = 0; k < 11; k++) v[k] = (unsigned)atoi(argv[4 + k]);
     const unsigned n_real = v[0], n_all = v[0] + v[1] + v[2], q_lo = v[3], q_hi = v[4], n = v[5], stop_first = v[6], stop_last = v[7];
     double *x = calloc(n_all + 8, sizeof *x), *y = calloc(n_all + 8, sizeof *y);
     unsigned *vr = calloc(n_all + 8, sizeof *vr);
@@ -56,6 +56,8 @@ int main(int argc, char **argv) {
         fmi3FMUState saved = 0;
         double t = 0.0;
         if (c && below(10)) { /* mostly a run that begins as it should */
+            const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
+            fmi3SetBoolean(c, &v[10], 1, &measured, 1);
             for (unsigned k = below(4); k; k--) {
                 vr[0] = below(n_real + 1);
                 x[0] = number();

@@ -17,7 +17,8 @@ from stopset.artifact import Brakes, Model
 from stopset.fmu import Contents, export
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBound, StopBounds
-from stopset.reach.stops.regions import FrictionRegion, PowerOff, power_off, regions
+from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.regions import CompiledStops, FrictionRegion, Stopped, regions
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
@@ -49,9 +50,9 @@ def cut_together(apart: float, lag: Array | None = None) -> Model:
     return replace(model, brakes=brakes)
 
 
-def core_stop(bounds: StopBounds) -> Callable[..., PowerOff | None]:
+def core_stop(bounds: StopBounds) -> Callable[..., Stopped | None]:
     assert bounds.setting is not None
-    return power_off(bounds.setting)
+    return CompiledStops.of(bounds.setting, bounds.ramp).bound
 
 
 def in_region(bounds: StopBounds, region: FrictionRegion) -> StopBounds:
@@ -89,7 +90,7 @@ def test_the_core_s_bound_is_python_s_to_the_last_bit(name: str) -> None:
     core, n, certified = core_stop(bounds), bounds.model.n, 0
     for k, (q, dq) in enumerate(states(bounds.model, 12, 3)):
         rq, rdq = (np.zeros(n), np.zeros(n)) if k % 2 else (np.full(n, 2e-3), np.full(n, 1e-2))
-        want, got = bounds.bound(q, dq, "0", rq, rdq), core(q, dq, rq, rdq)
+        want, got = bounds.bound(q, dq, "0", rq, rdq), core(q, dq, "0", rq, rdq)
         assert want.certified == (got is not None)
         if got is None:
             continue
@@ -98,6 +99,61 @@ def test_the_core_s_bound_is_python_s_to_the_last_bit(name: str) -> None:
             assert np.array_equal(mine, theirs)  # type: ignore[arg-type]
         assert got.tool.tolist() == [want.tcp, want.tcp_speed]
     assert certified >= 4
+
+
+def ramped(n: int, **changes: Any) -> Ramp:
+    """As identified: with tracking errors."""
+    about = Ramp(
+        "time", Box.of(np.full(n, 0.28), np.full(n, 0.31)), Box.of(np.full(n, 0.008), np.full(n, 0.024)),
+        np.full(n, 2e-3), np.linspace(0.004, 0.008, n), off_after=0.35,
+    )  # fmt: skip
+    return replace(about, **changes)
+
+
+RAMPS: dict[str, dict[str, Any]] = {
+    "time": {},
+    "deceleration": {"kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))},
+    "along the motion": {"pace": (-0.4, 0.7)},
+    "monitored": {"monitored": True, "off_after": None},
+    "monitored, faster": {"monitored": True, "share": 1.3, "kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))},
+    "late to rest": {"dq_error": np.full(4, 0.03), "settle": 0.05},
+    "never at rest": {"dq_error": np.full(4, 0.03)},
+    "too steep": {"value": Box.of(np.full(4, 2e-5), np.full(4, 3e-5))},
+    "never cut": {"off_after": None},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RAMPS)
+@pytest.mark.parametrize("model", ["tube", "energy", "motor torque"])
+def test_the_core_s_stop_1_and_2_are_python_s_to_the_last_bit(name: str, model: str) -> None:
+    """Nominal, guaranteed (after a time and monitored) and held; what the one refuses the other does."""
+    n = MODELS[model]().n
+    changes = {
+        k: v.take(slice(0, n)) if isinstance(v, Box) else v[:n] if isinstance(v, np.ndarray) else v
+        for k, v in RAMPS[name].items()
+    }
+    bounds = replace(bounds_of(MODELS[model]()), ramp=ramped(n, **changes))
+    core = core_stop(bounds)
+    proved = dict.fromkeys(("1", "1 guaranteed", "2"), 0)
+    for k, (q, dq) in enumerate(states(bounds.model, 6, 9)):
+        rq, rdq = (np.zeros(n), np.zeros(n)) if k % 2 else (np.full(n, 2e-3), np.full(n, 1e-2))
+        for category in proved:
+            want, got = bounds.bound(q, dq, category, rq, rdq), core(q, dq, category, rq, rdq)
+            assert want.certified == (got is not None), (category, want.why)
+            if got is None:
+                continue
+            proved[category] += 1
+            for mine, theirs in (
+                (got.time, want.time),
+                (got.forward, want.forward),
+                (got.back, want.back),
+                (got.speed, want.speed),
+            ):
+                assert np.array_equal(mine, theirs), category  # type: ignore[arg-type]
+            assert got.tool.tolist() == [want.tcp, want.tcp_speed], category
+    works = name not in ("never at rest", "too steep")
+    assert (proved["1"] > 0) == (proved["2"] > 0) == works
+    assert (proved["1 guaranteed"] > 0) == (name != "never cut"), proved
 
 
 @pytest.mark.parametrize("effect", [{"effect": "spring", "k": 8.0, "c": 0.1}, {"effect": "stribeck", "F_s": 6.0, "v_s": 0.06}])
@@ -160,7 +216,7 @@ def test_no_sampled_stop_goes_beyond_either_proof(rotor: float, speed: float) ->
     for trial in range(4):
         q, dq = rng.uniform(-2, 2, n), rng.uniform(-speed, speed, n)
         angle, time = worst_of_samples(bounds, q, dq, rq, rdq, 30, trial)
-        got = core(q, dq, rq, rdq)
+        got = core(q, dq, "0", rq, rdq)
         assert got is not None
         assert np.all(angle <= np.maximum(got.forward, got.back))
         assert time <= got.time.max()
@@ -189,24 +245,31 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return of
 
 
-PER_JOINT, TOOL = ("stop_time", "stop_forward", "stop_back"), ("tcp_stop_distance", "tcp_stop_speed")
-OUTPUTS = (*PER_JOINT, "stop_angle")
+PER_JOINT = ("stop_time", "stop_forward", "stop_back")
 
 
-def equals(u: Unit, model: Model, want: StopBound) -> bool:
-    """Whether the unit's stop outputs are that bound to the last bit, or say as it does that there is none."""
+def equals(u: Unit, model: Model, want: StopBound, stem: str = "stop") -> bool:
+    """Whether the unit's outputs of a kind of stop are that bound to the last bit, or say as it does that there is none."""
     if not want.certified:
-        return silent(u, model)
+        return silent(u, model, stem)
     assert want.angle is not None and want.time is not None and want.forward is not None and want.back is not None
-    values = zip(OUTPUTS, (want.time, want.forward, want.back, want.angle), strict=True)
-    good = all(np.array_equal(u.joints(stem, model.joints), x) for stem, x in values)
-    return good and [u.get(x) for x in TOOL] == [want.tcp, want.tcp_speed] and u.get("stop_certified") == 1
+    values = zip(outputs(stem)[:4], (want.time, want.forward, want.back, want.angle), strict=True)
+    good = all(np.array_equal(u.joints(name, model.joints), x) for name, x in values)
+    tool = [u.get(x) for x in outputs(stem)[4:6]]
+    return good and tool == [want.tcp, want.tcp_speed] and u.get(f"{stem}_certified") == 1
 
 
-def silent(u: Unit, model: Model) -> bool:
+def outputs(stem: str) -> list[str]:
+    """Four of every joint, two of the tool, the age."""
+    parts = [f"{stem}_{x}" for x in ("time", "forward", "back", "angle")]
+    return [*parts, f"tcp_{stem}_distance", f"tcp_{stem}_speed", f"{stem}_age"]
+
+
+def silent(u: Unit, model: Model, stem: str = "stop") -> bool:
     """No bound: not a number anywhere, and said so."""
-    every = np.concatenate([*(u.joints(stem, model.joints) for stem in OUTPUTS), [u.get(x) for x in (*TOOL, "stop_age")]])
-    return bool(np.all(np.isnan(every))) and u.get("stop_certified") == 0
+    names = outputs(stem)
+    every = np.concatenate([*(u.joints(name, model.joints) for name in names[:4]), [u.get(x) for x in names[4:]]])
+    return bool(np.all(np.isnan(every))) and u.get(f"{stem}_certified") == 0
 
 
 @pytest.mark.parametrize("name", ["tube", "energy", "motor torque", "together, one late"])
@@ -346,6 +409,77 @@ def test_a_stop_1_is_the_controllers_ramp_and_proves_nothing(exported: Any) -> N
     assert np.all(out["stop_certified"][:11] == 1)
     assert np.all(out["stop_certified"][11:] == 0)
     assert np.all(np.isnan(out["stop_angle_axis_1"][11:]))
+
+
+CONTROLLED = {"1": "stop1_nominal", "1 guaranteed": "stop1_guaranteed", "2": "stop2"}
+
+
+def braking(**changes: Any) -> Model:
+    model = braked(8.0, 3)
+    return replace(model, provenance={**model.provenance, "stop1_ramp": ramped(3, **changes).as_dict()})
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"kind": "deceleration", "value": Box.of(np.full(3, 3.0), np.full(3, 3.6)), "pace": (-0.2, 0.5)}]
+)
+def test_stop_1_and_2_have_the_bits_of_python(exported: Any, changes: dict[str, Any]) -> None:
+    """SS1-t, SS1-r and none as the parameters say; another ramp than the identified one proves nothing."""
+    model = braking(**changes)
+    bounds, fmu = bounds_of(model), exported(model, f"ramp {len(changes)}")
+    assert bounds.ramp is not None
+    cases = [({}, {}), ({"ss1_monitored": True}, {"monitored": True}), ({"ss1_off_after": -1.0}, {"off_after": None})]
+    for given, meant in cases:
+        want = replace(bounds, ramp=replace(bounds.ramp, **meant))
+        with unit(fmu) as u:
+            u.set(given)
+            u.begin()
+            for q, dq in states(model, 4, 3):
+                u.state(model, q, dq)
+                for category, stem in CONTROLLED.items():
+                    assert equals(u, model, want.bound(q, dq, category), stem), (given, category)
+                assert equals(u, model, want.bound(q, dq))
+            certified = [u.get(f"{stem}_certified") for stem in CONTROLLED.values()]
+            assert certified == [1, 0 if "ss1_off_after" in given else 1, 1]
+            u.state(model, np.full(3, 3.1), dq)
+            assert all(silent(u, model, stem) for stem in CONTROLLED.values())
+    with unit(fmu) as u:
+        u.set({"stop1_time": 0.1})
+        u.begin()
+        u.state(model, q, dq)
+        assert all(silent(u, model, stem) for stem in CONTROLLED.values()) and not silent(u, model)
+
+
+@pytest.mark.parametrize(("request_", "category"), [(2, "1"), (3, "2")])
+@pytest.mark.parametrize(
+    "changes", [{}, {"kind": "deceleration", "value": Box.of(np.full(3, 3.0), np.full(3, 3.6)), "pace": (0.1, 0.5)}]
+)
+def test_a_controlled_stop_runs_down_inside_its_bounds(
+    exported: Any, request_: int, category: str, changes: dict[str, Any]
+) -> None:
+    model = braking(**changes)
+    bounds, fmu, J = bounds_of(model), exported(model, f"ramp {len(changes)}"), model.joints
+    start = [0.3, 0.5, -0.2, 0.4, -0.5, 0.3]
+    with unit(fmu) as u:
+        u.set(dict(zip(names(model, "q_start", "dq_start"), start, strict=True)))
+        u.begin()
+        for _ in range(3):
+            u.step(0.004)
+        q, dq = u.joints("q", J), u.joints("dq", J)
+        want, stem = bounds.bound(q, dq, category), CONTROLLED[category]
+        assert want.certified and want.time is not None and want.angle is not None
+        u.set({"stop": request_})
+        still = np.zeros(3)
+        for k in range(150):
+            u.step(0.004)
+            assert equals(u, model, want, stem), "of the request, from then on"
+            assert silent(u, model) and silent(u, model, "stop1_nominal" if request_ == 3 else "stop2")
+            here, speed = u.joints("q", J), u.joints("dq", J)
+            assert np.all(np.abs(here - q) <= want.angle)
+            assert np.all((u.joints("q_lo", J) <= here) & (here <= u.joints("q_hi", J)))
+            assert np.all((u.joints("dq_lo", J) <= speed) & (speed <= u.joints("dq_hi", J)))
+            still[speed != 0.0] = 0.004 * (k + 1)
+        assert np.all(still > 0.05) and np.all(still <= want.time + 0.004)
+        assert u.get("covered") == 0
 
 
 def test_a_stop_without_known_brakes_is_refused_with_a_sentence(exported: Any) -> None:

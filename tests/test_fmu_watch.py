@@ -16,6 +16,7 @@ from stopset.artifact import Model
 from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects import catalogue
 from stopset.effects.memory import affine
+from stopset.effects.signals import Samples
 from stopset.fmu import Contents, export
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
@@ -95,7 +96,7 @@ def test_motion_and_tube_have_the_bits_of_python(exported: Any, name: str) -> No
     q, dq, tau = swinging(model, rows, 1)
     tube, temp = deviation_tube(model.abstraction, model.powered), np.full((1, n), TEMP)
     x, m = np.concatenate([q[0], dq[0]]), model.input
-    states = memories_along(model.robot, m.effects, q[:1], dq[:1], t=np.zeros(1))
+    states = memories_along(model.robot, m.effects, Samples(q[:1], dq[:1], t=np.zeros(1)))
     with unit(exported(model, name)) as u:
         u.set(dict(zip([f"{s}_start_{j}" for s in ("q", "dq") for j in model.joints], x.tolist(), strict=True)))
         connect(u, model, q[0], dq[0], tau[0])
@@ -109,7 +110,7 @@ def test_motion_and_tube_have_the_bits_of_python(exported: Any, name: str) -> No
             u.step(DT)
             given = m(q[now], dq[now], tau[now], temp=temp, t=np.zeros(1), memories=states)
             x = predict(model.abstraction, DT, x, np.vstack([given, given]))[1]
-            states = memories_after(model.robot, m.effects, states, q[now], dq[now], DT, temp=temp)
+            states = memories_after(model.robot, m.effects, states, Samples(q[now], dq[now], temp=temp), DT)
             assert np.array_equal(np.concatenate([u.joints(s, model.joints) for s in ("q", "dq")]), x), k
 
 
@@ -185,7 +186,7 @@ def test_every_effect_of_the_catalogue_and_from_outside_has_the_monitor_s_bits(e
     with unit(exported(model, "every effect")) as u:
         connect(u, model, q[0], dq[0], tau[0])
         u.begin()
-        states = memories_along(model.robot, model.input.effects, q[:1], dq[:1], t=np.zeros(1))
+        states = memories_along(model.robot, model.input.effects, Samples(q[:1], dq[:1], t=np.zeros(1)))
         for k in range(10):
             now, temp = slice(k, k + 1), np.full((1, 3), TEMP)
             x = np.concatenate([u.joints(s, model.joints) for s in ("q", "dq")])
@@ -193,5 +194,5 @@ def test_every_effect_of_the_catalogue_and_from_outside_has_the_monitor_s_bits(e
             u.step(DT)
             given = model.input(q[now], dq[now], tau[now], temp=temp, t=np.array([k * DT]), memories=states)
             want = predict(model.abstraction, DT, x, np.vstack([given, given]))[1]
-            states = memories_after(model.robot, model.input.effects, states, q[now], dq[now], DT, temp=temp)
+            states = memories_after(model.robot, model.input.effects, states, Samples(q[now], dq[now], temp=temp), DT)
             assert np.array_equal(np.concatenate([u.joints(s, model.joints) for s in ("q", "dq")]), want)

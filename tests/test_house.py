@@ -179,7 +179,6 @@ def test_modules_and_functions_stay_readable() -> None:
 
 # functions that take more than seven arguments still, and how many: none may join them, none may grow
 MANY_ARGUMENTS = {
-    "fmu.variables._joints": 9,
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
     "offline.compare.tubes._band": 8,

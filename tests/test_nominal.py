@@ -23,7 +23,7 @@ from nominal_cases import (
 )
 from stopset.errors import EffectError, ModelFileError, RecordingError
 from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
-from stopset.offline.nominal.physical import pseudo_inertia
+from stopset.offline.nominal.physical import consistent, pseudo_inertia, solve_consistent
 from stopset.recording import Meta, Recordings
 from stopset.robot.rigid import torques
 
@@ -397,3 +397,20 @@ def test_two_joints_whose_lags_differ_share_none() -> None:
 
     common, std = delay._common(np.array([0.0258, 0.0009]), np.array([0.0034, 0.0012]))
     assert common == pytest.approx(0.01335) and std == np.inf
+
+
+def test_the_nearest_possible_body_is_the_nearest() -> None:
+    """The free solution has a negative mass: no possible body costs less than the one found, along any line to another one."""
+    robot = arm()
+    rng = np.random.default_rng(3)
+    d = 10.0 ** rng.uniform(-2.0, 2.0, 30)  # parameters of very different weight
+    X = rng.normal(size=(60, 30)) * d
+    H, aim = X.T @ X, robot.pi.ravel().copy()
+    aim[20] = -1.0
+    none = np.zeros(0)
+    theta = solve_consistent(H, H @ aim, np.zeros((0, 30)), none, none, robot.pi)
+    assert consistent(theta.reshape(3, 10), robot.pi) and not consistent(aim.reshape(3, 10), robot.pi)
+    slope = H @ (theta - aim)
+    cost = 0.5 * (theta - aim) @ slope
+    for other in (robot.pi.ravel(), 2.0 * robot.pi.ravel(), 0.5 * (robot.pi.ravel() + theta)):
+        assert slope @ (other - theta) >= -1e-6 * cost

@@ -19,16 +19,19 @@ from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction import IdentifiedArm, abstract, build, friction_polynomial, ranked
 from stopset.offline.campaign import survey
 from stopset.offline.compare.compare import compare
+from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform import nonlinear, nonlinear_sets
+from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear_program import fit_sets
 from stopset.offline.conform.linear_sets import Pairs
 from stopset.offline.conform.nonlinear import coarser, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.description import load_robot
-from stopset.offline.identify.pipeline import Settings, identify
+from stopset.offline.identify.pipeline import FITTING, Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording, reader
@@ -410,3 +413,38 @@ def test_a_nonlinear_model_is_identified_and_compared_on_recordings(model: int, 
     seen = compare(loaded, [tmp_path / "wrong.parquet"]).violations
     assert len(seen) > 20
     assert sum(v.state.endswith(robot.joints[1]) for v in seen) > 0.8 * len(seen)
+
+
+def test_a_model_that_runs_away_reaches_as_far_as_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions that leave every bound after a while: sets for the time before, said in words."""
+    trials = recordings((1.0, 0.5), (4.0, 2.0), 2, 4, 1.5, bias=0.0)
+    few = save_trials(tmp_path / "few.parquet", trials, ("a", "b"), effort="motor_torque")
+    real, asked = nonlinear.windows_of, []
+
+    def far_is_too_far(trials: list[Trial], of: SetProblem, where: list[tuple[int, int]]) -> Iterator[nonlinear.Window]:
+        asked.append(of.horizon)
+        if of.horizon > 1.0:
+            raise nonlinear.Diverges("too far")
+        yield from real(trials, of, where)
+
+    monkeypatch.setattr(nonlinear, "windows_of", far_is_too_far)
+    told: list[str] = []
+    found = identify(
+        arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0), lambda text, share=None: told.append(f"{text} {share}")
+    )
+    assert asked[0] > 1.0 >= found.model.powered.horizon
+    assert any("predictions run away further ahead" in x for x in found.model.notes) and any(
+        FITTING in x and "None" not in x for x in told
+    )
+    monkeypatch.undo()
+    monkeypatch.setattr(nonlinear, "RUNAWAY", 1e-9)  # nothing stays within it
+    with pytest.raises(NotConformant, match=r"diverges from the recorded motion within 0\.[0-9]+ s"):
+        identify(arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0))
+
+
+def test_a_prediction_that_ran_away_has_no_error() -> None:
+    figures = Figures(Abstraction(1, 3, np.eye(1), np.array([[0.0, 0.0, -50.0]])), 0.1)
+    t = 0.1 * np.arange(50)
+    figures.add(Recording("closed_loop", 0, 0, 0, t, t[:, None] * 3.0, np.full((50, 1), 3.0), np.ones((50, 1))), np.ones((50, 1)))
+    row = figures.result(("a",))["a"]
+    assert row["position_rmse"] is None and row["velocity_rmse"] is None and np.isfinite(row["torque_rmse"])

@@ -51,6 +51,8 @@ LEFT_OUT = (
     ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS NO_REPETITION", WORDS),
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
+    ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
+    ("stopset.offline.identify.pipeline", "FITTING", WORDS),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),

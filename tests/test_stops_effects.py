@@ -30,7 +30,7 @@ from stopset.offline.nominal.known_effects import described
 from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import torques_of
-from stopset.reach.stops.regions import power_off
+from stopset.reach.stops.regions import CompiledStops
 from stopset.reach.stops.tubes import fastest, tube_of
 from stopset.ring import Interval, Slope, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
@@ -244,7 +244,7 @@ def test_an_fmu_counts_misread_positions_into_the_start_and_knows_no_stop_beyond
     moved = np.abs(misread.numbers["stop_centre"] - plain.numbers["stop_centre"])
     wider = misread.numbers["stop_radius"] - plain.numbers["stop_radius"]
     assert moved[1] + wider[1] > 1e-3 and np.all(np.delete(moved + wider, [1, 7]) == 0.0)
-    sprung, free = (power_off(bounds_of(hiding(e)).setting) for e in (CASES["spring"], ()))  # type: ignore[arg-type]
+    sprung, free = (CompiledStops.of(bounds_of(hiding(e)).setting).bound for e in (CASES["spring"], ()))  # type: ignore[arg-type]
     slow, fast = (sprung(0.0 * Q, v * np.eye(6)[0]) for v in (0.3, 2.6))
     assert slow is not None and fast is None
     assert free(0.0 * Q, 2.6 * np.eye(6)[0]) is not None

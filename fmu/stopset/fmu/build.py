@@ -68,7 +68,7 @@ def chosen(platforms: Sequence[str] | None) -> list[Platform]:
 
 # no contraction to fused multiply-add: every platform rounds alike, and like Python
 FLAGS = (
-    "-std=c11", "-O2", "-g0", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+    "-std=c11", "-O3", "-g0", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
 )  # fmt: skip
 LINK = ("-shared", "-s")
 WINDOWS = ("windows.c", "msvcrt.def")

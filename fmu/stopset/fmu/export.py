@@ -64,7 +64,10 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     if contents.source_only and contents.platforms:
         raise OutputError(f"sources alone and a library for {', '.join(contents.platforms)}; expected one of both: leave one out")
     if model.abstraction.kind != 1:
-        raise NotCovered(f"this is a model {model.abstraction.kind}; the FMU covers model 1 (eq. 13): identify with --model 1")
+        raise NotCovered(
+            f"this is a model {model.abstraction.kind}, whose tube is another one along every motion; the FMU covers model 1 (eq. 13): "
+            "identify with --model 1"
+        )
     targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
     v = variables(model)

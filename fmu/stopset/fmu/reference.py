@@ -22,12 +22,15 @@ from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.effects.signals import Samples
 from stopset.fmu.stops import bounds_of, stop_refusal
-from stopset.fmu.variables import start_posture
+from stopset.fmu.variables import categories, start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
-from stopset.reach.stops.regions import PowerOff, power_off
+from stopset.reach.stops.ramp import ramp_of
+from stopset.reach.stops.regions import CompiledStops, Stopped
+from stopset.reach.stops.types import Category
 from stopset.types import Array
 
 DURATION = 2.0  # [s]
+ORDER: tuple[Category, ...] = ("0", "1", "1 guaranteed", "2")  # of `categories`
 STATES = 12  # at which stop bounds are compared
 SEED = 2018
 PULL = 10.0  # [1/s] by which the motion is drawn to the swing that it shall follow
@@ -173,14 +176,16 @@ def _stops(model: Model, r: Reference) -> str:
         return ""
     setting, d, n, J = bounds_of(model).setting, model.domain, model.n, model.joints
     assert setting is not None
-    bound, rng = power_off(setting), np.random.default_rng(SEED)
+    stops, rng = CompiledStops.of(setting, ramp_of(model)), np.random.default_rng(SEED)
     anywhere = rng.uniform(np.concatenate([d.q.lo, d.dq.lo]), np.concatenate([d.q.hi, d.dq.hi]), (STATES // 2, 2 * n))
     inside = np.clip(anywhere[:, :n], model.robot.q_limit[:, 0], model.robot.q_limit[:, 1])
     x = np.vstack([r.x[np.linspace(0, len(r.t) - 1, STATES - STATES // 2).astype(int)], np.hstack([inside, anywhere[:, n:]])])
-    none = PowerOff(*(np.full(k, np.nan) for k in (n, n, n, n, 2)))
-    found = [bound(row[:n], row[n:]) or none for row in x]
+    none = Stopped(*(np.full(k, np.nan) for k in (n, n, n, n, 2)))
     columns = [*_named("q_measured", J, x[:, :n]), *_named("dq_measured", J, x[:, n:])]
-    for stem, part in (("stop_time", "time"), ("stop_forward", "forward"), ("stop_back", "back")):
-        columns += _named(stem, J, np.array([getattr(b, part) for b in found]))
-    tool = np.array([b.tool for b in found])
-    return _csv([*columns, ("tcp_stop_distance", tool[:, 0]), ("tcp_stop_speed", tool[:, 1])])
+    for kind, c in zip(ORDER, categories(model), strict=False):
+        found = [stops.bound(row[:n], row[n:], kind) or none for row in x]
+        for stem, part in ((f"{c.stem}_time", "time"), (f"{c.stem}_forward", "forward"), (f"{c.stem}_back", "back")):
+            columns += _named(stem, J, np.array([getattr(b, part) for b in found]))
+        tool = np.array([b.tool for b in found])
+        columns += [(f"{c.tool}_distance", tool[:, 0]), (f"{c.tool}_speed", tool[:, 1])]
+    return _csv(columns)

@@ -17,18 +17,19 @@ from stopset.effects import REFERENCE_TEMPERATURE, get
 from stopset.errors import OutputError
 from stopset.fmu.ctext import array, quoted
 from stopset.fmu.laws import Laws, laws_of
-from stopset.fmu.stops import stop_data
+from stopset.fmu.stops import controlled, stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.reach.flowpipe import torque_set
+from stopset.reach.stops.ramp import ramp_of
 
-OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "ramp.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
-PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "tube")
+PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "ramp", "tube")
 SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "predictions", "watch")
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
-CORE_HEADERS = ("inputs.h", "law.h", "maths.h", "stopset.h", "vectors.h", "wide.h", "stops/stops.h")
+CORE_HEADERS = ("inputs.h", "law.h", "maths.h", "stopset.h", "vectors.h", "wide.h", "stops/bound.h", "stops/stops.h")
 UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))
 FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",
@@ -36,6 +37,7 @@ FMI_HEADERS = (
 )  # fmt: skip
 MOST_PREDICTIONS = 1500  # rows of the comparison, as `stopset.monitor.watch`
 GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR", "MEMORY", "MEMORY_RATE", "MEMORY_START")
+CONTROLLED = ("STOP1_NOMINAL", "STOP1_GUARANTEED", "STOP2")  # categories that only a model with a ramp has
 KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTPUT", "local": "KIND_LOCAL"}
 
 
@@ -49,6 +51,9 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
             seen.append(v.group)
             prefix = "VR" if v.kind == "Real" else "IX"
             lines.append(f"#define {prefix}_{v.group} {variables.first(v.group)}")
+    for category in CONTROLLED:
+        if f"{category}_TIME" not in seen:
+            lines += [f"#define VR_{category}_TIME N_REAL", f"#define IX_{category}_CERTIFIED N_BOOL"]
     for group in GROUPS_ALWAYS:
         if group not in seen:
             lines.append(f"#define VR_{group} 0")
@@ -69,6 +74,7 @@ def _sizes(model: Model, variables: Variables, laws: Laws) -> dict[str, int]:
     return {
         "HAS_DIRECTION": int(laws.direction), "HAS_INDICATORS": int(variables.count("INDICATOR") > 0), "AGES": steps + 1,
         "STRIDE": stride, "PREDICTIONS": steps // stride + 1, "N_TORQUES": model.n + generators,
+        "N_STOPS": 1 if controlled(model) is None else 1 + len(CONTROLLED),
     }  # fmt: skip
 
 
@@ -104,7 +110,8 @@ def _flags(model: Model) -> dict[str, bool]:
     return {
         "decoupled": a.decoupled, "generators": sets.zonotope is not None, "position_only": sets.conform == "position",
         "motor_torque": model.effort != "compensated_torque", "swift": a.swift, "sliding": sets.windows == "sliding",
-        "plain": model.input.plain, "timed": any("t" in get(f.effect).needs for f in model.input.effects),
+        "ramp_timed": (ramp := ramp_of(model)) is None or ramp.kind == "time", "plain": model.input.plain,
+        "timed": any("t" in get(f.effect).needs for f in model.input.effects),
         "has_domain_temp": model.domain.temp is not None,
     }  # fmt: skip
 

@@ -12,13 +12,15 @@ from stopset.errors import NotCovered
 from stopset.fmu.ctext import array
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.regions import FRICTION, regions
+from stopset.reach.stops.ramp import Ramp, ramp_of
+from stopset.reach.stops.regions import FRICTION, ramp_fields, regions
 from stopset.reach.stops.setting import Setting
 from stopset.types import Array
 
 NO_BRAKES = (
     "a STOP 0 is asked for, but the model knows no brakes; give their torque, delay and rise in robot.json and identify again"
 )
+STOP1_TIME = 0.5  # [s] a common controlled ramp, where the model holds none; the controller's own value belongs there
 EDGE = 1e-9  # [rad, rad/s] of the domain, as in `stopset.reach.stops.setting.beyond_domain`
 # the C structs' fields, in their order
 PLANT = (
@@ -62,18 +64,50 @@ def stop_data(model: Model) -> StopData:
     """Everything about a model's stops that the FMU carries."""
     refusal, brakes, d, limit = stop_refusal(model), brakes_of(model), model.domain, model.robot.q_limit
     n = model.n
-    numbers = _nominal(brakes, n) | {
+    numbers = _nominal(brakes, n) | _nominal_ramp(model) | {
         "stop_q_lo": np.maximum(d.q.lo - EDGE, limit[:, 0]), "stop_q_hi": np.minimum(d.q.hi + EDGE, limit[:, 1]),
         "stop_dq_lo": d.dq.lo - EDGE, "stop_dq_hi": d.dq.hi + EDGE,
     }  # fmt: skip
-    names = ("stop_centre", "stop_radius", "noise_lo", "noise_hi")
+    names = ("stop_centre", "stop_radius", "truth_centre", "truth_radius", "noise_lo", "noise_hi")
     if refusal:
-        return StopData(numbers | dict.fromkeys(names, np.zeros(2 * n)), "const StopsetStops stopset_stops = {0};\n", refusal)
+        none = "const StopsetStops stopset_stops = {0};\nconst StopsetRamp stopset_ramp = {0};\n"
+        return StopData(numbers | dict.fromkeys(names, np.zeros(2 * n)), none, refusal)
     setting = bounds_of(model).setting
     assert setting is not None
-    start, noise = setting.start, setting.noise
-    values = (start.centre, start.radius, noise.lo, noise.hi)
-    return StopData(numbers | dict(zip(names, values, strict=True)), _definition(setting), "")
+    start, truth, noise = setting.start, setting.truth, setting.noise
+    values = (start.centre, start.radius, truth.centre, truth.radius, noise.lo, noise.hi)
+    definition = _definition(setting) + _ramp_definition(setting, ramp_of(model))
+    return StopData(numbers | dict(zip(names, values, strict=True)), definition, "")
+
+
+def controlled(model: Model) -> Ramp | None:
+    """The ramp whose stops the FMU bounds, None where the model holds none or no stop is bounded."""
+    return None if stop_refusal(model) else ramp_of(model)
+
+
+def ramp_time_of(model: Model) -> float:
+    """The length [s] of the longest joint's ramp, where ramps have one; else a common one, which belongs to no model."""
+    ramp = ramp_of(model)
+    return STOP1_TIME if ramp is None or ramp.kind != "time" else float(ramp.value.centre.max())
+
+
+def _nominal_ramp(model: Model) -> dict[str, Array]:
+    """The ramp of the nominal motion."""
+    ramp, n = ramp_of(model), model.n
+    if ramp is None:
+        return {"ramp_value": np.ones(n), "ramp_delay": np.zeros(n), "ramp_pace": np.array(0.0)}
+    value = ramp.value.centre / (ramp_time_of(model) if ramp.kind == "time" else 1.0)
+    return {"ramp_value": value, "ramp_delay": ramp.control.centre, "ramp_pace": np.array(np.clip(0.0, *ramp.pace))}
+
+
+def _ramp_definition(setting: Setting, ramp: Ramp | None) -> str:
+    """``stopset_ramp`` and its arrays."""
+    if ramp is None:
+        return "const StopsetRamp stopset_ramp = {0};\n"
+    arrays, numbers = ramp_fields(setting, ramp)
+    lines = [f"static const double ramp_{k}[] = {array(x)};" for k, x in arrays.items()]
+    fields = [f".{k} = ramp_{k}" for k in arrays] + [f".{k} = {array(x)}" for k, x in numbers.items()]
+    return "\n".join(lines) + f"\nconst StopsetRamp stopset_ramp = {{{', '.join(fields)}}};\n"
 
 
 def _nominal(brakes: Brakes | None, n: int) -> dict[str, Array]:

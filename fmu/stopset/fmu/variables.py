@@ -7,7 +7,7 @@ differ only by a constant.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
 from stopset.fmu.laws import EffectParameter, effect_parameters, laws_of, remembered
+from stopset.fmu.stops import controlled, ramp_time_of
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.payload import weighed
 
 Kind = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["independent", "input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable"]
-STOP1_TIME = 0.5  # [s] a common controlled ramp; the controller's own value belongs here
 KINDS: tuple[Kind, ...] = ("Real", "Integer", "Boolean")
 
 
@@ -84,54 +84,86 @@ def viscous_orders(model: Model) -> int:
 Starts = Sequence[float] | NDArray[np.float64] | float | None
 
 
-def _joints(
-    model: Model, stem: str, causality: Causality, unit: str, what: str, start: Starts = None,
-    variability: Variability = "continuous", derivative: str = "", group: str = "",
-) -> list[Variable]:  # fmt: skip
-    """One real variable per joint."""
+def _joints(model: Model, like: Variable, start: Starts = None) -> list[Variable]:
+    """One variable per joint: ``like`` with the joint behind its names and in its description."""
     starts = [None] * model.n if start is None else np.broadcast_to(start, model.n).tolist()
     return [
-        Variable(
-            f"{stem}_{j}", group or stem.upper(), "Real", causality, unit, what.format(j), s, variability,
-            f"{derivative}_{j}" if derivative else "",
+        replace(
+            like, name=f"{like.name}_{j}", group=like.group or like.name.upper(), description=like.description.format(j), start=s,
+            derivative=f"{like.derivative}_{j}" if like.derivative else "",
         )
         for j, s in zip(model.joints, starts, strict=True)
     ]  # fmt: skip
+
+
+def _real(stem: str, causality: Causality, unit: str, what: str, variability: Variability = "continuous") -> Variable:
+    return Variable(stem, "", "Real", causality, unit, what, variability=variability)
 
 
 def _inputs(m: Model) -> list[Variable]:
     torque = "motor torque, link side" if m.effort != "compensated_torque" else "torque after compensation (u)"
     temp = m.domain.temp.centre if m.domain.temp is not None else REFERENCE_TEMPERATURE
     return [
-        *_joints(m, "tau", "input", "N.m", f"{torque}, {{}}", 0.0),
-        *_joints(m, "temp", "input", "degC", "temperature of the drive, {}", temp),
-        *_joints(m, "q_measured", "input", "rad", "measured position, {} (used while `measured`)", 0.0),
-        *_joints(m, "dq_measured", "input", "rad/s", "measured velocity, {} (used while `measured`)", 0.0),
+        *_joints(m, _real("tau", "input", "N.m", f"{torque}, {{}}"), 0.0),
+        *_joints(m, _real("temp", "input", "degC", "temperature of the drive, {}"), temp),
+        *_joints(m, _real("q_measured", "input", "rad", "measured position, {} (used while `measured`)"), 0.0),
+        *_joints(m, _real("dq_measured", "input", "rad/s", "measured velocity, {} (used while `measured`)"), 0.0),
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class StopCategory:
+    """Names of a category's outputs begin with ``stem``, those of the tool with ``tool``; ``what`` kind of stop in words."""
+
+    stem: str
+    tool: str
+    what: str
+
+
+POWER_OFF = StopCategory("stop", "tcp_stop", "a STOP 0")
+CONTROLLED = (
+    StopCategory("stop1_nominal", "tcp_stop1_nominal", "a STOP 1 whose ramp works"),
+    StopCategory("stop1_guaranteed", "tcp_stop1_guaranteed", "a STOP 1 whose ramp may fail"),
+    StopCategory("stop2", "tcp_stop2", "a STOP 2, standstill window included"),
+)
+
+
+def categories(m: Model) -> tuple[StopCategory, ...]:
+    """The kinds of stop that the unit has outputs of."""
+    return (POWER_OFF,) if controlled(m) is None else (POWER_OFF, *CONTROLLED)
+
+
+def _stop_outputs(m: Model, c: StopCategory) -> list[Variable]:
+    """In the order of stops.c."""
+    until = f"to standstill of {c.what} that begins now, {{}}; NaN: no bound"
+    tool = f"of the tool centre point in {c.what} that begins now; NaN: no bound"
+    larger, group = f"the larger of {c.stem}_forward and {c.stem}_back {until}", c.stem.upper()
+    return [
+        *_joints(m, _real(f"{c.stem}_time", "output", "s", f"bound of the time {until}")),
+        *_joints(m, _real(f"{c.stem}_angle", "output", "rad", larger)),
+        *_joints(m, _real(f"{c.stem}_forward", "output", "rad", f"bound of the angle in positive direction {until}")),
+        *_joints(m, _real(f"{c.stem}_back", "output", "rad", f"bound of the angle in negative direction {until}")),
+        Variable(f"{c.tool}_distance", f"{group}_DISTANCE", "Real", "output", "m", f"bound of the displacement {tool}"),
+        Variable(f"{c.tool}_speed", f"{group}_SPEED", "Real", "output", "m/s", f"bound of the speed {tool}"),
+        Variable(
+            f"{c.stem}_age", f"{group}_AGE", "Real", "output", "s", f"how long ago the bounds of {c.what} were computed; NaN: there are none"
+        ),
+    ]  # fmt: skip
 
 
 def _outputs(m: Model) -> list[Variable]:
-    until = "to standstill of a STOP 0 that begins now, {}; NaN: no bound"
-    tool = "of the tool centre point in a STOP 0 that begins now; NaN: no bound"
     out = [
-        *_joints(m, "q", "output", "rad", "position, {}"),
-        *_joints(m, "dq", "output", "rad/s", "velocity, {}", derivative="q"),
-        *_joints(m, "ddq", "local", "rad/s2", "acceleration, {}", derivative="dq"),
-        *_joints(m, "q_lo", "output", "rad", "lower bound of the measured position, {}"),
-        *_joints(m, "q_hi", "output", "rad", "upper bound of the measured position, {}"),
-        *_joints(m, "dq_lo", "output", "rad/s", "lower bound of the measured velocity, {}"),
-        *_joints(m, "dq_hi", "output", "rad/s", "upper bound of the measured velocity, {}"),
-        *_joints(m, "stop_time", "output", "s", f"bound of the time {until}"),
-        *_joints(m, "stop_angle", "output", "rad", f"the larger of stop_forward and stop_back {until}"),
-        *_joints(m, "stop_forward", "output", "rad", f"bound of the angle in positive direction {until}"),
-        *_joints(m, "stop_back", "output", "rad", f"bound of the angle in negative direction {until}"),
-        Variable("tcp_stop_distance", "TCP_STOP_DISTANCE", "Real", "output", "m", f"bound of the displacement {tool}"),
-        Variable("tcp_stop_speed", "TCP_STOP_SPEED", "Real", "output", "m/s", f"bound of the speed {tool}"),
-        Variable(
-            "stop_age", "STOP_AGE", "Real", "output", "s", "how long ago the stop bounds were computed; NaN: there are none"
-        ),
-        Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"),
+        *_joints(m, _real("q", "output", "rad", "position, {}")),
+        *_joints(m, replace(_real("dq", "output", "rad/s", "velocity, {}"), derivative="q")),
+        *_joints(m, replace(_real("ddq", "local", "rad/s2", "acceleration, {}"), derivative="dq")),
+        *_joints(m, _real("q_lo", "output", "rad", "lower bound of the measured position, {}")),
+        *_joints(m, _real("q_hi", "output", "rad", "upper bound of the measured position, {}")),
+        *_joints(m, _real("dq_lo", "output", "rad/s", "lower bound of the measured velocity, {}")),
+        *_joints(m, _real("dq_hi", "output", "rad/s", "upper bound of the measured velocity, {}")),
     ]
+    for c in categories(m):
+        out += _stop_outputs(m, c)
+    out.append(Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"))
     for r in remembered(m):
         out.append(Variable(r.name, "MEMORY", "Real", "local", r.unit, r.means))
     for r in remembered(m):
@@ -139,7 +171,7 @@ def _outputs(m: Model) -> list[Variable]:
         out.append(Variable(f"der_{r.name}", "MEMORY_RATE", "Real", "local", f"{r.unit}/s", rate, derivative=r.name))
     if laws_of(m).direction or brakes_of(m) is not None:
         margin = "positive while the direction of friction holds, {}"
-        out += _joints(m, "friction_margin", "local", "", margin, group="INDICATOR")
+        out += _joints(m, replace(_real("friction_margin", "local", "", margin), group="INDICATOR"))
     return out
 
 
@@ -159,12 +191,18 @@ def _conditions(m: Model) -> list[Variable]:
     ]
     ramp = "length of the controller's STOP 1 ramp, all joints alike; set yours"
     session = "place in the session, 0 cold to 1 warm"
+    failing = []
+    if (braking := controlled(m)) is not None:
+        after = -1.0 if braking.off_after is None else braking.off_after
+        what_then = "SS1-t: power is taken so long after the request whatever happens; negative: never"
+        failing.append(Variable("ss1_off_after", "SS1_OFF_AFTER", "Real", "parameter", "s", what_then, after, "tunable"))
     return [
-        *_joints(m, "q_start", "parameter", "rad", "position at the start, {}", start_posture(m), "fixed"),
-        *_joints(m, "dq_start", "parameter", "rad/s", "velocity at the start, {}", 0.0, "fixed"),
+        *_joints(m, _real("q_start", "parameter", "rad", "position at the start, {}", "fixed"), start_posture(m)),
+        *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, {}", "fixed"), 0.0),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0),
         *com,
-        Variable("stop1_time", "STOP1_TIME", "Real", "parameter", "s", ramp, STOP1_TIME, "fixed"),
+        Variable("stop1_time", "STOP1_TIME", "Real", "parameter", "s", ramp, ramp_time_of(m), "fixed"),
+        *failing,
         Variable("warm", "WARM", "Real", "parameter", "1", session, 0.0, "tunable"),
     ]
 
@@ -176,12 +214,12 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
     for k in range(viscous_orders(m)):
         stem, unit = ("viscous", "N.m.s/rad") if k == 0 else (f"viscous_{k + 1}", f"N.m.s{k + 1}/rad{k + 1}")
         what = "friction per " + ("dq" if k == 0 else f"dq^{k + 1}") + ", {}"
-        out += _joints(m, stem, "parameter", unit, what, a.viscous[:, k], "fixed", group="VISCOUS")
+        out += _joints(m, replace(_real(stem, "parameter", unit, what, "fixed"), group="VISCOUS"), a.viscous[:, k])
     if a.decoupled:
         J = 1.0 / np.diag(a.Minv)
-        out += _joints(m, "inertia", "parameter", "kg.m2", "inertia with rotor, {}", J, "fixed")
+        out += _joints(m, _real("inertia", "parameter", "kg.m2", "inertia with rotor, {}", "fixed"), J)
     offset = a.offset if a.offset.size else 0.0
-    out += _joints(m, "offset", "parameter", "N.m", "constant torque taken off the input, {}", offset, "fixed")
+    out += _joints(m, _real("offset", "parameter", "N.m", "constant torque taken off the input, {}", "fixed"), offset)
     out += [Variable(p.name, "EFFECT", "Real", "parameter", p.unit, p.means, p.value, "fixed") for p in effects]
     for r in remembered(m):
         out.append(
@@ -190,26 +228,31 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
     return out
 
 
-def _switches() -> list[Variable]:
+def _switches(m: Model) -> list[Variable]:
     """Integers and booleans: (name, causality, description, start)."""
     every = "steps from one computation of the stop bounds to the next; 1: of every state that is read, 0: only when asked for"
     integers: tuple[tuple[str, Causality, str, int | None], ...] = (
-        ("stop", "input", "stop request: 0 none, 1 STOP 0, 2 STOP 1", 0),
+        ("stop", "input", "stop request: 0 none, 1 STOP 0, 2 STOP 1, 3 STOP 2", 0),
         ("stop_every", "parameter", every, 1),
         ("verdict", "output", "0 no verdict, 1 conformant, 2 violated (stays until reset)", None),
         ("violated_joint", "output", "number of the joint that violated first, 0 none", None),
     )
+    braking, monitored = controlled(m), "SS1-r: power is taken when the ramp is left"
     booleans: tuple[tuple[str, Causality, str, bool | None], ...] = (
         ("measured", "input", "whether q_measured and dq_measured are connected", False),
         ("evaluate_stop", "input", "compute the stop bounds of exactly this state", False),
         ("conformant", "output", "measured inputs inside the bounds; false also where there is no verdict", None),
         ("covered", "output", "whether the bounds were tested here: domain, horizon, parameters as identified", None),
-        ("stop_certified", "output", "whether the stop bounds are proven for this state", None),
+        *(
+            (f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None)
+            for c in categories(m)
+        ),
+        *((("ss1_monitored", "parameter", monitored, braking.monitored),) if braking is not None else ()),
         ("restart", "parameter", "predict anew from the measured state when the horizon is over", False),
     )
     out = []
     for name, causality, what, start in integers:
-        lo, hi = (0.0, 2.0) if name == "stop" else (0.0, None) if name == "stop_every" else (None, None)
+        lo, hi = (0.0, 3.0) if name == "stop" else (0.0, None) if name == "stop_every" else (None, None)
         changes: Variability = "tunable" if causality == "parameter" else "discrete"
         out.append(Variable(name, name.upper(), "Integer", causality, "", what, start, changes, lo=lo, hi=hi))
     for name, causality, what, flag in booleans:
@@ -223,4 +266,4 @@ def variables(model: Model) -> Variables:
     effects = effect_parameters(model)
     real = [Variable("time", "TIME", "Real", "independent", "s", "time")]
     real += [*_inputs(model), *_outputs(model), *_conditions(model), *_physics(model, effects)]
-    return Variables((*real, *_switches()), effects, viscous_orders(model))
+    return Variables((*real, *_switches(model)), effects, viscous_orders(model))

@@ -230,10 +230,11 @@ def summary(found: Identification) -> str:
     ]
     lines.append(f"{'joint':<22}{'U [N m]':>20}{'X0 q [rad]':>22}{'X0 dq [rad/s]':>20}{'q rmse':>9}{'dq rmse':>9}")
     for k, j in enumerate(m.joints):
-        e = m.errors[j]
+        q, dq = (m.errors[j][key] for key in ("position_rmse", "velocity_rmse"))
+        far = "".join(f"{'-' if x is None else format(x, '.4f'):>9}" for x in (q, dq))
         lines.append(
             f"{j:<22}{f'[{s.U.lo[k]:.3f}, {s.U.hi[k]:.3f}]':>20}{f'[{s.X0.lo[k]:.1e}, {s.X0.hi[k]:.1e}]':>22}"
-            f"{f'[{s.X0.lo[n + k]:.3f}, {s.X0.hi[n + k]:.3f}]':>20}{e['position_rmse']:9.4f}{e['velocity_rmse']:9.4f}"
+            f"{f'[{s.X0.lo[n + k]:.3f}, {s.X0.hi[n + k]:.3f}]':>20}{far}"
         )
     lines += ["", f"sum of U widths {s.U.width.sum():.2f} N m (margin {s.margin:.2f}; without margin:"]
     lines += [f"  {name:<32}{fit.U.width.sum():8.2f} N m" for name, fit in c.table.items()]

@@ -41,7 +41,7 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     s->violated = 0;
     s->stopping = 0;
     s->length = m->dt;
-    memset(&s->certificate, 0, sizeof s->certificate);
+    memset(s->certificate, 0, sizeof s->certificate);
     s->outputs_ready = 0;
     s->i[IX_VERDICT] = VERDICT_NONE;
     s->i[IX_VIOLATED_JOINT] = 0;
@@ -69,7 +69,7 @@ int stopset_restart(StopsetState *s, double ahead) {
 const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
     if (!s->i[IX_STOP] || s->stopping) return 0;
     if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes) return stopset_refusal;
-    if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
+    if (s->i[IX_STOP] >= 2 && stopset_model.ramp_timed && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
     stopset_outputs(s, w);
     stopset_stop_request(s, w);
@@ -80,15 +80,6 @@ const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
     s->h_try = 0.0;
     s->outputs_ready = 0;
     return 0;
-}
-
-/* STOP 1: every joint ramps to rest in the same time, then holds. */
-static void ramp(StopsetState *s, double t) {
-    double T = s->r[VR_STOP1_TIME], x = fmin(fmax(t - s->stop_start, 0.0), T);
-    for (int i = 0; i < NJ; i++) {
-        s->r[VR_Q + i] = s->stop_q[i] + s->stop_dq[i] * (x - 0.5 * x * x / T);
-        s->r[VR_DQ + i] = s->stop_dq[i] * (1.0 - x / T);
-    }
 }
 
 /* The matrices of a step of h. */
@@ -116,6 +107,11 @@ static void look(StopsetState *s, StopsetWork *w, double h) {
     if (s->violated) s->i[IX_VIOLATED_JOINT] = joint;
 }
 
+void stopset_count(StopsetState *s) {
+    for (int k = 0; k < N_STOPS; k++)
+        if (s->certificate[k].steps < INT32_MAX) s->certificate[k].steps++;
+}
+
 const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
@@ -127,9 +123,10 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
     if (wrong) return wrong;
     s->outputs_ready = 0;
     s->length = h;
-    if (s->certificate.steps < INT32_MAX) s->certificate.steps++;
-    if (s->stopping == 2) {
-        ramp(s, s->r[VR_TIME] + h);
+    stopset_count(s);
+    if (s->stopping >= 2) {
+        double rest[NJ];
+        stopset_ramp_motion(s, s->r[VR_TIME] + h - s->stop_start, &s->r[VR_Q], &s->r[VR_DQ], rest);
         return 0;
     }
     if (!stopset_exact(s)) return stopset_integrate(s, w, h);

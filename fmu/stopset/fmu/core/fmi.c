@@ -111,7 +111,8 @@ Level stopset_get_real(Instance *c, const unsigned vr[], size_t n, double value[
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "get", vr[k], "floating-point");
-        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_STOP_AGE) stopset_stop_bounds(&c->now.s, c->work, 0);
+        const int stop = stopset_stop_output(vr[k]);
+        if (stop >= 0) stopset_stop_bounds(&c->now.s, c->work, stop, 0);
         value[k] = c->now.s.r[vr[k]];
     }
     return LEVEL_OK;
@@ -130,7 +131,8 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "get", vr[k], "boolean");
-        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s, c->work, 0);
+        const int stop = stopset_stop_flag(vr[k] - N_REAL - N_INT);
+        if (stop >= 0) stopset_stop_bounds(&c->now.s, c->work, stop, 0);
         value[k] = c->now.s.b[vr[k] - N_REAL - N_INT];
     }
     return LEVEL_OK;
@@ -163,9 +165,9 @@ Level stopset_set_integer(Instance *c, const unsigned vr[], size_t n, const int3
     for (size_t k = 0; k < n; k++) {
         if (vr[k] < N_REAL || vr[k] >= N_REAL + N_INT) return unknown(c, "set", vr[k], "integer");
         if (may_set(c, vr[k])) return LEVEL_ERROR;
-        if (vr[k] - N_REAL == IX_STOP && (value[k] < 0 || value[k] > 2)) {
+        if (vr[k] - N_REAL == IX_STOP && (value[k] < 0 || value[k] > 3)) {
             char what[120];
-            snprintf(what, sizeof what, "stop is %d; expected 0 (none), 1 (STOP 0) or 2 (STOP 1)", (int)value[k]);
+            snprintf(what, sizeof what, "stop is %d; expected 0 (none), 1 (STOP 0), 2 (STOP 1) or 3 (STOP 2)", (int)value[k]);
             return stopset_fail(c, "set", what);
         }
         if (vr[k] - N_REAL == IX_STOP_EVERY && value[k] < 0) {
@@ -241,7 +243,7 @@ Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const
     }
     for (size_t k = 0; k < n; k++) {
         const int kind = unknown[k] < N_REAL ? stopset_model.kind[unknown[k]] : KIND_FIXED;
-        if ((kind != KIND_OUTPUT && kind != KIND_LOCAL) || (unknown[k] >= VR_STOP_TIME && unknown[k] <= VR_STOP_AGE))
+        if ((kind != KIND_OUTPUT && kind != KIND_LOCAL) || stopset_stop_output(unknown[k]) >= 0)
             return stopset_fail(c, "getDirectionalDerivative", "an unknown is no output that has a derivative; stop bounds have none");
         out[k] = 0.0;
     }
@@ -347,7 +349,7 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
 
 int stopset_completed_step(Instance *c) {
     int before = c->now.s.i[IX_VERDICT];
-    if (c->now.s.certificate.steps < INT32_MAX) c->now.s.certificate.steps++;
+    stopset_count(&c->now.s);
     stopset_check(&c->now.s, c->work);
     return c->now.s.i[IX_VERDICT] != before;
 }
@@ -363,7 +365,7 @@ Level stopset_update_discrete(Instance *c, int *states_changed, int *next_define
     s->outputs_ready = 0;
     /* the bounds were tested up to the horizon: the flag `covered` changes there */
     *next = s->tube_start + stopset_model.horizon;
-    if (s->stopping == 2) *next = s->stop_start + s->r[VR_STOP1_TIME]; /* the ramp ends */
-    *next_defined = s->stopping != 1 && *next > s->r[VR_TIME];
+    if (s->stopping >= 2) *next = s->stop_start + stopset_ramp_changes(s, s->r[VR_TIME] - s->stop_start);
+    *next_defined = s->stopping != 1 && *next > s->r[VR_TIME] && stopset_finite(*next);
     return LEVEL_OK;
 }

@@ -340,9 +340,10 @@ void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ]
     const double t = s->r[VR_TIME];
     double y[NY], net[NJ];
     int32_t mode[NJ];
-    if (s->stopping == 2) { /* the ramp is given: no effect acts on it */
+    if (s->stopping >= 2) { /* the ramp is given: no effect acts on it */
+        double q[NJ], dq[NJ];
         for (int k = 0; k < N_MEMORY; k++) rate[k] = 0.0;
-        for (int i = 0; i < NJ; i++) ddq[i] = t - s->stop_start < s->r[VR_STOP1_TIME] ? -s->stop_dq[i] / s->r[VR_STOP1_TIME] : 0.0;
+        stopset_ramp_motion(s, t - s->stop_start, q, dq, ddq);
         return;
     }
     take(s, y);
@@ -382,7 +383,7 @@ int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack) {
 void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]) {
     const double t = s->r[VR_TIME];
     for (int i = 0; i < NJ; i++) z[i] = 1.0;
-    if (!directional(s) || stopset_exact(s) || s->stopping == 2) return;
+    if (!directional(s) || stopset_exact(s) || s->stopping >= 2) return;
     double y[NY], up[NJ], down[NJ], net[NJ], ddq[NJ];
     int32_t trial[NJ];
     take(s, y);

@@ -10,7 +10,7 @@
 static const double LARGEST = 1e6; /* of any reading [SI] */
 
 void stopset_forget(StopsetState *s) {
-    StopsetWatch *c = &s->watch;
+    StopsetPast *c = &s->past;
     for (int k = 0; k < PREDICTIONS; k++) c->age[k] = -1;
     for (int k = 0; k < N_MEMORY; k++) memcpy(c->ends[k], stopset_model.memory[k].whole, sizeof c->ends[k]);
     c->next = c->since = 0;
@@ -37,7 +37,7 @@ static int outside(const StopsetState *s, const double x[NX], const double u[NJ]
 }
 
 /* A prediction from this sample: every STRIDE of them, or at the first one alone where the sets conform from the start only. */
-static void launch(StopsetWatch *c, int foreign) {
+static void launch(StopsetPast *c, int foreign) {
     const int first = !c->known;
     c->since++;
     if (!first && (c->since < STRIDE || !stopset_model.sliding)) return;
@@ -53,7 +53,7 @@ static void launch(StopsetWatch *c, int foreign) {
 int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
     static const double none[NJ] = {0};
     const StopsetModel *m = &stopset_model;
-    StopsetWatch *c = &s->watch;
+    StopsetPast *c = &s->past;
     double x[NX], u[NJ], du[NJ], room[NX];
     int64_t row[2 * NX], nearest[NX], seen[2] = {0, 0}, live = 0;
     int verdict = c->known ? VERDICT_NONE : NOTHING_BEFORE;

@@ -1,4 +1,4 @@
-/* When a stop is bounded, for which states that serves, and what the outputs say. The proof is the core's: core/stops.
+/* When a stop is bounded, for which states that serves, and what the outputs say. The proofs are the core's: core/stops.
  *
  * The stop begins at the measured state where one is connected, else at the unit's own: it then is the arm. Asked for exactly
  * (by `evaluate_stop`, a stop request, or with `stop_every` 1) a bound holds for this state; else, every so many steps, for a box
@@ -31,8 +31,8 @@ static int believed(const StopsetState *s) {
     return 1;
 }
 
-static int inside(const StopsetState *s) {
-    const StopsetCertificate *c = &s->certificate;
+static int inside(const StopsetState *s, int category) {
+    const StopsetCertificate *c = &s->certificate[category];
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
     if (!c->made) return 0;
     for (int i = 0; i < NJ; i++)
@@ -40,9 +40,9 @@ static int inside(const StopsetState *s) {
     return 1;
 }
 
-static int due(const StopsetState *s, int exact) {
-    const StopsetCertificate *c = &s->certificate;
-    if (exact) return !(c->exact && inside(s));
+static int due(const StopsetState *s, int category, int exact) {
+    const StopsetCertificate *c = &s->certificate[category];
+    if (exact) return !(c->exact && inside(s, category));
     return s->i[IX_STOP_EVERY] > 0 && (!c->made || c->steps >= s->i[IX_STOP_EVERY]);
 }
 
@@ -63,62 +63,120 @@ static void box(const StopsetState *s, int exact, StopsetCertificate *c) {
     }
 }
 
-static void certify(StopsetState *s, StopsetWork *w, int exact) {
+#if N_STOPS > 1
+/* The model's ramp, with what the parameters say happens if it fails. */
+static StopsetRamp ramp_of(const StopsetState *s) {
+    StopsetRamp out = stopset_ramp;
+    out.off_after = s->r[VR_SS1_OFF_AFTER];
+    out.monitored = s->b[IX_SS1_MONITORED];
+    return out;
+}
+#endif
+
+static int bounded(const StopsetState *s, StopsetWork *w, int category, const double *q, const double *dq, const double *rq, const double *rdq,
+                   const StopsetBound *out) {
+    if (category == STOP_0) return stopset_power_off(&stopset_stops, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+#if N_STOPS > 1
+    const StopsetRamp ramp = ramp_of(s);
+    if (category == STOP_1_FAILED) return stopset_failed_ramp(&stopset_stops, &ramp, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    return stopset_working_ramp(&stopset_stops, &ramp, category == STOP_2, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+#else
+    (void)s;
+    return 0;
+#endif
+}
+
+/* From a measured state to what the stop starts from: centre, then radius, (NX,) each. */
+static const double *start_of(int category, int radius) {
     const StopsetModel *m = &stopset_model;
-    StopsetCertificate *c = &s->certificate;
+    if (category == STOP_0) return radius ? m->stop_radius : m->stop_centre;
+    return radius ? m->truth_radius : m->truth_centre;
+}
+
+static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
+    StopsetCertificate *c = &s->certificate[category];
     const StopsetBound out = {c->time, c->forward, c->back, c->speed, c->tool};
+    const double *centre = start_of(category, 0), *radius = start_of(category, 1);
     double q[NJ], dq[NJ], rq[NJ], rdq[NJ];
     box(s, exact, c);
-    for (int i = 0; i < NJ; i++) { /* from the measured state to what the stop starts from */
-        q[i] = c->q[i] + m->stop_centre[i];
-        dq[i] = c->dq[i] + m->stop_centre[NJ + i];
-        rq[i] = m->stop_radius[i] + c->q_radius[i];
-        rdq[i] = m->stop_radius[NJ + i] + c->dq_radius[i];
+    for (int i = 0; i < NJ; i++) {
+        q[i] = c->q[i] + centre[i];
+        dq[i] = c->dq[i] + centre[NJ + i];
+        rq[i] = radius[i] + c->q_radius[i];
+        rdq[i] = radius[NJ + i] + c->dq_radius[i];
     }
-    c->proved = (uint8_t)(stopset_power_off(&stopset_stops, q, dq, rq, rdq, w->proof, &out) == STOPSET_OK);
+    c->proved = (uint8_t)bounded(s, w, category, q, dq, rq, rdq, &out);
     c->made = 1;
     c->exact = (uint8_t)exact;
     c->at = s->r[VR_TIME];
     c->steps = 0;
 }
 
-/* The stop outputs, from the certificate where that proves the present state's stop. */
-static void tell(StopsetState *s, int proved) {
-    const StopsetCertificate *c = &s->certificate;
-    for (int i = 0; i < NJ; i++) {
-        s->r[VR_STOP_TIME + i] = proved ? c->time[i] : (double)NAN;
-        s->r[VR_STOP_FORWARD + i] = proved ? c->forward[i] : (double)NAN;
-        s->r[VR_STOP_BACK + i] = proved ? c->back[i] : (double)NAN;
-        s->r[VR_STOP_ANGLE + i] = proved ? fmax(c->forward[i], c->back[i]) : (double)NAN;
-    }
-    s->r[VR_TCP_STOP_DISTANCE] = proved ? c->tool[0] : (double)NAN;
-    s->r[VR_TCP_STOP_SPEED] = proved ? c->tool[1] : (double)NAN;
-    s->r[VR_STOP_AGE] = proved ? s->r[VR_TIME] - c->at : (double)NAN;
-    s->b[IX_STOP_CERTIFIED] = (uint8_t)proved;
+/* Where the outputs of a category begin: per joint time, angle, forward, back, then of the tool distance and speed, then the age. */
+static const unsigned first_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME};
+static const unsigned flag_of[] = {IX_STOP_CERTIFIED, IX_STOP1_NOMINAL_CERTIFIED, IX_STOP1_GUARANTEED_CERTIFIED, IX_STOP2_CERTIFIED};
+
+int stopset_stop_output(unsigned real) {
+    for (int k = 0; k < N_STOPS; k++)
+        if (real >= first_of[k] && real < first_of[k] + 4 * NJ + 3) return k;
+    return -1;
 }
 
-void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int exact) {
+int stopset_stop_flag(unsigned boolean) {
+    for (int k = 0; k < N_STOPS; k++)
+        if (boolean == flag_of[k]) return k;
+    return -1;
+}
+
+/* The outputs of a category, from its certificate where that proves the present state's stop. */
+static void tell(StopsetState *s, int category, int proved) {
+    const StopsetCertificate *c = &s->certificate[category];
+    double *out = &s->r[first_of[category]];
+    for (int i = 0; i < NJ; i++) {
+        out[i] = proved ? c->time[i] : (double)NAN;
+        out[NJ + i] = proved ? fmax(c->forward[i], c->back[i]) : (double)NAN;
+        out[2 * NJ + i] = proved ? c->forward[i] : (double)NAN;
+        out[3 * NJ + i] = proved ? c->back[i] : (double)NAN;
+    }
+    out[4 * NJ] = proved ? c->tool[0] : (double)NAN;
+    out[4 * NJ + 1] = proved ? c->tool[1] : (double)NAN;
+    out[4 * NJ + 2] = proved ? s->r[VR_TIME] - c->at : (double)NAN;
+    s->b[flag_of[category]] = (uint8_t)proved;
+}
+
+/* Which categories speak of the stop that is asked for: 1 STOP 0, 2 STOP 1, working and failing, 3 STOP 2. */
+static int of_request(int category, int request) {
+    return request == 1 ? category == STOP_0 : request == 2 ? category == STOP_1 || category == STOP_1_FAILED : category == STOP_2;
+}
+
+void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact) {
     if (s->stopping) { /* the bounds are those of the request */
-        tell(s, s->b[IX_STOP_CERTIFIED]);
+        tell(s, category, of_request(category, s->stopping) && s->b[flag_of[category]]);
         return;
     }
-    const int speaks = believed(s);
+    /* another ramp than the identified one is another controller */
+    const int speaks = believed(s) && (category == STOP_0 || s->r[VR_STOP1_TIME] == stopset_model.start_real[VR_STOP1_TIME]);
     exact = exact || s->b[IX_EVALUATE_STOP] || s->i[IX_STOP_EVERY] == 1;
-    if (speaks && due(s, exact)) certify(s, w, exact);
-    tell(s, speaks && inside(s) && s->certificate.proved);
+    if (speaks && due(s, category, exact)) certify(s, w, category, exact);
+    tell(s, category, speaks && inside(s, category) && s->certificate[category].proved);
 }
 
 void stopset_stop_request(StopsetState *s, StopsetWork *w) {
     const StopsetModel *m = &stopset_model;
-    const StopsetCertificate *c = &s->certificate;
+    const int request = s->i[IX_STOP], category = request == 1 ? STOP_0 : request == 2 ? STOP_1 : STOP_2;
     const double *q = state_of(s, 0);
-    if (s->i[IX_STOP] == 1)
-        stopset_stop_bounds(s, w, 1);
-    else
-        tell(s, 0); /* nothing is proved of a ramp */
-    const int known = s->b[IX_STOP_CERTIFIED];
+    int known = 0;
+    for (int k = 0; k < N_STOPS; k++) {
+        if (of_request(k, request))
+            stopset_stop_bounds(s, w, k, 1);
+        else
+            tell(s, k, 0);
+        if (k == category) known = s->b[flag_of[k]];
+    }
+    const double *centre = start_of(category, 0), *radius = start_of(category, 1);
+    const StopsetCertificate *c = &s->certificate[known ? category : STOP_0];
     for (int i = 0; i < NJ; i++) { /* where readings can be from now on: the true state, moved, and read again */
-        const double lo = m->stop_centre[i] - m->stop_radius[i] + m->noise_lo[i], hi = m->stop_centre[i] + m->stop_radius[i] + m->noise_hi[i];
+        const double lo = centre[i] - radius[i] + m->noise_lo[i], hi = centre[i] + radius[i] + m->noise_hi[i];
         s->stop_lo[i] = known ? q[i] + lo - c->back[i] : (double)NAN;
         s->stop_hi[i] = known ? q[i] + hi + c->forward[i] : (double)NAN;
         s->stop_lo[NJ + i] = known ? m->noise_lo[NJ + i] - c->speed[i] : (double)NAN;

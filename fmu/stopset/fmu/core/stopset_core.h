@@ -51,8 +51,11 @@ typedef struct {
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10]; /* rigid body, see stopset.robot */
     double gain[NJ], standstill[NJ];               /* recorded per true torque; speed below which a joint counts as still [rad/s] */
     /* stops: where the model speaks of a measured state, what a stop starts from less that state, errors of a reading */
-    double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], noise_lo[NX], noise_hi[NX];
+    double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], truth_centre[NX], truth_radius[NX], noise_lo[NX],
+        noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
+    int ramp_timed;                                /* nominal ramp: of a length, as shares of stop1_time, else of a deceleration */
+    double ramp_value[NJ], ramp_delay[NJ], ramp_pace; /* [1] or [rad/s^2]; [s]; [1/s] */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     double reference_temperature;                  /* [degC] */
     int needs;                                     /* what laws look at of the rigid body */
@@ -72,6 +75,8 @@ extern const StopsetModel stopset_model;
 extern const char stopset_token[];
 extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
 extern const StopsetStops stopset_stops; /* what bounds a stop; empty where none is bounded */
+extern const StopsetRamp stopset_ramp;   /* and a controlled one */
+enum { STOP_0, STOP_1, STOP_1_FAILED, STOP_2 }; /* the first N_STOPS of them have outputs */
 
 /* One step's matrices, and with them those of its responses. */
 enum { STEP_ROOM = 2 * NX * NX + 2 * NX * N_TORQUES, RESPONSE_ROOM = N_TORQUES * 7 * NX + NX * NX };
@@ -103,7 +108,7 @@ typedef struct {
     double e[PREDICTIONS][NX], w[PREDICTIONS][NX], ends[NM][2], x[NX], u[NJ], du[NJ];
     int64_t age[PREDICTIONS], next, since;
     uint8_t foreign[PREDICTIONS], known;
-} StopsetWatch;
+} StopsetPast;
 
 /* A stop bound and the box of states that it holds for; `steps` since it was made. */
 typedef struct {
@@ -122,11 +127,11 @@ typedef struct {
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
     double length;                   /* of the last communication step [s], the model's own before */
     double stop_q[NJ], stop_dq[NJ], stop_lo[NX], stop_hi[NX]; /* of the moment a stop was asked for */
-    StopsetCertificate certificate;
-    StopsetWatch watch;
+    StopsetCertificate certificate[N_STOPS];
+    StopsetPast past;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
     uint8_t as_identified, violated, outputs_ready;
-    uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
+    uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1, 3 STOP 2; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
     uint8_t modes_held;      /* friction directions stay as they are, for derivatives */
 } StopsetState;
@@ -138,6 +143,8 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0);
 const char *stopset_trigger(StopsetState *s, StopsetWork *w);
 /* Advance by h with the inputs held; returns 0 or a sentence. */
 const char *stopset_step(StopsetState *s, StopsetWork *w, double h);
+/* One more step since the certificates were made. */
+void stopset_count(StopsetState *s);
 /* Bounds, flags and accelerations at the present time and state, without the stop bounds. */
 void stopset_outputs(StopsetState *s, StopsetWork *w);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
@@ -166,8 +173,14 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h);
 void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
 /* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
 void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ], double *rate);
-/* stops.c: the stop outputs; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */
-void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int exact);
+/* stops.c: the outputs of a category; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */
+void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact);
 void stopset_stop_request(StopsetState *s, StopsetWork *w);
+/* Whose output a real variable or a boolean is, -1: no stop's. */
+int stopset_stop_output(unsigned real);
+int stopset_stop_flag(unsigned boolean);
+/* ramp.c: the nominal motion `since` [s] the request, its acceleration there, and when that changes next (infinite: never) */
+void stopset_ramp_motion(const StopsetState *s, double since, double q[NJ], double dq[NJ], double ddq[NJ]);
+double stopset_ramp_changes(const StopsetState *s, double since);
 
 #endif

@@ -15,7 +15,43 @@ enum { CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, 
     for (int k = 0; k < rows; k++) z[k] = (expression); \
     break
 
+/* One sample alone: the same steps, without loops. */
+static double play_one(const StopsetProgram *law, const double (*signals)[ROWS]) {
+    double r[STEPS];
+    const int length = law->length < STEPS ? law->length : STEPS;
+    for (int i = 0; i < length; i++) {
+        const int32_t *step = law->steps + 3 * i;
+        if (step[0] <= SIGNAL) {
+            r[i] = step[0] == CONSTANT ? law->numbers[step[1]] : signals[step[1]][0];
+            continue;
+        }
+        const double x = r[step[1]], y = r[step[2]];
+        switch (step[0]) {
+        case ADD: r[i] = x + y; break;
+        case SUB: r[i] = x - y; break;
+        case MUL: r[i] = x * y; break;
+        case DIV: r[i] = x / y; break;
+        case NEG: r[i] = -x; break;
+        case ABSOLUTE: r[i] = x < 0.0 ? -x : x; break;
+        case SIGN: r[i] = x != x ? x : (double)((x > 0.0) - (x < 0.0)); break;
+        case SQUARE: r[i] = x * x; break;
+        case SQRT: r[i] = sqrt(x); break;
+        case SIN: r[i] = stopset_sin(x); break;
+        case COS: r[i] = stopset_cos(x); break;
+        case EXP: r[i] = stopset_exp(x); break;
+        case TANH: r[i] = stopset_tanh(x); break;
+        case MINIMUM: r[i] = x != x || x < y ? x : y; break;
+        default: r[i] = x != x || x > y ? x : y; break;
+        }
+    }
+    return length > 0 ? r[length - 1] : 0.0;
+}
+
 void stopset_play(const StopsetProgram *law, const double (*signals)[ROWS], int rows, double *out) {
+    if (rows == 1) {
+        out[0] = play_one(law, signals);
+        return;
+    }
     double r[STEPS][ROWS];
     const int length = law->length < STEPS ? law->length : STEPS;
     for (int i = 0; i < length; i++) {

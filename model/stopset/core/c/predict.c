@@ -127,10 +127,42 @@ static void one_step(int m, const double *A, double dt, double *step, double *in
     }
 }
 
+enum { STRIPE = 128 };
+
+/* X (m, N) of N columns, rows `stride` apart, times `step` (m, m) from the left, in place; sums run as in `multiply`. */
+STOPSET_WIDE static void advance(int m, const double *step, int64_t N, int64_t stride, double *X) {
+    double moved[M * STRIPE];
+    for (int64_t from = 0; from < N; from += STRIPE) {
+        const int width = (int)(N - from < STRIPE ? N - from : STRIPE);
+        memset(moved, 0, (size_t)(m * STRIPE) * sizeof *moved);
+        for (int i = 0; i < m; i++)
+            for (int l = 0; l < m; l++) {
+                const double factor = step[i * m + l], *x = X + l * stride + from;
+                double *y = moved + i * STRIPE;
+                for (int c = 0; c < width; c++) y[c] += factor * x[c];
+            }
+        for (int i = 0; i < m; i++) memcpy(X + i * stride + from, moved + i * STRIPE, (size_t)width * sizeof *moved);
+    }
+}
+
+/* Adds the responses of one step, (s, n) at its start, its end and over it, to their positive and negative parts. */
+STOPSET_WIDE static void add_signed(int64_t steps, int n, double dt, const double *start, const double *end, const double *whole,
+                                    double *p, double *q) {
+    for (int64_t s = 0; s < steps; s++, start += n, end += n, whole += n)
+        for (int j = 0; j < n; j++) {
+            const double a = start[j], b = end[j], total = whole[j], larger = absolute(a) > absolute(b) ? absolute(a) : absolute(b);
+            const double size = absolute(total), turned = dt * larger > size ? dt * larger : size;
+            const double most = a * b >= 0.0 ? size : turned;
+            p[j] += 0.5 * (most + total);
+            q[j] -= 0.5 * (most - total);
+        }
+}
+
 int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, double *E1, double *plus, double *minus, double *work) {
     if (n < 1 || n > STOPSET_JOINTS) return STOPSET_TOO_MANY_JOINTS;
     const int m = 2 * n, mn = m * n, mm = m * m;
     double A[M * M], B[M * STOPSET_JOINTS], step[M * M], integral[M * M], column[M * STOPSET_JOINTS];
+    const int64_t stride = H * n; /* rows of one state: a step's n torques, step after step */
     double *start = work, *end = work + H * mn, *whole = work + 2 * H * mn;
     memset(A, 0, sizeof A);
     memset(B, 0, sizeof B);
@@ -144,26 +176,17 @@ int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double
         for (int i = 0; i < n * n; i++) B[n * n + i] = 0.5 * (J_u[k * n * n + i] + J_u[(k + 1) * n * n + i]);
         one_step(m, A, dt, step, integral);
         multiply(m, m, m, step, E1 + k * mm, E1 + (k + 1) * mm);
-        for (int64_t s = 0; s < 3 * k; s++) {
-            double *x = (s % 3 == 0 ? start : s % 3 == 1 ? end : whole) + s / 3 * mn;
-            multiply(m, m, n, step, x, column);
-            memcpy(x, column, (size_t)mn * sizeof *x);
-        }
-        multiply(m, m, n, step, B, start + k * mn);
-        memcpy(end + k * mn, B, (size_t)mn * sizeof *end);
-        multiply(m, m, n, integral, B, whole + k * mn);
+        advance(m, step, k * n, stride, start);
+        advance(m, step, k * n, stride, end);
+        advance(m, step, k * n, stride, whole);
+        multiply(m, m, n, step, B, column);
+        for (int i = 0; i < m; i++) memcpy(start + i * stride + k * n, column + i * n, (size_t)n * sizeof *column);
+        for (int i = 0; i < m; i++) memcpy(end + i * stride + k * n, B + i * n, (size_t)n * sizeof *column);
+        multiply(m, m, n, integral, B, column);
+        for (int i = 0; i < m; i++) memcpy(whole + i * stride + k * n, column + i * n, (size_t)n * sizeof *column);
         double *p = plus + (k + 1) * mn, *q = minus + (k + 1) * mn;
-        for (int64_t s = 0; s <= k; s++)
-            for (int i = 0; i < mn; i++) {
-                const double a = start[s * mn + i], b = end[s * mn + i], total = whole[s * mn + i];
-                double size = absolute(total);
-                if (!(a * b >= 0.0)) {
-                    const double larger = dt * (absolute(a) > absolute(b) ? absolute(a) : absolute(b));
-                    size = larger > size ? larger : size;
-                }
-                p[i] += 0.5 * (size + total);
-                q[i] -= 0.5 * (size - total);
-            }
+        for (int i = 0; i < m; i++)
+            add_signed(k + 1, n, dt, start + i * stride, end + i * stride, whole + i * stride, p + i * n, q + i * n);
     }
     return STOPSET_OK;
 }

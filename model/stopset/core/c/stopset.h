@@ -603,12 +603,30 @@ typedef struct {
     double *tool;                          /* (2,) displacement [m], speed [m/s] */
 } StopsetBound;
 
+/* How the drives brake on request, see stopset.reach.stops.ramp; (n,) arrays. */
+typedef struct {
+    int32_t timed;                                                 /* value [s] from the speed to rest, else [rad/s^2] */
+    const double *value_lo, *value_hi, *control_lo, *control_hi;   /* .. and [s] from the request until it begins */
+    const double *q_error, *dq_error, *band, *limit;               /* tracking [rad], [rad/s]; standstill [rad/s]; drives [N m] */
+    double off_after;                                              /* [s] until power is taken whatever happens; negative: never */
+    int32_t monitored;                                             /* power is taken when the ramp is left */
+    double reaction, tolerance, share;                             /* [s]; shares of the speed at the request */
+    double window, pace[2], settle;                                /* [rad]; [1/s]; [s] to rest after its end, negative: not known */
+    const double *residual_lo, *residual_hi;                       /* [rad/s] what drives still give while their power goes */
+} StopsetRamp;
+
 /* Numbers that `work` below has to hold. */
 STOPSET_API int64_t stopset_stop_room(int n);
 /* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, or it may leave the
  * largest region, then `out` holds nothing of use; negative: a code. */
 STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
                                   const double *dq_radius, double *work, const StopsetBound *out);
+/* The same of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */
+STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const double *q, const double *dq,
+                                     const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
+/* Of a ramp that fails in any way: from every state in which power can then be taken. */
+STOPSET_API int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *ramp, const double *q, const double *dq,
+                                    const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
 /* cffi end */
 
 

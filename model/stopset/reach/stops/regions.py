@@ -1,20 +1,22 @@
 """Friction of a model's stops for a few regions of angles and speeds, made once: for who cannot evaluate laws over intervals.
 
-`power_off` is what an FMU computes: the core's stop bound with these regions.  The largest region counts where a stop may leave
+`CompiledStops` is what an FMU computes: the core's stop bounds with these regions.  The largest region counts where a stop may leave
 the others; each is an enclosure of the laws over all of it, so a stop that stays inside while it has not left cannot leave it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.friction import BEYOND
+from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import Plant, plant_struct
+from stopset.reach.stops.types import Category
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -44,8 +46,8 @@ def regions(setting: Setting) -> tuple[FrictionRegion, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class PowerOff:
-    """A STOP 0: ``time`` [s], ``forward``, ``back`` [rad], ``speed`` [rad/s], (n,) each; ``tool``: displacement [m], speed [m/s]."""
+class Stopped:
+    """A stop: ``time`` [s], ``forward``, ``back`` [rad], ``speed`` [rad/s], (n,) each; ``tool``: displacement [m], speed [m/s]."""
 
     time: Array
     forward: Array
@@ -54,30 +56,73 @@ class PowerOff:
     tool: Array
 
 
-def power_off(setting: Setting) -> Callable[..., PowerOff | None]:
-    """``bound(q, dq, q_radius, dq_radius)`` of measured states in a box, (n,) each [rad, rad/s]; None where nothing is proved.
+@dataclass(frozen=True, slots=True)
+class CompiledStops:
+    """The core's bounds of whole stops, by category, of measured states in a box; no domain is looked at.
 
-    No domain is looked at.  Where friction depends on neither pose nor speed it is `StopBounds.bound` with ``fast``.
+    Where friction depends on neither pose nor speed they are those of `StopBounds.bound` with ``fast``.
     """
-    s, n = setting, setting.model.n
-    rows = [[given(getattr(r.plant, k)) for k in FRICTION] + [given(x) for x in (r.q.lo, r.q.hi, r.speed)] for r in regions(s)]
-    table = ffi.new("StopsetRegion[]", [tuple(view(x) for x in row) for row in rows])
-    plant, tool = plant_struct(s.plant), given(s.payload_com)
-    lag = ffi.NULL if s.lag is None else view(given(s.lag))
-    apart = -1.0 if s.apart is None else s.apart
-    struct = ffi.new("StopsetStops *", (plant[0][0], lag, apart, view(tool), len(rows), table))
-    held, work = (plant, rows, table, lag, tool), np.empty(lib.stopset_stop_room(n))
 
-    def bound(q: Array, dq: Array, q_radius: Array | None = None, dq_radius: Array | None = None) -> PowerOff | None:
-        assert held
+    setting: Setting
+    ramp: Ramp | None
+    _struct: Any
+    _ramp: Any
+    _held: Any
+    _work: Array
+
+    @classmethod
+    def of(cls, setting: Setting, ramp: Ramp | None = None) -> CompiledStops:
+        """``ramp``: for categories 1 and 2."""
+        s, n = setting, setting.model.n
+        rows = [
+            [given(getattr(r.plant, k)) for k in FRICTION] + [given(x) for x in (r.q.lo, r.q.hi, r.speed)] for r in regions(s)
+        ]
+        table = ffi.new("StopsetRegion[]", [tuple(view(x) for x in row) for row in rows])
+        plant, tool = plant_struct(s.plant), given(s.payload_com)
+        lag = ffi.NULL if s.lag is None else view(given(s.lag))
+        apart = -1.0 if s.apart is None else s.apart
+        struct = ffi.new("StopsetStops *", (plant[0][0], lag, apart, view(tool), len(rows), table))
+        arrays, numbers = ({}, {}) if ramp is None else ramp_fields(s, ramp)
+        held = {k: given(x) for k, x in arrays.items()}
+        braking = ffi.NULL
+        if ramp is not None:
+            braking = ffi.new("StopsetRamp *", {k: view(x) for k, x in held.items()} | numbers)
+        return cls(s, ramp, struct, braking, (plant, rows, table, lag, tool, held), np.empty(lib.stopset_stop_room(n)))
+
+    def bound(
+        self, q: Array, dq: Array, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
+    ) -> Stopped | None:
+        """The stop from all measured states in ``q +- q_radius, dq +- dq_radius``, (n,) each [rad, rad/s]; None: not provable."""
+        n = self.setting.model.n
+        start = self.setting.start if category == "0" else self.setting.truth
         more_q, more_dq = (np.zeros(n) if r is None else r for r in (q_radius, dq_radius))
-        box = q + s.start.centre[:n], dq + s.start.centre[n:], s.start.radius[:n] + more_q, s.start.radius[n:] + more_dq
+        box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq
         if any(x.shape != (n,) for x in box):
             raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
         out = [np.empty(k) for k in (n, n, n, n, 2)]
-        made = ffi.new("StopsetBound *", tuple(view(x) for x in out))
-        code = lib.stopset_power_off(struct, *(view(x) for x in box), view(work), made)
+        tail = (*(view(x) for x in box), view(self._work), ffi.new("StopsetBound *", tuple(view(x) for x in out)))
+        if category == "0":
+            code = lib.stopset_power_off(self._struct, *tail)
+        elif self.ramp is None:
+            return None
+        elif category == "1 guaranteed":
+            code = lib.stopset_failed_ramp(self._struct, self._ramp, *tail)
+        else:
+            code = lib.stopset_working_ramp(self._struct, self._ramp, int(category == "2"), *tail)
         check(-min(code, 0))
-        return None if code else PowerOff(*out)
+        return None if code else Stopped(*out)
 
-    return bound
+
+def ramp_fields(setting: Setting, ramp: Ramp) -> tuple[dict[str, Array], dict[str, Any]]:
+    """A ramp by the names of the C struct: arrays (n,) and numbers."""
+    arrays = {
+        "value_lo": ramp.value.lo, "value_hi": ramp.value.hi, "control_lo": ramp.control.lo, "control_hi": ramp.control.hi,
+        "q_error": ramp.q_error, "dq_error": ramp.dq_error, "band": ramp.band, "limit": setting.model.robot.torque_limit,
+        "residual_lo": setting.residual.lo, "residual_hi": setting.residual.hi,
+    }  # fmt: skip
+    numbers: dict[str, Any] = {
+        "timed": int(ramp.kind == "time"), "off_after": -1.0 if ramp.off_after is None else ramp.off_after,
+        "monitored": int(ramp.monitored), "reaction": ramp.reaction, "tolerance": ramp.tolerance, "share": ramp.share,
+        "window": ramp.window, "pace": list(ramp.pace), "settle": -1.0 if ramp.settle is None else ramp.settle,
+    }  # fmt: skip
+    return arrays, numbers

@@ -48,6 +48,20 @@ class Progress:
                 self.tell(f"{self._done} of {self._trials} trials", min(1.0, self._done / self._trials))
 
 
+def passing(source: Source, trials: int, passes: int, doing: str, tell: Tell) -> Source:
+    """``source`` of so many trials, which is read about so many times: after each trial it is told how far that is."""
+    done = 0
+
+    def counted() -> Iterator[Recording]:
+        nonlocal done
+        for r in source():
+            yield r
+            done += 1
+            tell(doing, min(1.0, done / (trials * passes)))
+
+    return counted
+
+
 def within(source: Source, trials: Range) -> Source:
     """The trials of ``source`` in a range of places."""
 

@@ -60,7 +60,8 @@ class Figures:
             self._repeats.setdefault(r.suite_key, []).append((r.place, e))
         last = min(len(r.t), round(LONGEST / self._dt) + 1)
         if self._roll is None:
-            x = predict(self._abstraction, self._dt, np.concatenate([r.q[0], r.dq[0]]), u[:last])
+            with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away has no open-loop error
+                x = predict(self._abstraction, self._dt, np.concatenate([r.q[0], r.dq[0]]), u[:last])
             self._open_loop(r.cut(0, last), x)
             return
         self._waiting.append(r.cut(0, last))
@@ -105,10 +106,10 @@ class Figures:
         floor = self._floor()
         return {
             j: {
-                "torque_rmse": None if rms["torque"] is None else float(rms["torque"][k]),
-                "torque_rmse_floor": None if floor is None else float(floor[k]),
-                "velocity_rmse": None if rms["velocity"] is None else float(rms["velocity"][k]),
-                "position_rmse": None if rms["position"] is None else float(rms["position"][k]),
+                "torque_rmse": _finite(rms["torque"], k),
+                "torque_rmse_floor": _finite(floor, k),
+                "velocity_rmse": _finite(rms["velocity"], k),
+                "position_rmse": _finite(rms["position"], k),
             }
             for k, j in enumerate(joints)
         }
@@ -119,8 +120,9 @@ class Figures:
 
     def _open_loop(self, r: Recording, x: Array) -> None:
         n = r.q.shape[1]
-        self._put(r.place, "position", x[:, :n] - r.q)
-        self._put(r.place, "velocity", x[:, n:] - r.dq)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._put(r.place, "position", x[:, :n] - r.q)
+            self._put(r.place, "velocity", x[:, n:] - r.dq)
 
     def _flush(self) -> None:
         if self._waiting and self._roll is not None:
@@ -144,6 +146,10 @@ class Figures:
                 freedom += (len(rows) - 1) * m
                 spread += ((block - block.mean(axis=0)) ** 2).sum(axis=(0, 1))
         return np.asarray(np.sqrt(spread / freedom)) if freedom > 0 else None
+
+
+def _finite(row: Array | None, joint: int) -> float | None:
+    return float(row[joint]) if row is not None and np.isfinite(row[joint]) else None
 
 
 def joint_figures(

@@ -8,6 +8,7 @@ time, held-out motions are judged, and the sets grow until every window that was
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.linear_sets import ConformedSets, Pairs, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.problem import Options, SetProblem
+from stopset.progress import Tell, silent
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.types import Array
@@ -65,21 +67,28 @@ class Algorithm:
         return worst
 
     def _windows(self, trials: Sequence[Trial]) -> list[along.DeviationWindow]:
-        """Windows of these trials; the latest two sets of trials are remembered, for they are asked for again and again."""
+        """Windows of these trials: those of all trials of which these are most, or windows of their own.
+
+        The first set of trials and the latest are remembered, for they are asked for again and again.
+        """
         key = tuple(id(x) for x, _ in trials)
-        if key not in self.remembered:
-            where = along.starts(trials, self.problem.options.windows, along.WINDOWS)
-            if len(self.remembered) >= 2:
-                del self.remembered[next(iter(self.remembered))]
-            self.remembered[key] = list(along.windows_of(trials, self.problem, where))
+        for ids, windows in self.remembered.items():
+            if 2 * len(key) >= len(ids) and set(key) <= set(ids):
+                place = {ids.index(x): k for k, x in enumerate(key)}
+                return [replace(w, trial=place[w.trial]) for w in windows if w.trial in place]
+        where = along.starts(trials, self.problem.options.windows, along.WINDOWS)
+        if len(self.remembered) >= 2:
+            self.remembered.popitem()
+        self.remembered[key] = list(along.windows_of(trials, self.problem, where))
         return self.remembered[key]
 
 
-def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int) -> ConformedSets:
-    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``.
+def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell = silent) -> ConformedSets:
+    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``tell`` is told how long it takes.
 
     The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
     """
+    begun = time.monotonic()
     abstraction, options, dt = problem.abstraction, problem.options, problem.dt
     kept, lengths = _kept(pairs, trials)
     every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
@@ -93,6 +102,8 @@ def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int) -> Conform
     used = [t for m in division.used for t in data[m]]
     other = "position" if options.conform == "all" else "all"
     fit, second = algorithm.fit(used, options.conform), algorithm.fit(used, other)
+    rest = (time.monotonic() - begun) * (g.FOLDS + len(division.held) + 1)  # as many windows each
+    tell(f"sets of {len(division.used)} motions found; margin and check, about {rest:.0f} s to go")
     margin, how, notes = _margin(algorithm, data, division.used, options)
     chosen = options.margin if options.margin is not None else margin
     grown, companion = fit.inflated(chosen), second.inflated(chosen)

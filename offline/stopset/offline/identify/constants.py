@@ -122,7 +122,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("linear program", linear_program, "AGES"),
     ("program", program, "SOLVER_SLACK ROUNDS FIRST MORE STOP_TIME CHARGE"),
     ("monotone sets", monotone_sets, "ROUNDS SETTLED LARGEST"),
-    ("windows of nonlinear sets", nonlinear, "GRID WINDOWS AGES"),
+    ("windows of nonlinear sets", nonlinear, "GRID WINDOWS AGES RUNAWAY NEAREST"),
     ("nonlinear sets", nonlinear_sets, "KEEP MOST_LEFT_OUT TOLERANCE"),
     ("zonotopes", zonotopes, "POSES SAME REACH"),
     ("figures", metrics, "AVERAGING KINDS LONGEST"),

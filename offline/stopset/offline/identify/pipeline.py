@@ -15,7 +15,7 @@ from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.abstraction.swift import swift
 from stopset.offline.campaign.conditions import one_condition
-from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.map_reduce import Progress, passing
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Tally, tallied
@@ -25,7 +25,7 @@ from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
 from stopset.offline.conform.linear_sets import ConformedSets, Pairs
-from stopset.offline.conform.nonlinear import coarser
+from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
@@ -41,6 +41,8 @@ from stopset.robot import Robot
 
 __all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
 
+PASSES = 8  # about, over the recordings: shared motors, friction laws, the nominal model, and again on one half of the motions
+FITTING = "fitting the nominal model"
 Keep = Literal["signals", "sums"] | None
 
 
@@ -75,7 +77,7 @@ def identified(
     for text in told:
         tell(text)
     meta = replace(meta, warnings=(*meta.warnings, *told))
-    tell(f"{found.trials} {found.phase} trials, {found.samples} samples; fitting the nominal model")
+    tell(f"{found.trials} {found.phase} trials, {found.samples} samples")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
@@ -84,11 +86,11 @@ def identified(
         return (r for r in source() if r.suite_key not in held)
 
     run = Run(robot, meta, source, found, chosen)
-    fitting = replace(run, trials=learning, survey=learnt)
+    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, tell), survey=learnt)
     shared = _shared(fitting, known)
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
-    numbers = known_effects(robot, meta, learning, asked, known)
-    nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
+    numbers = known_effects(robot, meta, fitting.trials, asked, known)
+    nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
     nominal = swift(abstracted(fitting, numbers, nominal), learnt, meta.effort)
     nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
@@ -137,9 +139,20 @@ def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None
     problem = set_problem(run, nominal.abstraction)
 
     def sets_of(some: Pairs, margin: float | None) -> ConformedSets:
-        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials)
+        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, tell)
 
-    result = sets_of(pairs, settings.margin)
+    while True:
+        try:
+            result = sets_of(pairs, settings.margin)
+            break
+        except Diverges:
+            if problem.horizon <= NEAREST:
+                raise
+            problem = replace(problem, horizon=max(0.5 * problem.horizon, NEAREST))
+            short = f"predictions run away further ahead: the sets of this model reach {problem.horizon:.3g} s ahead"
+            tell(short)
+    if problem.horizon < run.horizon:
+        nominal = replace(nominal, notes=(*nominal.notes, short))
     by_band = {}
     if bands is not None and found.temp is not None:
         for k in range(bands.number):

@@ -102,7 +102,7 @@ def by_evidence(
     base = baseline(judge.model, recordings)
     had = settled(judge.model)
     kept = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known)
+    answer = estimates(base.robot, recordings, names, had, base.known, judge.tell)
     found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")

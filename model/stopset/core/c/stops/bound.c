@@ -6,7 +6,7 @@
  */
 #include <string.h>
 
-#include "stops.h"
+#include "bound.h"
 
 enum { KNOTS = STOPSET_STOP_KNOTS, ENERGY_KNOTS = STOPSET_STOP_ENERGY_KNOTS, WINDOWS = STOPSET_STOP_WINDOWS };
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
@@ -22,17 +22,8 @@ static double *take(double **room, int64_t count) {
     return out;
 }
 
-typedef struct {
-    const StopsetStops *stops;
-    const double *q, *dq, *q_radius, *dq_radius;
-    double lasts;
-    double *lines, *cut; /* of the slices: work of stopset_slices, boxes and sets */
-    StopsetTube tube;
-    int64_t made;
-} Ask;
-
 /* Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration. */
-static double expected_stop(const StopsetPlant *p, const double *q, const double *speed) {
+double stops_expected(const StopsetPlant *p, const double *q, const double *speed) {
     const int n = p->arm.n;
     double g[SN], engaged = -STOPS_INF, longest = -STOPS_INF;
     stopset_gravity_torques(&p->arm, 1, q, g);
@@ -88,7 +79,7 @@ static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WIND
 }
 
 /* Largest speed of each joint of the tube; whether it stays inside the region. */
-static int inside(const Ask *a, const StopsetRegion *r, double fastest[SN]) {
+static int inside(const StopAsk *a, const StopsetRegion *r, double fastest[SN]) {
     const StopsetTube *t = &a->tube;
     const int n = a->stops->plant.arm.n;
     int held = 1;
@@ -106,9 +97,19 @@ static int inside(const Ask *a, const StopsetRegion *r, double fastest[SN]) {
     return held;
 }
 
-/* One tube from the box with the friction of the first region that it does not leave; whether there is one that comes to rest.
- * A continuous motion that stays inside while it has not left cannot leave. */
-static int march(Ask *a, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]) {
+StopsetPlant stops_in_region(const StopsetPlant *plant, const StopsetRegion *r) {
+    StopsetPlant out = *plant;
+    out.coulomb_lo = r->coulomb_lo;
+    out.coulomb_hi = r->coulomb_hi;
+    out.viscous_lo = r->viscous_lo;
+    out.viscous_hi = r->viscous_hi;
+    out.u_lo = r->u_lo;
+    out.u_hi = r->u_hi;
+    return out;
+}
+
+/* A continuous motion that stays inside a region while it has not left cannot leave. */
+int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]) {
     const StopsetStops *s = a->stops;
     const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, steps = knots * (energetic ? MORE_PATIENCE : PATIENCE);
     double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN];
@@ -120,26 +121,19 @@ static int march(Ask *a, const double *delay_lo, const double *delay_hi, int ene
     }
     for (int k = 0; k < s->regions; k++) {
         const StopsetRegion *r = s->region + k;
-        StopsetPlant plant = s->plant;
+        StopsetPlant plant = stops_in_region(&s->plant, r);
         int fits = 1;
         for (int i = 0; i < n; i++) fits = fits && most(size_of(v_lo[i]), size_of(v_hi[i])) <= r->speed[i];
         if (!fits) continue;
         plant.delay_lo = delay_lo;
         plant.delay_hi = delay_hi;
-        plant.coulomb_lo = r->coulomb_lo;
-        plant.coulomb_hi = r->coulomb_hi;
-        plant.viscous_lo = r->viscous_lo;
-        plant.viscous_hi = r->viscous_hi;
-        plant.u_lo = r->u_lo;
-        plant.u_hi = r->u_hi;
         if (stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / knots, steps, &stops_whole, energetic, &a->tube, &a->made)) return 0;
         if (inside(a, r, fastest)) return 1;
     }
     return 0;
 }
 
-/* The first knot from which joint i's speed bounds are zero [s]. */
-static double stopped_after(const Ask *a, int i) {
+double stops_rests_after(const StopAsk *a, int i) {
     const StopsetTube *t = &a->tube;
     const int n = a->stops->plant.arm.n;
     int64_t last = -1;
@@ -152,7 +146,7 @@ static double stopped_after(const Ask *a, int i) {
 }
 
 /* How far the tool gets from where it was [m], and how fast it is [m/s]. */
-static void tool_motion(const Ask *a, double *far, double *fast) {
+static void tool_motion(const StopAsk *a, const double *q, const double *q_radius, double *far, double *fast) {
     const StopsetArm *arm = &a->stops->plant.arm;
     const StopsetTube *t = &a->tube;
     const int n = arm->n, m = 3 * (n + 1);
@@ -161,54 +155,57 @@ static void tool_motion(const Ask *a, double *far, double *fast) {
     double *way = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *way_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
     const int64_t cut =
         stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, SLICES, border, a->lines, dl, dh, vl, vh);
-    stopset_point_sets(arm, a->q, a->q_radius, cut, dl, dh, vl, vh, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
+    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
     stopset_point_motion(arm, cut, n - 1, a->stops->tool, way, way_ball, pace, pace_ball, far, fast, box);
 }
 
-/* The bound so far widened by the tube just made. */
-static void widen(const Ask *a, const double fastest[SN], const StopsetBound *out) {
+void stops_widen(const StopAsk *a, const double *q, const double *q_radius, const double fastest[SN], const StopsetBound *out) {
     const StopsetTube *t = &a->tube;
     const int n = a->stops->plant.arm.n;
     double far, fast;
     for (int i = 0; i < n; i++) {
-        out->time[i] = most(out->time[i], stopped_after(a, i));
         out->speed[i] = most(out->speed[i], fastest[i]);
         for (int64_t k = 0; k <= a->made; k++) {
             out->forward[i] = most(out->forward[i], t->d_hi[k * n + i]);
             out->back[i] = most(out->back[i], -t->d_lo[k * n + i]);
         }
     }
-    tool_motion(a, &far, &fast);
+    tool_motion(a, q, q_radius, &far, &fast);
     out->tool[0] = most(out->tool[0], far);
     out->tool[1] = most(out->tool[1], fast);
+}
+
+void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
+    const int n = a->stops->plant.arm.n;
+    const int64_t knots = (int64_t)(STEPS + 1) * n, lines = (int64_t)STEPS * n;
+    double *room = work;
+    double **const parts[] = {&a->tube.d_lo, &a->tube.d_hi, &a->tube.v_lo, &a->tube.v_hi};
+    a->tube.t = take(&room, STEPS + 1);
+    for (int k = 0; k < 4; k++) *parts[k] = take(&room, knots);
+    a->tube.e_lo = take(&room, lines);
+    a->tube.e_hi = take(&room, lines);
+    for (int k = 0; k < 4; k++) a->tube.rates[k] = take(&room, lines);
+    a->tube.margin = take(&room, n);
+    a->lines = take(&room, STEPS + 1);
+    a->cut = room;
+    for (int i = 0; i < n; i++) out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;
+    out->tool[0] = out->tool[1] = 0.0;
 }
 
 int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius, const double *dq_radius,
                       double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    const int64_t knots = (int64_t)(STEPS + 1) * n, lines = (int64_t)STEPS * n;
-    double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN], *room = work;
-    Ask a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
-    a.tube.t = take(&room, STEPS + 1);
-    double **const parts[] = {&a.tube.d_lo, &a.tube.d_hi, &a.tube.v_lo, &a.tube.v_hi};
-    for (int k = 0; k < 4; k++) *parts[k] = take(&room, knots);
-    a.tube.e_lo = take(&room, lines);
-    a.tube.e_hi = take(&room, lines);
-    for (int k = 0; k < 4; k++) a.tube.rates[k] = take(&room, lines);
-    a.tube.margin = take(&room, n);
-    a.lines = take(&room, STEPS + 1);
-    a.cut = room;
-    for (int i = 0; i < n; i++) {
-        speed[i] = size_of(dq[i]) + dq_radius[i];
-        out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;
-    }
-    out->tool[0] = out->tool[1] = 0.0;
-    a.lasts = expected_stop(&stops->plant, q, speed);
+    double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
+    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    stops_begin(&a, work, out);
+    for (int i = 0; i < n; i++) speed[i] = size_of(dq[i]) + dq_radius[i];
+    a.lasts = stops_expected(&stops->plant, q, speed);
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
-        if (!march(&a, lo[k], hi[k], 0, fastest) && !march(&a, lo[k], hi[k], 1, fastest)) return 1;
-        widen(&a, fastest, out);
+        if (!stops_march(&a, lo[k], hi[k], 0, fastest) && !stops_march(&a, lo[k], hi[k], 1, fastest)) return 1;
+        for (int i = 0; i < n; i++) out->time[i] = most(out->time[i], stops_rests_after(&a, i));
+        stops_widen(&a, q, q_radius, fastest, out);
     }
     return STOPSET_OK;
 }

@@ -1,0 +1,27 @@
+/* Inside the proofs of whole stops: room for one tube, and what is told of it. */
+#ifndef STOPSET_BOUND_H
+#define STOPSET_BOUND_H
+#include "stops.h"
+
+/* A stop from the box q +- q_radius, dq +- dq_radius, (n,) each, of some `lasts` seconds; `tube` has `made` steps. */
+typedef struct {
+    const StopsetStops *stops;
+    const double *q, *dq, *q_radius, *dq_radius;
+    double lasts;
+    double *lines, *cut; /* of the slices: work of stopset_slices, boxes and sets */
+    StopsetTube tube;
+    int64_t made;
+} StopAsk;
+
+/* Take the tube's memory from `work`; empty the bound. */
+void stops_begin(StopAsk *ask, double *work, const StopsetBound *out);
+double stops_expected(const StopsetPlant *plant, const double *q, const double *speed);
+/* One tube with the friction of the first region that it does not leave, and its largest speeds; whether it comes to rest. */
+int stops_march(StopAsk *ask, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]);
+/* `plant` with the friction of region r. */
+StopsetPlant stops_in_region(const StopsetPlant *plant, const StopsetRegion *r);
+/* The first knot from which joint i's speed bounds are zero [s]. */
+double stops_rests_after(const StopAsk *ask, int i);
+/* The bound widened by the tube, whose displacements count from q +- q_radius: all but the time. */
+void stops_widen(const StopAsk *ask, const double *q, const double *q_radius, const double fastest[SN], const StopsetBound *out);
+#endif

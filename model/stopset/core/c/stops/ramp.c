@@ -1,0 +1,300 @@
+/* STOP 1 and STOP 2 as a loop asks for them: a ramp that works, and one that fails.
+ *
+ * The same as stopset.reach.stops.bounds with `fast`; where friction depends on pose or speed it is that of the first region that
+ * holds the stop. What is assumed of ramps and failures stands in stopset.reach.stops.ramp and .failed.
+ *
+ * Source: IEC 61800-5-2 for SS1-t, SS1-r, SS2; stop notes of the project.
+ */
+#include <string.h>
+
+#include "bound.h"
+
+enum { KNOTS = 60, POINTS = 40, SLICES = 8 }; /* of a ramp; of its torque between two joints' rest; by when a monitored one is left */
+static const double ANGLE_WEIGHT = 3.0; /* [1/s] harm of a wide angle against a wide speed */
+
+static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
+
+/* Displacement and speed of joint i at t from speed v: latest start and gentlest ramp, or the opposite. */
+static void curve(const StopsetRamp *r, int i, double v, double t, int slow, double pace, double *d, double *w) {
+    const double begin = slow ? r->control_hi[i] : r->control_lo[i], gentle = slow == (r->timed != 0) ? r->value_hi[i] : r->value_lo[i];
+    const double lasts = r->timed ? gentle : size_of(v) / gentle;
+    const double s = clip((t - begin) / most(lasts, 1e-12), 0.0, 1.0);
+    const double way = least(t, begin) + lasts * (s - 0.5 * s * s); /* [s] of the programmed motion that were run through */
+    const double share = 1.0 + pace * way;
+    *d = v * (share > 0.0 ? way + 0.5 * pace * way * way : -0.5 / least(pace, -1e-12));
+    *w = v * (1.0 - s) * most(share, 0.0);
+}
+
+/* The ramp from all speeds of the box as a tube of KNOTS steps; returns its largest speeds. */
+static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
+    StopsetTube *tube = &a->tube;
+    const int n = a->stops->plant.arm.n;
+    double end = -STOPS_INF, hasty = most(size_of(r->pace[0]), size_of(r->pace[1]));
+    for (int i = 0; i < n; i++) {
+        const double fast = most(size_of(a->dq[i] - a->dq_radius[i]), size_of(a->dq[i] + a->dq_radius[i]));
+        end = most(end, r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]));
+    }
+    a->made = KNOTS;
+    for (int k = 0; k <= KNOTS; k++) tube->t[k] = k < KNOTS ? k * (end / KNOTS) : end;
+    for (int i = 0; i < n; i++) {
+        const double v[2] = {a->dq[i] - a->dq_radius[i], a->dq[i] + a->dq_radius[i]}, fast = most(size_of(v[0]), size_of(v[1]));
+        const double shortest = r->timed ? r->value_lo[i] : fast / r->value_hi[i];
+        /* between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared */
+        const double bend = fast * hasty * 3.0 / most(shortest, 1e-3) * (tube->t[1] * tube->t[1]) / 8.0;
+        fastest[i] = 0.0;
+        for (int k = 0; k <= KNOTS; k++) {
+            const int at = k * n + i;
+            double d_lo = STOPS_INF, d_hi = -STOPS_INF, w_lo = STOPS_INF, w_hi = -STOPS_INF;
+            for (int corner = 0; corner < 8; corner++) {
+                double d, w;
+                curve(r, i, v[corner / 4], tube->t[k], corner / 2 % 2 == 0, r->pace[corner % 2], &d, &w);
+                d_lo = least(d_lo, d);
+                d_hi = most(d_hi, d);
+                w_lo = least(w_lo, w);
+                w_hi = most(w_hi, w);
+            }
+            /* tracking errors exist from the request on; the first knot is exact */
+            tube->d_lo[at] = k ? d_lo - r->q_error[i] : d_lo;
+            tube->d_hi[at] = k ? d_hi + r->q_error[i] : d_hi;
+            tube->v_lo[at] = w_lo - r->dq_error[i] - bend;
+            tube->v_hi[at] = w_hi + r->dq_error[i] + bend;
+            fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
+        }
+        for (int k = 0; k < KNOTS; k++) {
+            tube->e_lo[k * n + i] = least(tube->v_lo[k * n + i], tube->v_lo[(k + 1) * n + i]);
+            tube->e_hi[k * n + i] = most(tube->v_hi[k * n + i], tube->v_hi[(k + 1) * n + i]);
+        }
+    }
+}
+
+/* Largest torques of links and rotors along the ramp of the joints that still move between `begin` and `end`, and how much they
+ * change from one point to the next, on top of `asked`. */
+static void ask(const StopAsk *a, const double *pi, double pace, const double lasts[SN], double begin, double end,
+                const double extra[SN], double asked[SN]) {
+    const int n = a->stops->plant.arm.n;
+    StopsetArm arm = a->stops->plant.arm;
+    double q[POINTS * SN], v[POINTS * SN], acc[POINTS * SN], tau[POINTS * SN];
+    arm.pi = pi;
+    for (int k = 0; k < POINTS; k++) {
+        const double t = k + 1 < POINTS ? begin + k * ((end - begin) / (POINTS - 1)) : end;
+        for (int i = 0; i < n; i++) {
+            const double u = least(t / lasts[i], 1.0), way = lasts[i] * (u - 0.5 * u * u);
+            const int at = k * n + i, moves = lasts[i] > begin && size_of(a->dq[i]) > 0.0;
+            q[at] = a->q[i] + a->dq[i] * (way + 0.5 * pace * way * way);
+            v[at] = a->dq[i] * (1.0 - u) * (1.0 + pace * way);
+            acc[at] = moves ? a->dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * way) / lasts[i]) : 0.0;
+        }
+    }
+    stopset_torques(&arm, POINTS, q, v, acc, tau);
+    for (int i = 0; i < n; i++) {
+        double largest = 0.0, jump = 0.0;
+        for (int k = 0; k < POINTS; k++) {
+            tau[k * n + i] += a->stops->plant.rotor[i] * acc[k * n + i];
+            largest = most(largest, size_of(tau[k * n + i]));
+            if (k) jump = most(jump, size_of(tau[k * n + i] - tau[(k - 1) * n + i]));
+        }
+        asked[i] = most(asked[i], largest + jump + extra[i]);
+    }
+}
+
+/* Whether the drives have the torque for the ramp, checked densely between the times at which joints come to rest. */
+static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *p) {
+    const int n = p->arm.n;
+    double lasts[SN], border[SN + 1], extra[SN], asked[SN] = {0}, body[2][10 * SN];
+    const double paces[3] = {0.0, r->pace[0], r->pace[1]};
+    int borders = 1;
+    border[0] = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double fast = size_of(a->dq[i]) + a->dq_radius[i];
+        lasts[i] = r->timed ? r->value_lo[i] : most(size_of(a->dq[i]), 1e-9) / r->value_hi[i];
+        extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fast + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
+        if (!(size_of(a->dq[i]) > 0.0)) continue;
+        int k = 0;
+        while (k < borders && border[k] < lasts[i]) k++;
+        if (k < borders && border[k] == lasts[i]) continue;
+        memmove(border + k + 1, border + k, (size_t)(borders - k) * sizeof *border);
+        border[k] = lasts[i];
+        borders++;
+    }
+    for (int k = 0; k < 10 * n; k++) {
+        body[0][k] = p->arm.pi[k] - p->pi_half[k];
+        body[1][k] = p->arm.pi[k] + p->pi_half[k];
+    }
+    for (int k = 0; k + 1 < borders; k++)
+        for (int side = 0; side < 2; side++)
+            for (int c = 0; c < 3; c++) ask(a, body[side], paces[c], lasts, border[k], border[k + 1], extra, asked);
+    for (int i = 0; i < n; i++)
+        if (!(asked[i] <= r->limit[i])) return 0;
+    return 1;
+}
+
+/* Whether brakes and dry friction surely hold the arm anywhere in q +- radius. */
+static int held(const StopsetPlant *p, const double *q, const double *radius) {
+    const int n = p->arm.n;
+    double g[2][SN], body[2][10 * SN];
+    Expansion E;
+    for (int side = 0; side < 2; side++) {
+        StopsetArm arm = p->arm;
+        for (int k = 0; k < 10 * n; k++) body[side][k] = p->arm.pi[k] + (side ? 1.0 : -1.0) * p->pi_half[k];
+        arm.pi = body[side];
+        stopset_gravity_torques(&arm, 1, q, g[side]);
+    }
+    stops_expand(&p->arm, p->pi_half, p->rotor, q, &E);
+    for (int i = 0; i < n; i++) {
+        const double first = least(g[0][i], g[1][i]), last = most(g[0][i], g[1][i]), load = p->curvature.load[i] * (1.0 + 1e-12);
+        double near = 0.0, bent = 0.0;
+        for (int k = 0; k < n; k++) {
+            near += (size_of(E.dg[i * n + k]) + size_of(E.dgp[i * n + k])) * radius[k];
+            for (int l = 0; l < n; l++) bent += p->curvature.g[(i * n + k) * n + l] * radius[k] * radius[l];
+        }
+        const double more = near + 0.5 * bent;
+        /* in a wide box slopes say more than what gravity can ask in any pose */
+        const double low = least(most(first - more, -load), first) - p->u_hi[i], high = most(least(last + more, load), last) - p->u_lo[i];
+        if (!(p->brake_lo[i] + p->coulomb_lo[i] - most(size_of(low), size_of(high)) > 0.0)) return 0;
+    }
+    return 1;
+}
+
+/* The first region that holds what the tube sweeps; 0 if none does. */
+static const StopsetRegion *region_of(const StopAsk *a, const double fastest[SN]) {
+    const int n = a->stops->plant.arm.n;
+    for (int k = 0; k < a->stops->regions; k++) {
+        const StopsetRegion *r = a->stops->region + k;
+        int fits = 1;
+        for (int i = 0; i < n; i++) {
+            fits = fits && fastest[i] <= r->speed[i];
+            for (int64_t j = 0; j <= a->made; j++)
+                fits = fits && a->q[i] - a->q_radius[i] + a->tube.d_lo[j * n + i] >= r->q_lo[i] &&
+                       a->q[i] + a->q_radius[i] + a->tube.d_hi[j * n + i] <= r->q_hi[i];
+        }
+        if (fits) return r;
+    }
+    return 0;
+}
+
+int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int stays, const double *q, const double *dq, const double *q_radius,
+                         const double *dq_radius, double *work, const StopsetBound *out) {
+    const int n = stops->plant.arm.n;
+    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    double fastest[SN], end[SN], half[SN], after = 0.0;
+    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    stops_begin(&a, work, out);
+    ramp_tube(&a, r, fastest);
+    const StopsetRegion *region = region_of(&a, fastest);
+    if (!region) return 1;
+    for (int i = 0; i < n; i++)
+        if (!(r->dq_error[i] <= r->band[i])) after = r->settle;
+    if (!(after >= 0.0)) return 1;
+    for (int i = 0; i < n; i++) {
+        const double fast = most(size_of(dq[i] - dq_radius[i]), size_of(dq[i] + dq_radius[i]));
+        out->time[i] = r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]) + after;
+    }
+    const StopsetPlant plant = stops_in_region(&stops->plant, region);
+    if (!feasible(&a, r, &plant)) return 1;
+    if (stays)
+        for (int64_t k = n; k < (a.made + 1) * n; k++) {
+            a.tube.d_lo[k] -= r->window;
+            a.tube.d_hi[k] += r->window;
+        }
+    else {
+        for (int i = 0; i < n; i++) {
+            const double lo = a.tube.d_lo[a.made * n + i], hi = a.tube.d_hi[a.made * n + i];
+            end[i] = q[i] + 0.5 * (lo + hi);
+            half[i] = q_radius[i] + 0.5 * (hi - lo);
+        }
+        if (!held(&plant, q, q_radius) || !held(&plant, end, half)) return 1;
+    }
+    stops_widen(&a, q, q_radius, fastest, out);
+    return STOPSET_OK;
+}
+
+/* States at power-off: every joint has travelled up to `way` seconds at the speed of the request, and has up to `share` of it. */
+typedef struct {
+    double way, share, time;
+} Cell;
+
+/* All of them; 0 where nothing says when power is taken. */
+static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLICES + 1]) {
+    double lasts = -STOPS_INF, control = -STOPS_INF;
+    if (!r->monitored) {
+        const Cell one = {r->share * r->off_after, r->share, r->off_after};
+        cell[0] = one;
+        return r->off_after >= 0.0;
+    }
+    for (int i = 0; i < n; i++) {
+        lasts = most(lasts, r->timed ? r->value_hi[i] : size_of(dq[i]) / r->value_lo[i]);
+        control = most(control, r->control_hi[i]);
+    }
+    for (int k = 0; k <= SLICES; k++) { /* left in slice k, until whose start the speed was below the line */
+        const double line = least(r->share, 1.0 - (k > 1 ? k - 1 : 0) / (double)SLICES + r->tolerance), s = k / (double)SLICES;
+        const double way = control * least(r->share, 1.0 + r->tolerance) + lasts * (s - 0.5 * s * s + r->tolerance * s);
+        /* without drives that accelerate the speed stays below the line while power is being taken */
+        const double speed = r->share <= 1.0 ? line : r->share;
+        const Cell one = {way + r->reaction * speed, speed, control + lasts * s + r->reaction};
+        cell[k] = one;
+    }
+    return SLICES + 1;
+}
+
+/* The widest cell is tried by joint speeds, as in stopset.reach.stops.failed with the budget of a loop. */
+static int widest(const Cell *cell, int count, int n, const double *dq) {
+    double worst = -STOPS_INF;
+    int found = 0;
+    for (int k = 0; k < count; k++) {
+        double width = 0.0;
+        for (int i = 0; i < n; i++) width = most(width, most(ANGLE_WEIGHT * size_of(dq[i]) * cell[k].way, size_of(dq[i]) * cell[k].share));
+        if (width > worst) {
+            worst = width;
+            found = k;
+        }
+    }
+    return found;
+}
+
+/* One cell's stop, from the box of the request; whether it comes to rest. */
+static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double *q, const double *dq, const double *q_radius,
+                const double *dq_radius, int alone, const StopsetBound *out) {
+    const int n = a->stops->plant.arm.n;
+    double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
+    for (int i = 0; i < n; i++) {
+        const double moved = cell->way * dq[i], v = cell->share * dq[i], off = cell->way * dq_radius[i], unsure = cell->share * dq_radius[i];
+        lo[i] = least(0.0, moved) - off - r->q_error[i];
+        hi[i] = most(0.0, moved) + off + r->q_error[i];
+        const double v_lo = least(0.0, v) - unsure - r->dq_error[i] + r->residual_lo[i];
+        const double v_hi = most(0.0, v) + unsure + r->dq_error[i] + r->residual_hi[i];
+        box[0][i] = q[i] + 0.5 * (lo[i] + hi[i]);
+        box[1][i] = 0.5 * (v_lo + v_hi);
+        box[2][i] = 0.5 * (hi[i] - lo[i]) + q_radius[i];
+        box[3][i] = 0.5 * (v_hi - v_lo);
+        speed[i] = size_of(box[1][i]) + box[3][i];
+    }
+    a->q = box[0];
+    a->dq = box[1];
+    a->q_radius = box[2];
+    a->dq_radius = box[3];
+    a->lasts = stops_expected(&a->stops->plant, a->q, speed);
+    const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
+    if (!(alone && stops_march(a, early, late, 0, fastest)) && !stops_march(a, early, late, 1, fastest)) return 0;
+    for (int i = 0; i < n; i++) {
+        out->time[i] = most(out->time[i], cell->time + stops_rests_after(a, i));
+        for (int64_t k = i; k < (a->made + 1) * n; k += n) { /* since the request */
+            a->tube.d_lo[k] += lo[i];
+            a->tube.d_hi[k] += hi[i];
+        }
+    }
+    stops_widen(a, q, q_radius, fastest, out);
+    return 1;
+}
+
+int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *r, const double *q, const double *dq, const double *q_radius,
+                        const double *dq_radius, double *work, const StopsetBound *out) {
+    const int n = stops->plant.arm.n;
+    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    Cell cell[SLICES + 1];
+    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    const int count = cells_of(r, n, dq, cell), first = widest(cell, count, n, dq);
+    stops_begin(&a, work, out);
+    for (int k = 0; k < count; k++)
+        if (!fall(&a, r, cell + k, q, dq, q_radius, dq_radius, k == first, out)) return 1;
+    return count ? STOPSET_OK : 1;
+}
