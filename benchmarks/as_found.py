@@ -21,9 +21,9 @@ from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 from stopset.simulation import Scenario, prepare
-from stopset.simulation.cell import TICK, Cell, Job, play, reported, temperatures
+from stopset.simulation.cell import TICK, Cell, Measurement, play, reported, temperatures
 from stopset.simulation.motions import fourier, point_to_point
-from stopset.simulation.plant import Plant
+from stopset.simulation.plant import SimulatedPlant
 
 Array = NDArray[np.float64]
 PROGRAM, ONE = (8.0,) * 6, (30.0,)  # [s] of each motion
@@ -41,10 +41,10 @@ class Trouble:
     scatter: float = 0.0
     drift: float = 0.0
     late: float = 0.0
-    change: Callable[[Plant], Plant] = lambda plant: plant
+    change: Callable[[SimulatedPlant], SimulatedPlant] = lambda plant: plant
 
 
-def play_in_the_gear(plant: Plant) -> Plant:
+def play_in_the_gear(plant: SimulatedPlant) -> SimulatedPlant:
     """Three minutes of arc in the second joint's gear, stiff as an industrial arm's."""
     at = np.arange(len(plant.fc)) == 1
     return plant._replace(stiffness=np.where(at, 1e5, plant.stiffness), twist_damping=30.0 * at, gap=3 * ARCMIN * at)
@@ -59,11 +59,11 @@ def recorded(s: Scenario, lengths: tuple[float, ...], rate: float, trouble: Trou
     trials = []
     for k, seconds in enumerate(lengths):
         motion = build(cell.space, seconds, 0.8, TICK, cell.random("production", k))
-        trials.append(_logged(cell, Job("closed_loop", k, 0, motion), rate, trouble))
+        trials.append(_logged(cell, Measurement("closed_loop", k, 0, motion), rate, trouble))
     return Recordings(replace(s.meta, sources=(), rate_hz=rate), tuple(trials))
 
 
-def _logged(cell: Cell, job: Job, rate: float, trouble: Trouble) -> Recording:
+def _logged(cell: Cell, job: Measurement, rate: float, trouble: Trouble) -> Recording:
     every, rng = round(1.0 / (rate * TICK)), cell.random("logger", job.suite)
     log = play(cell, job, temperatures(cell, MIDDAY), cell.random("trial", job.suite))
     t = every * TICK * np.arange(len(log.q[::every]))

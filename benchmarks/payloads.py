@@ -23,7 +23,7 @@ from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import read_recordings, write_recordings
 from stopset.robot import Robot
-from stopset.simulation.campaign import Plan, make
+from stopset.simulation.campaign import Schedule, make
 from stopset.simulation.cell import build_cell, wrong_cad
 from stopset.simulation.hidden import Hidden, healthy
 from stopset.simulation.plant import healthy_plant
@@ -55,7 +55,7 @@ def simulated(robot: Robot, seed: int, folder: Path) -> tuple[str, float, tuple[
         cell = build_cell(arm, healthy(plant), seed + offset)
         if offset:
             cell, _ = inject(cell, [Hidden("payload", None, mass)])
-        trials = (replace(r, tau=gain * r.tau) for r in make(cell, Plan(poses=0), {"closed_loop"}))
+        trials = (replace(r, tau=gain * r.tau) for r in make(cell, Schedule(poses=0), {"closed_loop"}))
         write_recordings(folder / f"{name}.parquet", cell.meta, trials)
         if model is None:
             model = identify(arm, [folder / "free.parquet"]).model

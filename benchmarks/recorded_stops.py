@@ -23,7 +23,7 @@ from stopset.artifact import Model
 from stopset.offline.brakes import divide, judge_stop1
 from stopset.offline.brakes.controlled import KINDS, fit_all, ramp_from
 from stopset.offline.brakes.data_sheet import assumed_brakes
-from stopset.offline.brakes.judge import Verdict, first_outside, stop0_tubes, stop1_tube
+from stopset.offline.brakes.judge import StopVerdict, first_outside, stop0_tubes, stop1_tube
 from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
 from stopset.offline.brakes.stops import rest_noise
 from stopset.offline.description import load_robot
@@ -83,7 +83,7 @@ def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Ro
     if setting is not None and "stop0" in model.sets and held:
         known = [(r, t) for r, t in ((r, stop0_tubes(setting, r)) for r in held) if t is not None]
         left = [(r.label, *x) for r, x in ((r, first_outside(t, r, setting.noise)) for r, t in known) if x is not None]
-        out.append(_row(name, "STOP 0", Verdict(len(held), len(known), tuple(left)), [exceeds(t, r) for r, t in known]))
+        out.append(_row(name, "STOP 0", StopVerdict(len(held), len(known), tuple(left)), [exceeds(t, r) for r, t in known]))
     held = divide([r for r in recordings if r.phase == "stop1"])[1]
     if setting is not None and ramp is not None and held:
         ratios = [exceeds([stop1_tube(ramp, setting.noise, r)], r, rest_of(ramp, setting.noise, r)) for r in held]
@@ -119,7 +119,7 @@ def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: 
         outside = first_outside(tubes, r, setting.noise)
         left += [] if outside is None else [(r.label, *outside)]
         ratios.append(exceeds(tubes, r))
-    return _row(name, "STOP 0", Verdict(tried, known, tuple(left)), ratios)
+    return _row(name, "STOP 0", StopVerdict(tried, known, tuple(left)), ratios)
 
 
 def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box) -> Row:
@@ -132,10 +132,12 @@ def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box) -> Row:
         verdicts.append(judge_stop1(ramp, noise, [r]))
         ratios.append(exceeds([stop1_tube(ramp, noise, r)], r, rest_of(ramp, noise, r)))
     certified, uncovered = sum(v.certified for v in verdicts), tuple(x for v in verdicts for x in v.uncovered)
-    return _row(name, "STOP 1", Verdict(len(mine), certified, tuple(x for v in verdicts for x in v.outside), uncovered), ratios)
+    return _row(
+        name, "STOP 1", StopVerdict(len(mine), certified, tuple(x for v in verdicts for x in v.outside), uncovered), ratios
+    )
 
 
-def _row(name: str, category: str, v: Verdict, ratios: Sequence[tuple[float, float]]) -> Row:
+def _row(name: str, category: str, v: StopVerdict, ratios: Sequence[tuple[float, float]]) -> Row:
     angle, time = np.nanmedian(ratios, axis=0) if ratios else (np.nan, np.nan)
     return Row(name, category, v.stops, v.certified, len(v.outside), len(v.uncovered), float(angle), float(time), v.outside)
 

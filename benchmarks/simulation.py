@@ -15,14 +15,14 @@ from stopset.offline.description import load_robot
 from stopset.robot import Robot
 from stopset.simulation import PLANS, prepare, simulate_stop
 from stopset.simulation.arm import Script, run, start
-from stopset.simulation.plant import Plant, healthy_plant
+from stopset.simulation.plant import SimulatedPlant, healthy_plant
 from stopset.types import Array
 
 STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)
 FINE = 6.25e-6
 
 
-def stops(robot: Robot, plant: Plant, count: int, horizon: float = 0.24) -> None:
+def stops(robot: Robot, plant: SimulatedPlant, count: int, horizon: float = 0.24) -> None:
     rng = np.random.default_rng(1)
     n = robot.n
     cases = [
@@ -56,7 +56,7 @@ def stops(robot: Robot, plant: Plant, count: int, horizon: float = 0.24) -> None
         )
 
 
-def smooth(robot: Robot, plant: Plant) -> None:
+def smooth(robot: Robot, plant: SimulatedPlant) -> None:
     import pinocchio as pin
     from scipy.integrate import solve_ivp
 
@@ -85,7 +85,7 @@ def smooth(robot: Robot, plant: Plant) -> None:
         print(f"   {dt * 1e3:<6.4g} ms  {worst:.1e} rad, rad/s")
 
 
-def long_run(robot: Robot, plant: Plant) -> None:
+def long_run(robot: Robot, plant: SimulatedPlant) -> None:
     n, period, seconds = robot.n, 0.004, 120.0
     t = np.arange(round(seconds / period)) * period
     w = np.array([1.1, 0.9, 1.3, 0.8, 1.2, 1.5, 1.0])[:n]

@@ -11,15 +11,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms_wide import arms
 
+from stop_sampling import sample_stops, tightness
 from stopset.artifact import Model
-from stopset.offline.stops.sampling import sample_stops, tightness
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
 from stopset.reach.stops.tube import OK

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,8 +21,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like
 
+from stop_sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.artifact import Brakes, Model, load_model
 from stopset.cli.main import main as cli
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
@@ -30,7 +35,6 @@ from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import NotCovered
 from stopset.files import write_text
 from stopset.offline.description import load_robot
-from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of

@@ -8,12 +8,17 @@ Each joint's speed varies as it likes until power is taken; then a stop of the n
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like
 
-from stopset.offline.stops.failing import sample_failed_ramps
+from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
 
 PER_STATE = 100

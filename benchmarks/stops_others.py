@@ -12,12 +12,17 @@ Deceleration: middle of brake and dry friction over the joint's own inertia at t
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms_wide import arms
 
-from stopset.offline.stops.sampling import sample_stops
+from stop_sampling import sample_stops
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.tube import OK, Plant
 from stopset.reach.stops.tubes import tubes_of

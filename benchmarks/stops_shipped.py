@@ -13,13 +13,18 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like, shipped
 
+from stop_sampling import ANGLE_ERROR, sample_stops
 from stopset.artifact import Model, load_model
-from stopset.offline.stops.sampling import ANGLE_ERROR, sample_stops
 from stopset.offline.stops.table import Question, stop_table
 from stopset.reach.stops import CATEGORIES, Ramp, StopBounds
 from stopset.reach.stops.tube import OK

@@ -15,10 +15,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like, ur5_like
 
-from stopset.offline.stops.sampling import DT
-from stopset.reach.stops import Certificate, StopBounds
+from stop_certificate import Certificate, certify
+from stop_sampling import DT
+from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop, tube_of
@@ -52,7 +56,7 @@ def cold_ms(bounds: StopBounds, top: float, count: int) -> Array:
     for _ in range(count):
         q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-top, top, 6)
         start = time.process_time_ns()
-        bounds.certify(q, dq, *box)
+        certify(bounds, q, dq, *box)
         spent.append((time.process_time_ns() - start) / 1e6)
     return np.array(spent)
 
@@ -102,14 +106,14 @@ def main() -> None:
     s = bounds.setting
     assert s is not None
     box = np.full(6, 0.01), np.full(6, 0.05)
-    certificate = bounds.certify(q, dq, *box)
+    certificate = certify(bounds, q, dq, *box)
     assert certificate is not None
     lasts = expected_stop(s.plant, q, np.abs(dq))
     r, v = s.noise.radius[:6] + box[0], s.noise.radius[6:] + box[1]
     steps = len(certificate.tube.t) - 1
     online = median_us(lambda: certificate.bound(q, dq), 2000)
     whole = median_us(lambda: bounds.bound(q, dq), 200)
-    certifier = median_us(lambda: bounds.certify(q, dq, *box), 200)
+    certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
     fine = median_us(lambda: march(s.plant, q - r, q + r, dq - v, dq + v, lasts / KNOTS, 6 * KNOTS, ALL_PARTS), 200)
     numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))

@@ -8,13 +8,18 @@ intervals, and the certified bound; then the shape figures that the published ta
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from stop_arms import prbt_like
 
+from stop_sampling import DT
 from stopset.offline.stops.poses import Poses
-from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import Setting
 from stopset.simulation.stop import StoppingArm, simulate_stop

@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 
-from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.linear_sets import BOX
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identify
@@ -21,13 +21,13 @@ from stopset.offline.identify.pipeline import Settings, identify
 FEW = 18  # generators; the volume is a sum over all choices of n among them
 
 
-def tube(fit: Fit) -> float:
+def tube(fit: FittedSets) -> float:
     """Mean width of the tube over the directions [mrad]."""
     assert fit.template is not None
     return 1e3 * fit.cost / len(fit.template.directions)
 
 
-def size(fit: Fit) -> float:
+def size(fit: FittedSets) -> float:
     """Edge of the cube of the same volume [N m]."""
     assert fit.zonotope is not None
     few = fit.zonotope.generators.shape[1] <= FEW

@@ -15,7 +15,7 @@ import pytest
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
-from stopset.offline.conform.gather import Kept
+from stopset.offline.conform.gather import RetainedSums
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.nominal import identify_nominal, solve_nominal
 from stopset.offline.update import staleness
@@ -39,7 +39,7 @@ class Campaign:
     model: Model
     state: Path
 
-    def kept(self, model: Model | None = None) -> Kept:
+    def kept(self, model: Model | None = None) -> RetainedSums:
         return load_state(self.state, model or self.model)
 
     def write(self, name: str, trials: list[Recording]) -> Path:
@@ -50,7 +50,7 @@ def campaign(folder: Path, suites: int, settings: Settings | None = None, **more
     old = save_trials(folder / "old.parquet", recordings(J, v, suites, **more), JOINTS)
     found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, folder / "old.model.json")
-    assert isinstance(found.kept, Kept)
+    assert isinstance(found.kept, RetainedSums)
     save_state(folder / "old.state", found.kept, model)
     return Campaign(folder, old, model, folder / "old.state")
 
@@ -106,7 +106,7 @@ def test_one_by_one_equals_at_once(nine: Campaign) -> None:
     second = nine.write("second.parquet", recordings(J, v, 2, seed=12))
     step = update(nine.model, nine.kept(), [first])
     model = save_model(step.model, nine.folder / "step.model.json")
-    assert isinstance(step.kept, Kept)
+    assert isinstance(step.kept, RetainedSums)
     save_state(nine.folder / "step.state", step.kept, model)
     twice = update(load_model(nine.folder / "step.model.json"), load_state(nine.folder / "step.state", model), [second])
     same(twice, update(nine.model, nine.kept(), [first, second]))
@@ -135,7 +135,7 @@ def test_two_old_motions_that_prove_to_be_one_are_merged(tmp_path: Path) -> None
     found = identify(ROBOT, [path], keep="sums")
     assert len(set(found.survey.motion.values())) == 6
     model = save_model(found.model, tmp_path / "m.json")
-    assert isinstance(found.kept, Kept)
+    assert isinstance(found.kept, RetainedSums)
     save_state(tmp_path / "s.state", found.kept, model)
     c = Campaign(tmp_path, path, model, tmp_path / "s.state")
     bridge = c.write("bridge.parquet", long)
@@ -161,7 +161,7 @@ def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> N
     warming(old, seed=1)
     found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, tmp_path / "m.json")
-    assert isinstance(found.kept, Kept)
+    assert isinstance(found.kept, RetainedSums)
     save_state(tmp_path / "s.state", found.kept, model)
     new = tmp_path / "new.parquet"
     warming(new, seed=2, hottest=60.0)
@@ -192,7 +192,7 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
     moving = recordings(J, v, 3, seed=71)
     old = save_trials(tmp_path / "old.parquet", [*moving, *stops("stop1", 10, 1)], JOINTS, effort="motor_torque")
     found = identify(ROBOT, [old], keep="sums")
-    assert isinstance(found.kept, Kept) and len(found.kept.stops) == 10
+    assert isinstance(found.kept, RetainedSums) and len(found.kept.stops) == 10
     model = save_model(found.model, tmp_path / "m.json")
     save_state(tmp_path / "s.state", found.kept, model)
     kept = load_state(tmp_path / "s.state", model)
@@ -209,7 +209,7 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
         line = [x for x in added.model.notes if x.startswith("STOP 1:")]
         assert len(line) == 1 and line == [x for x in whole.model.notes if x.startswith("STOP 1:")]
         assert line != [x for x in model.notes if x.startswith("STOP 1:")], "it rests on more stops than before"
-        assert isinstance(added.kept, Kept) and len(added.kept.stops) == count
+        assert isinstance(added.kept, RetainedSums) and len(added.kept.stops) == count
         assert f"{count - 10} stops added to 10" in added.model.revisions[-1].note
 
 
@@ -219,7 +219,7 @@ def motor(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     old = save_trials(folder / "old.parquet", recordings(J, v, 6, seconds=2.0, bias=0.0, seed=81), JOINTS, effort="motor_torque")
     found = identify(ROBOT, [old], keep="sums")
     model = save_model(found.model, folder / "m.json")
-    assert isinstance(found.kept, Kept)
+    assert isinstance(found.kept, RetainedSums)
     save_state(folder / "s.state", found.kept, model)
     return Campaign(folder, old, model, folder / "s.state")
 
@@ -234,7 +234,7 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     # of what was kept alone it is the model's own nominal model
     assert np.all(staleness.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
     added = update(motor.model, kept, [new])
-    assert isinstance(added.kept, Kept) and added.kept.nominal.data is not None
+    assert isinstance(added.kept, RetainedSums) and added.kept.nominal.data is not None
     held = added.survey.held_out
     read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.suite_key not in held]
     whole = identify_nominal(ROBOT, read)

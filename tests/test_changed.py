@@ -15,7 +15,7 @@ from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.recording import Recordings
 from stopset.simulation import Scenario, prepare
-from stopset.simulation.plant import Plant
+from stopset.simulation.plant import SimulatedPlant
 from test_hidden_effects import ARM
 
 LATER = 103  # other motions, other noise, other scatter of friction
@@ -30,7 +30,7 @@ class Pair:
     scenario: Scenario
     model: Model
 
-    def weeks_later(self, change: Callable[[Plant], Plant]) -> Diagnosis:
+    def weeks_later(self, change: Callable[[SimulatedPlant], SimulatedPlant]) -> Diagnosis:
         s = self.scenario
         truth = replace(s.cell.truth, plant=change(s.cell.truth.plant))
         found, against = diagnose_model(self.model, recorded(replace(s, cell=replace(s.cell, truth=truth, seed=LATER))))
@@ -61,7 +61,7 @@ def test_more_friction_and_a_dragging_brake_are_changes_with_their_joints_and_si
     more[list(WORN)] = RISE
     drag = DRAG * (np.arange(3) == DRAGGING)
 
-    def worn(plant: Plant) -> Plant:
+    def worn(plant: SimulatedPlant) -> SimulatedPlant:
         return plant._replace(fc=plant.fc * more + drag, fv=plant.fv * (more if wet else 1.0))
 
     found = pair.weeks_later(worn)

@@ -11,10 +11,10 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from stop_certificate import follow
 from stopset.core.library import ffi, integers, lib, maths, view
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import Curvature
-from stopset.reach.stops.fast import follow
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, Plant, march
 from stopset.ring.tape import STEPS, TANH, Tape

@@ -81,7 +81,7 @@ def disturbed(viscous: np.ndarray, number: int = 10, N: int = 300, seed: int = 0
     return out
 
 
-def sets_of(fit: co.Fit, conform: str = "all") -> UncertaintySets:
+def sets_of(fit: co.FittedSets, conform: str = "all") -> UncertaintySets:
     return UncertaintySets(fit.X0, fit.U, fit.V, DT, 1.0, conform)
 
 

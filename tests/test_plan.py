@@ -6,7 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
 from stopset.offline.plan.design import STARTS
 from stopset.offline.plan.excitation import Series, excitations
-from stopset.offline.plan.motion import Path, envelope, heights, violations
+from stopset.offline.plan.motion import PlannedMotion, envelope, heights, violations
 from stopset.offline.plan.ptp import ptp, random_goals
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import Robot
@@ -130,7 +130,7 @@ def test_todays_gaps_are_named() -> None:
     assert now["shoulder.rotor"] < 0.5 * before["shoulder.rotor"]
 
 
-def driven(truth: Truth, path: Path, suite: int, trial: int, seed: int) -> Recording:
+def driven(truth: Truth, path: PlannedMotion, suite: int, trial: int, seed: int) -> Recording:
     """A planned motion as the true arm would have been recorded on it."""
     rng = np.random.default_rng([seed, suite, trial])
     r = truth.robot
@@ -200,7 +200,7 @@ def test_same_seed_same_plan_other_seed_other_plan() -> None:
     assert not np.array_equal(a.poses, c.poses)
 
 
-def test_command_writes_everything(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     rec = tmp_path / "rec.parquet"
@@ -247,7 +247,7 @@ def test_command_writes_everything(tmp_path: FilePath, capsys: pytest.CaptureFix
     assert "not checked" in capsys.readouterr().out  # collisions
 
 
-def test_bad_wishes_are_one_sentence(tmp_path: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_wishes_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(arm().urdf)
     assert main(["plan", "--robot", str(urdf), "--out", str(tmp_path / "p"), "--speed", "3"]) == 2
@@ -259,13 +259,13 @@ def test_bad_wishes_are_one_sentence(tmp_path: FilePath, capsys: pytest.CaptureF
         design(arm(), replace(WISHES, motions=0))
 
 
-def test_write_needs_a_folder(plan: Plan, tmp_path: FilePath) -> None:
+def test_write_needs_a_folder(plan: Plan, tmp_path: Path) -> None:
     files = write_plan(plan, tmp_path)
     assert all(f.stat().st_size > 0 for f in files)
     assert "| open_loop | 24 | 5 |" in (tmp_path / "plan.md").read_text()
 
 
-def test_a_refused_plan_leaves_nothing_behind(tmp_path: FilePath) -> None:
+def test_a_refused_plan_leaves_nothing_behind(tmp_path: Path) -> None:
     from stopset.cli.main import main
 
     bad = tmp_path / "bad.parquet"

@@ -12,8 +12,8 @@ from stopset.core import build
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 from stopset.simulation import StoppingArm, simulate_stop
 from stopset.simulation import plant as plant_module
-from stopset.simulation.arm import Script, State, run, start
-from stopset.simulation.plant import Plant, healthy_plant
+from stopset.simulation.arm import ArmState, Script, run, start
+from stopset.simulation.plant import SimulatedPlant, healthy_plant
 from stopset.types import Array
 from test_simulation_stop import ARM
 
@@ -22,7 +22,7 @@ PERIOD = 0.004
 WARM = np.full(N, 45.0)
 
 
-def plant(**changes: float | Array) -> Plant:
+def plant(**changes: float | Array) -> SimulatedPlant:
     """The healthy arm with some joint arrays changed."""
     p = healthy_plant(ARM, np.random.default_rng(0))
     return p._replace(**{k: np.broadcast_to(np.asarray(v, float), (N,)).copy() for k, v in changes.items()})
@@ -38,7 +38,7 @@ def script(ticks: int, speed: float = 1.0, kp: float = 300.0, kd: float = 60.0) 
     return Script(PERIOD, zero, q, dq, np.full(N, kp), np.full(N, kd), ticks, ticks, zero, zero, 0.0, zero)
 
 
-def play(p: Plant, s: Script, steps: int = 8, x: State | None = None) -> tuple[Array, ...]:
+def play(p: SimulatedPlant, s: Script, steps: int = 8, x: ArmState | None = None) -> tuple[Array, ...]:
     state = start(p, s.q[0], s.dq[0], WARM) if x is None else x
     return run(p, s, state, np.zeros(N), 30.0, 0.0, steps)
 
@@ -119,7 +119,7 @@ def test_elastic_gears_agree_with_an_independent_integrator() -> None:
     assert np.abs(better[4][-1] - want[:N]).max() < np.abs(got[4][-1] - want[:N]).max() / 3
 
 
-def _fresh(p: Plant, q0: Array) -> State:
+def _fresh(p: SimulatedPlant, q0: Array) -> ArmState:
     state = start(p, q0, np.zeros(N), WARM)
     state.x[:N] = q0
     return state
@@ -145,12 +145,12 @@ def test_the_table_the_loops_see_is_the_plant() -> None:
     text = (Path(build.__file__).parent / "c" / "simulation" / "arm.c").read_text()
     columns = re.search(r"enum \{\s*(ROTOR,.*?)\};", text, re.DOTALL)
     assert columns is not None
-    assert [x.strip().lower() for x in columns.group(1).split(",")] == [*Plant._fields[2:], "columns"]
-    assert len(Plant._fields) - 2 == plant_module.COLUMNS
-    assert plant_module.table(plant(tooth=0.25))[:, Plant._fields[2:].index("tooth")] == pytest.approx(0.25)
+    assert [x.strip().lower() for x in columns.group(1).split(",")] == [*SimulatedPlant._fields[2:], "columns"]
+    assert len(SimulatedPlant._fields) - 2 == plant_module.COLUMNS
+    assert plant_module.table(plant(tooth=0.25))[:, SimulatedPlant._fields[2:].index("tooth")] == pytest.approx(0.25)
 
 
-def creeping(p: Plant) -> tuple[Array, Array]:
+def creeping(p: SimulatedPlant) -> tuple[Array, Array]:
     """Mean motor torque [N m] and pose [rad], (N,) each, of slow steady runs there and back: friction cancels."""
     ticks, torques, poses = 400, [], []
     pose = np.array([0.3, -0.5, 0.4, 0.2, 0.6, -0.3])
@@ -188,7 +188,7 @@ def test_friction_in_steady_sliding_is_what_the_laws_say() -> None:
     start_at = np.full(N, -0.4)
     t = np.arange(ticks)[:, None] * PERIOD
 
-    def friction(p: Plant, temp: float = 30.0) -> Array:
+    def friction(p: SimulatedPlant, temp: float = 30.0) -> Array:
         s = script(ticks, kp=3000.0, kd=100.0)._replace(q=start_at + rate * t, dq=np.full((ticks, N), rate))
         state = start(p, s.q[0], s.dq[0], np.full(N, temp))
         log = run(p, s, state, np.zeros(N), temp, 0.0, 8)

@@ -14,7 +14,7 @@ from stopset.offline.description import load_robot, robot_from_text
 from stopset.recording import read_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque
-from stopset.simulation import Plan, kinds, prepare
+from stopset.simulation import Schedule, kinds, prepare
 from stopset.simulation.campaign import make
 from stopset.simulation.cell import EVERY, TICK, Cell, build_cell, wrong_cad
 from stopset.simulation.hidden import Hidden, healthy, parse_hidden
@@ -31,7 +31,7 @@ URDF = """<robot name="two"><link name="base"/>
 <limit lower="-2.5" upper="2.5" effort="40" velocity="1.2"/></joint>
 <link name="fore"><inertial><origin xyz="0.02 0 0.15"/><mass value="2"/>
 <inertia ixx="0.02" iyy="0.02" izz="0.003" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
-SMALL = Plan(poses=4, closed_loop=1, closed_loop_time=3.0, suites=2, repeats=2, stops=(2, 1))
+SMALL = Schedule(poses=4, closed_loop=1, closed_loop_time=3.0, suites=2, repeats=2, stops=(2, 1))
 
 
 def two_joints(seed: int = 1) -> Robot:
@@ -138,7 +138,7 @@ def test_easy_is_larger_than_hard(sound: Cell) -> None:
 
 def test_instruments_report_what_they_should(sound: Cell) -> None:
     """Payload, gain, delay, tilt, encoder: what the recordings show of them, by hand."""
-    static = Plan(poses=6, closed_loop=1, closed_loop_time=1.0, suites=1, repeats=1, stops=(1, 1))
+    static = Schedule(poses=6, closed_loop=1, closed_loop_time=1.0, suites=1, repeats=1, stops=(1, 1))
 
     def mean_static(c: Cell) -> tuple[np.ndarray, np.ndarray]:
         trials = [r for r in make(c, static) if r.phase == "static"]

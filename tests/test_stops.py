@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_certificate import certify
+from stop_sampling import sample_stops, tightness, tube_at
 from stopset.artifact import Brakes
 from stopset.effects import Fitted
 from stopset.errors import NotCovered
-from stopset.offline.stops.sampling import sample_stops, tightness, tube_at
 from stopset.reach.stops import Ramp, StopBounds, stop
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
@@ -331,7 +332,7 @@ def test_ramp_survives_the_model_file() -> None:
 def test_fast_bound_holds_inside_its_box_and_refuses_outside() -> None:
     model, rng = prbt_like(), np.random.default_rng(17)
     bounds = StopBounds.of(model, (0.0, 0.25))
-    certificate = bounds.certify(Q, DQ, np.full(6, 0.01), np.full(6, 0.05))
+    certificate = certify(bounds, Q, DQ, np.full(6, 0.01), np.full(6, 0.05))
     assert certificate is not None
     s = bounds.setting
     assert s is not None

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_sampling import sample_stops, tightness
 from stopset.core.library import lib, view
-from stopset.offline.stops.sampling import sample_stops, tightness
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from stopset.offline.stops.failing import sample_failed_ramps
+from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.failed import Cell, Cover, cover, failed_cells
 from stopset.reach.stops.tube import OK

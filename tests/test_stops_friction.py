@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.artifact import Brakes, Model
 from stopset.effects.base import Fitted
 from stopset.effects.bound import SIGMAS
-from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, torques_of
 from stopset.reach.stops.setting import Setting

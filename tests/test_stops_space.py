@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_sampling import DT, draw, inverse_inertia, start_of
 from stopset.errors import NotCovered
-from stopset.offline.stops.sampling import DT, draw, inverse_inertia, start_of
 from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.cartesian import Slices, point_motion
 from stopset.robot.rigid import link_frames

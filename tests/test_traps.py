@@ -25,7 +25,7 @@ from stopset.offline.campaign.survey import on_grid
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
-from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.linear_program import FittedSets, fit_sets
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.pipeline import Settings, identify
@@ -60,7 +60,7 @@ def envelope(a: Abstraction, trials: list[Recording], windows: str = "start", dt
     return env
 
 
-def leaves(fit: Fit, R: Responses, env: Envelope) -> float:
+def leaves(fit: FittedSets, R: Responses, env: Envelope) -> float:
     """How far the envelope is outside the tube of the fit, worst over ages and promised states."""
     lo, hi = R.hull(fit.X0.lo, fit.X0.hi, fit.U.lo, fit.U.hi)
     rows, states = slice(1, env.steps + 1), slice(0, lo.shape[1] if fit.conform == "all" else lo.shape[1] // 2)
@@ -154,7 +154,7 @@ def test_p2_noise_without_a_set_of_its_own_becomes_torque_and_is_integrated() ->
     naive = fit_sets(env, R, problem(SINGLE, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), DT, env.steps), capped=False)
     assert leaves(ours, R, env) <= 0.0
 
-    def width(fit: Fit) -> float:
+    def width(fit: FittedSets) -> float:
         lo, hi = R.hull(fit.X0.lo, fit.X0.hi, fit.U.lo, fit.U.hi)
         return float((hi - lo + fit.V.width)[-1, 0])
 
@@ -459,7 +459,7 @@ def test_p16_each_bound_names_the_trial_that_fixes_it_and_moves_without_it() -> 
     trials[2] = dataclasses.replace(trials[2], q=q[:, None], dq=dq[:, None])
     noise = ReadingError.exact(Box.symmetric([1e-5, 1e-4]))
 
-    def fitted(chosen: list[Recording]) -> Fit:
+    def fitted(chosen: list[Recording]) -> FittedSets:
         env = envelope(SINGLE, chosen)
         return fit_sets(env, responses(SINGLE, DT, env.steps), problem(SINGLE, noise, DT, env.steps))
 

@@ -16,7 +16,7 @@ from stopset.artifact import Abstraction, UncertaintySets, load_model, save_mode
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
-from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.linear_program import FittedSets, fit_sets
 from stopset.offline.conform.linear_sets import BOX, enclosing
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
@@ -124,7 +124,7 @@ def seen(data: list[Trial], model: Abstraction, l: np.ndarray, steps: int = 60) 
     return envelope
 
 
-def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
+def fits(data: list[Trial], model: Abstraction) -> dict[str, FittedSets]:
     l = np.vstack([np.eye(2), ACROSS])  # noqa: E741
     envelope = seen(data, model, l)
     shapes = {"box": np.eye(2), "zonotope": generators(torque_deviations(data, model, DT), model)}
@@ -137,7 +137,7 @@ def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
     return out
 
 
-def of(fit: Fit) -> Zonotope:
+def of(fit: FittedSets) -> Zonotope:
     assert fit.zonotope is not None
     return fit.zonotope.set
 
@@ -157,7 +157,7 @@ def test_a_zonotope_is_never_worse_than_a_box() -> None:
         assert got["zonotope"].cost <= got["box"].cost * (1 + 1e-6)
 
 
-def sets_of(fit: Fit) -> UncertaintySets:
+def sets_of(fit: FittedSets) -> UncertaintySets:
     return UncertaintySets(fit.X0, fit.U, fit.V, DT, 60 * DT, zonotope=fit.zonotope)
 
 

@@ -20,7 +20,7 @@ from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
-    from stopset.offline.conform.linear_program import Fit
+    from stopset.offline.conform.linear_program import FittedSets
     from stopset.offline.identify.pipeline import Identification
     from stopset.progress import Tell
 
@@ -254,7 +254,7 @@ def summary(found: Identification) -> str:
     return "\n".join(lines)
 
 
-def _beside_box(zonotope: Fit, box: Fit) -> str:
+def _beside_box(zonotope: FittedSets, box: FittedSets) -> str:
     """How much a zonotope gains on the data at hand."""
     assert zonotope.template is not None
     share, mean = zonotope.cost / box.cost - 1.0, 1e3 / len(zonotope.template.directions)

@@ -3,9 +3,9 @@
 `simulate_stop` is the compiled stop that bounds are tested on; `prepare` gives a measuring campaign with effects hidden.
 """
 
-from stopset.simulation.campaign import PLANS, Plan
+from stopset.simulation.campaign import PLANS, Schedule
 from stopset.simulation.hidden import kinds
 from stopset.simulation.scenario import Scenario, prepare
 from stopset.simulation.stop import StoppingArm, simulate_stop
 
-__all__ = ["PLANS", "Plan", "Scenario", "StoppingArm", "kinds", "prepare", "simulate_stop"]
+__all__ = ["PLANS", "Scenario", "Schedule", "StoppingArm", "kinds", "prepare", "simulate_stop"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, integers, lib, view
 from stopset.robot.rigid import arm_struct, gravity_torque
-from stopset.simulation.plant import COLUMNS, ELEMENTS, Plant, table
+from stopset.simulation.plant import COLUMNS, ELEMENTS, SimulatedPlant, table
 from stopset.types import Array
 
 
@@ -38,7 +38,7 @@ class Script(NamedTuple):
     walk: Array  # [N m] wander of dry friction
 
 
-class State(NamedTuple):
+class ArmState(NamedTuple):
     """Where the arm is; ``N`` = n + number of elastic joints."""
 
     x: Array  # (N,) [rad]
@@ -50,14 +50,14 @@ class State(NamedTuple):
     film: Array  # (n,) how much the drives' own losses have warmed their oil, as friction sees it
 
 
-def motor_coordinates(plant: Plant) -> NDArray[np.int64]:
+def motor_coordinates(plant: SimulatedPlant) -> NDArray[np.int64]:
     """(n,) the coordinate each joint's motor, friction and encoder belong to."""
     n = len(plant.fc)
     elastic = plant.stiffness > 0.0
     return np.where(elastic, n - 1 + np.cumsum(elastic), np.arange(n))
 
 
-def start(plant: Plant, q: Array, dq: Array, temp: Array) -> State:
+def start(plant: SimulatedPlant, q: Array, dq: Array, temp: Array) -> ArmState:
     """The arm with its *motors* at ``q, dq``; elastic gears carry the gravity torque already."""
     motor = motor_coordinates(plant)
     N = int(max(len(q), motor.max() + 1))
@@ -66,11 +66,11 @@ def start(plant: Plant, q: Array, dq: Array, temp: Array) -> State:
     stiff = np.where(plant.stiffness > 0.0, plant.stiffness, np.inf)
     x[: len(q)], v[: len(q)] = q - g / stiff, dq
     x[motor], v[motor] = q, dq
-    return State(x, v, np.zeros(N), np.zeros((len(q), ELEMENTS)), np.abs(g), temp.copy(), np.zeros(len(q)))
+    return ArmState(x, v, np.zeros(N), np.zeros((len(q), ELEMENTS)), np.abs(g), temp.copy(), np.zeros(len(q)))
 
 
 def run(
-    plant: Plant, script: Script, s: State, heating: Array, ambient: float, cooling: float, steps_per_tick: int
+    plant: SimulatedPlant, script: Script, s: ArmState, heating: Array, ambient: float, cooling: float, steps_per_tick: int
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Play ``script`` on the arm from state ``s`` (which moves along); everything is logged at the start of each tick.
 

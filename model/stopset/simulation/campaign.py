@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.recording import Recording
-from stopset.simulation.cell import EVERY, HOLD, RAMP, RUN_UP, STATIC_WORK, TICK, Cell, Job, play, record, temperatures
+from stopset.simulation.cell import EVERY, HOLD, RAMP, RUN_UP, STATIC_WORK, TICK, Cell, Measurement, play, record, temperatures
 from stopset.simulation.motions import creep, fourier, from_rest, point_to_point, pose, ramp_down, run_up
 from stopset.types import Array
 
@@ -28,7 +28,7 @@ STRAYED = 0.8  # [rad] from the reference: an open-loop trial ends there
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class Schedule:
     """How much is measured."""
 
     poses: int = 150
@@ -39,17 +39,17 @@ class Plan:
     stops: tuple[int, int] = (20, 5)  # regular, varied; of each category
 
 
-SHORT = Plan(poses=60, closed_loop=2, suites=4, stops=(8, 2))
+SHORT = Schedule(poses=60, closed_loop=2, suites=4, stops=(8, 2))
 PLANS = {
     "short": SHORT,
-    "compact": Plan(),
+    "compact": Schedule(),
     # many motions, hardly repeated: guarantees count motions, and 22 held-out ones can promise less than 20 % with one outside
-    "motions": Plan(poses=60, closed_loop=2, suites=88, repeats=2, stops=(16, 4)),
-    "full": Plan(closed_loop=4, closed_loop_time=7.5, suites=20, repeats=8, stops=(40, 10)),
+    "motions": Schedule(poses=60, closed_loop=2, suites=88, repeats=2, stops=(16, 4)),
+    "full": Schedule(closed_loop=4, closed_loop_time=7.5, suites=20, repeats=8, stops=(40, 10)),
 }
 
 
-def closed_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
+def closed_loop_jobs(cell: Cell, plan: Schedule) -> list[Measurement]:
     """Suites 0 to 3: slow point to point, slow Fourier, fast point to point, fast Fourier."""
     space = cell.space
     out = []
@@ -58,7 +58,7 @@ def closed_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
         rng = cell.random("closed_loop", trial)
         build = point_to_point if suite % 2 == 0 else fourier
         out.append(
-            Job(
+            Measurement(
                 "closed_loop",
                 suite,
                 trial,
@@ -68,30 +68,30 @@ def closed_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
     return out
 
 
-def static_jobs(cell: Cell, plan: Plan) -> list[Job]:
+def static_jobs(cell: Cell, plan: Schedule) -> list[Measurement]:
     """Two recordings per pose: reached from below and from above in every joint, sides drawn per joint."""
     space, out = cell.space, []
     for k in range(plan.poses):
         rng = cell.random("static", k)
         target, way = pose(space, rng), rng.choice([-1.0, 1.0], cell.cad.n)
-        out += [Job("static", k, side, creep(target, way * (1 - 2 * side), TICK)) for side in (0, 1)]
+        out += [Measurement("static", k, side, creep(target, way * (1 - 2 * side), TICK)) for side in (0, 1)]
     return out
 
 
-def open_loop_jobs(cell: Cell, plan: Plan) -> list[Job]:
+def open_loop_jobs(cell: Cell, plan: Schedule) -> list[Measurement]:
     """Each suite replays the torques that its motion took once, in the middle of the campaign."""
     space, out = cell.space, []
     for suite in range(plan.suites):
         rng = cell.random("open_loop", suite)
         build = fourier if suite % 2 else point_to_point
         motion = from_rest(build(space, float(rng.uniform(2.1, 2.7)), 0.9, TICK, rng), TICK)
-        master = Job("open_loop", suite, -1, motion, 0.5)
+        master = Measurement("open_loop", suite, -1, motion, 0.5)
         torque = play(cell, master, temperatures(cell, 0.5), rng).tau
-        out += [Job("open_loop", suite, trial, motion, feedforward=torque) for trial in range(plan.repeats)]
+        out += [Measurement("open_loop", suite, trial, motion, feedforward=torque) for trial in range(plan.repeats)]
     return out
 
 
-def stop_jobs(cell: Cell, plan: Plan, phase: str) -> list[Job]:
+def stop_jobs(cell: Cell, plan: Schedule, phase: str) -> list[Measurement]:
     """Straight runs and a stop request after 0.1 s."""
     space, out = cell.space, []
     for suite, count in enumerate(plan.stops):
@@ -101,13 +101,13 @@ def stop_jobs(cell: Cell, plan: Plan, phase: str) -> list[Job]:
             if phase == "stop1":  # the controller reacts a little after the request
                 ramp = RAMP * (rng.uniform(0.8, 1.3) if suite else 1.0)
                 motion = ramp_down(motion, round((RUN_UP + REACTION) / TICK), ramp, HOLD, TICK)
-            out.append(Job(phase, suite, trial, motion))
+            out.append(Measurement(phase, suite, trial, motion))
     return out
 
 
-def schedule(cell: Cell, plan: Plan) -> list[Job]:
+def schedule(cell: Cell, plan: Schedule) -> list[Measurement]:
     """All recordings in the order they are made: rounds from cold to warm, varied stops before and after them."""
-    rounds: list[list[Job]] = [[] for _ in range(ROUNDS + 2)]
+    rounds: list[list[Measurement]] = [[] for _ in range(ROUNDS + 2)]
     for job in static_jobs(cell, plan):
         rounds[1 + job.suite * ROUNDS // plan.poses].append(job)
     closed = closed_loop_jobs(cell, plan)
@@ -127,17 +127,17 @@ def schedule(cell: Cell, plan: Plan) -> list[Job]:
     return [replace(job, progress=float(w / work[-1])) for job, w in zip(flat, work, strict=True)]
 
 
-def _mixed(jobs: list[Job], rng: np.random.Generator) -> list[Job]:
+def _mixed(jobs: list[Measurement], rng: np.random.Generator) -> list[Measurement]:
     """In random order, so that no motion is always the cold one; the two sides of a static pose stay together."""
     place = {key: rng.random() for key in dict.fromkeys(_together(job) for job in jobs)}
     return sorted(jobs, key=lambda job: (place[_together(job)], job.trial))
 
 
-def _together(job: Job) -> tuple[str, int, int]:
+def _together(job: Measurement) -> tuple[str, int, int]:
     return (job.phase, job.suite, 0 if job.phase == "static" else job.trial)
 
 
-def make(cell: Cell, plan: Plan, phases: Collection[str] | None = None) -> Iterator[Recording]:
+def make(cell: Cell, plan: Schedule, phases: Collection[str] | None = None) -> Iterator[Recording]:
     """Make the whole campaign (or these ``phases`` of it), recording by recording, in the order of time."""
     jobs = schedule(cell, plan)
     box = cell.cad.q_limit
@@ -150,7 +150,7 @@ def make(cell: Cell, plan: Plan, phases: Collection[str] | None = None) -> Itera
         yield r
 
 
-def _within(r: Recording, job: Job, limits: Array) -> int:
+def _within(r: Recording, job: Measurement, limits: Array) -> int:
     """Samples until an open-loop trial strays: STRAYED from where it should be, or beyond a joint's range."""
     away = np.abs(r.q - job.motion.q[::EVERY]) > STRAYED
     beyond = (r.q < limits[:, 0]) | (r.q > limits[:, 1])

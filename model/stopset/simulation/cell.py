@@ -22,8 +22,8 @@ from stopset.robot.rigid import mass_matrix
 from stopset.simulation.arm import Script, run, start
 from stopset.simulation.dynamics import motor_torques
 from stopset.simulation.hidden import Truth
-from stopset.simulation.motions import Motion, Space, space_of
-from stopset.simulation.plant import Plant
+from stopset.simulation.motions import Space, Trajectory, space_of
+from stopset.simulation.plant import SimulatedPlant
 from stopset.types import Array
 
 TICK = 0.001  # [s] of the control loop; the torque is held in between
@@ -50,13 +50,13 @@ BANDWIDTH, DAMPING = 10.0, 0.9  # [rad/s], [-] of the joint controllers
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class Measurement:
     """One recording to be made; ``progress`` its place in the campaign, 0 first, 1 last."""
 
     phase: str
     suite: int
     trial: int
-    motion: Motion
+    motion: Trajectory
     progress: float = 0.0
     feedforward: Array | None = None  # open loop: the torques to replay
 
@@ -105,7 +105,7 @@ def temperatures(cell: Cell, progress: float) -> Array:
     return np.asarray(AMBIENT + cell.warmth * share)
 
 
-def feedforward(cell: Cell, job: Job) -> Array:
+def feedforward(cell: Cell, job: Measurement) -> Array:
     """(K, n) torque [N m] the controller's own model asks for: CAD, data sheet, and about the right friction."""
     plant, cad = cell.truth.plant, cell.cad
     q, dq, ddq = job.motion
@@ -117,7 +117,7 @@ def feedforward(cell: Cell, job: Job) -> Array:
     return out
 
 
-def _today(cell: Cell, job: Job, rng: np.random.Generator) -> Plant:
+def _today(cell: Cell, job: Measurement, rng: np.random.Generator) -> SimulatedPlant:
     """The plant of one trial: friction differs between trials, brakes between stops, and run-in goes on."""
     p, n = cell.truth.plant, cell.cad.n
     varied = job.phase in ("stop0", "stop1") and job.suite == 1
@@ -162,7 +162,7 @@ class Log(NamedTuple):
     speed: Array
 
 
-def play(cell: Cell, job: Job, temp: Array, rng: np.random.Generator) -> Log:
+def play(cell: Cell, job: Measurement, temp: Array, rng: np.random.Generator) -> Log:
     """Let the arm do a job, starting at joint temperatures ``temp`` [degC]; raises `RobotError` if it cannot."""
     n, K = cell.cad.n, len(job.motion.q)
     plant = _today(cell, job, rng)
@@ -197,7 +197,7 @@ def play(cell: Cell, job: Job, temp: Array, rng: np.random.Generator) -> Log:
     return log
 
 
-def record(cell: Cell, job: Job, temp: Array) -> Recording:
+def record(cell: Cell, job: Measurement, temp: Array) -> Recording:
     """Make one recording, starting at joint temperatures ``temp`` [degC]."""
     rng = cell.random("trial", job.phase, job.suite, job.trial)
     log = play(cell, job, temp, rng)
@@ -220,7 +220,7 @@ def record(cell: Cell, job: Job, temp: Array) -> Recording:
     return whole
 
 
-def _check(cell: Cell, job: Job, q: Array, tau: Array) -> None:
+def _check(cell: Cell, job: Measurement, q: Array, tau: Array) -> None:
     """Raise `RobotError` where the arm ran away or its drives are too weak for it."""
     advice = "expected joints that their drives can hold: check inertias and torque limits of the robot"
     if not np.abs(q).max() < RAN_AWAY:
@@ -231,7 +231,7 @@ def _check(cell: Cell, job: Job, q: Array, tau: Array) -> None:
         raise RobotError(f"the drive of {cell.cad.joints[j]} is at its torque limit {spent[j]:.0%} of the time; {advice}")
 
 
-def _motor_angle(plant: Plant, reading: Array) -> Array:
+def _motor_angle(plant: SimulatedPlant, reading: Array) -> Array:
     """(n,) where the motors are when the encoders say ``reading`` [rad]; the eccentricity is a mild contraction."""
     x = reading - plant.encoder_offset
     for _ in range(30):

@@ -19,7 +19,7 @@ from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
 from stopset.simulation.motions import space_of
-from stopset.simulation.plant import Plant, largest_gravity
+from stopset.simulation.plant import SimulatedPlant, largest_gravity
 from stopset.types import Array
 
 Parameters = dict[str, float | str]
@@ -29,7 +29,7 @@ Parameters = dict[str, float | str]
 class Truth:
     """The true arm and its true instruments; joint arrays (n,)."""
 
-    plant: Plant
+    plant: SimulatedPlant
     delay: Array  # [s] the reported torque lags the true one (negative: leads)
     unlogged_coriolis: Array  # [-] share of the Coriolis torque the drive adds below the reported torque
     run_in: Array  # [-] share of friction lost over the campaign, not told by any temperature
@@ -41,7 +41,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """One hidden effect: ``joint`` None for the whole arm; ``size`` in the effect's own measure (see `Kind`)."""
+    """One hidden effect: ``joint`` None for the whole arm; ``size`` in the effect's own measure (see `HiddenKind`)."""
 
     effect: str
     joint: int | None
@@ -53,7 +53,7 @@ Inject = Callable[[Truth, Robot, int, float, np.random.Generator], tuple[Truth, 
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class HiddenKind:
     """How an effect is hidden: ``guess`` is a size to start from, ``most`` the largest that makes physical sense."""
 
     inject: Inject
@@ -292,45 +292,45 @@ def _residual_gravity(t: Truth, r: Robot, j: int, size: float, g: np.random.Gene
 
 BASE = "every model fits plain friction itself: nothing is missing"
 # by what an effect calls `Effect.simulated`
-SEEN: dict[str, Kind] = {
-    "more dry friction": Kind(_coulomb, 0.5, 0.5, fixed=BASE),
-    "more drag": Kind(_viscous, 0.5, 0.5, fixed=BASE),
-    "gravity left": Kind(_residual_gravity, 0.3, 0.3, where="loaded", fixed="compensated torque has no such residual"),
-    "oil thinning with heat": Kind(_thermal_viscous, 0.02, 0.06),
-    "seals softening with heat": Kind(_thermal_coulomb, 0.01, 0.04),
-    "running in": Kind(_warm_up, 0.15, 0.6),
-    "film heated by losses": Kind(_self_heating, 0.3, 2.0),
-    "breakaway": Kind(_stribeck, 0.2, 0.8, top=0.15),
-    "tooth friction": Kind(_load_coulomb, 0.05, 0.4, where="loaded"),
-    "skew": Kind(_asymmetric, 0.05, 0.6),
-    "thinning with speed": Kind(_cubic, 1.5, 25.0),
-    "body on the last link": Kind(_payload, 0.2, 8.0, scope="arm"),
-    "heavier rotor": Kind(_rotor, 0.3, 4.0),
-    "soft gear": Kind(_elasticity, 1.0, 60.0, where="loaded"),
-    "cogging": Kind(_ripple, 0.5, 8.0),
-    "presliding": Kind(_hysteresis, 0.003, 0.06),
-    "drive gain": Kind(_gain, 0.05, 0.5, where="loaded"),
-    "late torque": Kind(_delay, 0.01, 0.06),
-    "tilted base": Kind(_tilt, 0.02, 0.25, scope="arm"),
-    "dress pack": Kind(_spring, 1.0, 40.0),
-    "cable at its end": Kind(_cable, 0.3, 10.0),
-    "gas spring": Kind(_counterbalance, 1.0, 80.0, where="loaded"),
-    "square tooth friction": Kind(_square_load, 0.002, 0.02, where="loaded"),
-    "drag by the neighbour": Kind(_coupling, 0.1, 0.9, joints=2, both=True),
-    "shifted encoder": Kind(_encoder_offset, 0.03, 0.4, where="loaded"),
-    "eccentric encoder": Kind(_eccentricity, 0.01, 0.02, where="loaded"),
-    "unlogged feed-forward": Kind(_coriolis, 0.5, 1.5, scope="arm"),
+SEEN: dict[str, HiddenKind] = {
+    "more dry friction": HiddenKind(_coulomb, 0.5, 0.5, fixed=BASE),
+    "more drag": HiddenKind(_viscous, 0.5, 0.5, fixed=BASE),
+    "gravity left": HiddenKind(_residual_gravity, 0.3, 0.3, where="loaded", fixed="compensated torque has no such residual"),
+    "oil thinning with heat": HiddenKind(_thermal_viscous, 0.02, 0.06),
+    "seals softening with heat": HiddenKind(_thermal_coulomb, 0.01, 0.04),
+    "running in": HiddenKind(_warm_up, 0.15, 0.6),
+    "film heated by losses": HiddenKind(_self_heating, 0.3, 2.0),
+    "breakaway": HiddenKind(_stribeck, 0.2, 0.8, top=0.15),
+    "tooth friction": HiddenKind(_load_coulomb, 0.05, 0.4, where="loaded"),
+    "skew": HiddenKind(_asymmetric, 0.05, 0.6),
+    "thinning with speed": HiddenKind(_cubic, 1.5, 25.0),
+    "body on the last link": HiddenKind(_payload, 0.2, 8.0, scope="arm"),
+    "heavier rotor": HiddenKind(_rotor, 0.3, 4.0),
+    "soft gear": HiddenKind(_elasticity, 1.0, 60.0, where="loaded"),
+    "cogging": HiddenKind(_ripple, 0.5, 8.0),
+    "presliding": HiddenKind(_hysteresis, 0.003, 0.06),
+    "drive gain": HiddenKind(_gain, 0.05, 0.5, where="loaded"),
+    "late torque": HiddenKind(_delay, 0.01, 0.06),
+    "tilted base": HiddenKind(_tilt, 0.02, 0.25, scope="arm"),
+    "dress pack": HiddenKind(_spring, 1.0, 40.0),
+    "cable at its end": HiddenKind(_cable, 0.3, 10.0),
+    "gas spring": HiddenKind(_counterbalance, 1.0, 80.0, where="loaded"),
+    "square tooth friction": HiddenKind(_square_load, 0.002, 0.02, where="loaded"),
+    "drag by the neighbour": HiddenKind(_coupling, 0.1, 0.9, joints=2, both=True),
+    "shifted encoder": HiddenKind(_encoder_offset, 0.03, 0.4, where="loaded"),
+    "eccentric encoder": HiddenKind(_eccentricity, 0.01, 0.02, where="loaded"),
+    "unlogged feed-forward": HiddenKind(_coriolis, 0.5, 1.5, scope="arm"),
 }
-OUTSIDE: dict[str, Kind] = {
-    "outside_bump": Kind(_outside_bump, 1.0, 30.0, outside=True),
-    "outside_walk": Kind(_outside_walk, 0.5, 15.0, outside=True),
-    "outside_resonance": Kind(_outside_resonance, 1.0, 15.0, outside=True),
-    "outside_weave": Kind(_outside_weave, 1.0, 30.0, joints=2, outside=True),
+OUTSIDE: dict[str, HiddenKind] = {
+    "outside_bump": HiddenKind(_outside_bump, 1.0, 30.0, outside=True),
+    "outside_walk": HiddenKind(_outside_walk, 0.5, 15.0, outside=True),
+    "outside_resonance": HiddenKind(_outside_resonance, 1.0, 15.0, outside=True),
+    "outside_weave": HiddenKind(_outside_weave, 1.0, 30.0, joints=2, outside=True),
 }
 
 
 @cache
-def kinds() -> MappingProxyType[str, Kind]:
+def kinds() -> MappingProxyType[str, HiddenKind]:
     """What can be hidden, by the names users type: effects of the catalogue that this arm can show, and causes that are in none."""
     ours = {e.name: SEEN[e.simulated] for e in catalogue().values() if e.simulated in SEEN}
     return MappingProxyType(ours | OUTSIDE)
@@ -341,7 +341,7 @@ def neighbour(joint: int, n: int) -> int:
     return joint + 1 if joint + 1 < n else max(joint - 1, 0)
 
 
-def healthy(plant: Plant) -> Truth:
+def healthy(plant: SimulatedPlant) -> Truth:
     """``plant`` with perfect instruments."""
     z = np.zeros(len(plant.fc))
     return Truth(plant, delay=z, unlogged_coriolis=z, run_in=z, wander=z, wander_time=np.ones_like(z), left_gravity=z)
@@ -372,7 +372,7 @@ def parse_hidden(words: Sequence[str], robot: Robot, rng: np.random.Generator) -
     return out
 
 
-def _draw(kind: Kind, robot: Robot, rng: np.random.Generator) -> int:
+def _draw(kind: HiddenKind, robot: Robot, rng: np.random.Generator) -> int:
     strength = largest_gravity(robot) if kind.where == "loaded" else np.ones(robot.n)
     # joints of at least a third of the strongest have the effect in a measurable size
     return int(rng.choice(np.flatnonzero(strength >= strength.max() / 3)))

@@ -12,7 +12,7 @@ from stopset.types import Array
 HARMONICS = 5
 
 
-class Motion(NamedTuple):
+class Trajectory(NamedTuple):
     """A reference, (K, n) each: [rad, rad/s, rad/s^2]."""
 
     q: Array
@@ -49,7 +49,7 @@ def pose(space: Space, rng: np.random.Generator, share: float = 1.0) -> Array:
     return np.asarray(middle + share * half * rng.uniform(-1, 1, len(middle)))
 
 
-def point_to_point(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Motion:
+def point_to_point(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Trajectory:
     """Trapezoidal moves of all joints at their own pace between random poses; ``speed``: share of the top speed."""
     K, n = round(duration / period), len(space.speed)
     rates = np.zeros((K, n))
@@ -74,7 +74,7 @@ def point_to_point(space: Space, duration: float, speed: float, period: float, r
     return _from_rates(q0, _smooth(rates, round(0.1 / period)), period)
 
 
-def fourier(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Motion:
+def fourier(space: Space, duration: float, speed: float, period: float, rng: np.random.Generator) -> Trajectory:
     """A sum of five sines per joint, scaled to ``speed`` of the top speed and into the box."""
     n = len(space.speed)
     t = np.arange(round(duration / period)) * period
@@ -88,10 +88,10 @@ def fourier(space: Space, duration: float, speed: float, period: float, rng: np.
     scale = np.minimum(space.speed * speed / np.abs(dq).max(axis=0), 0.98 * room / np.ptp(q, axis=0))
     scale = np.minimum(scale, space.acceleration / np.abs(ddq).max(axis=0))
     lo, hi = space.box[:, 0] - scale * q.min(axis=0), space.box[:, 1] - scale * q.max(axis=0)
-    return Motion(scale * q + rng.uniform(lo, hi), scale * dq, scale * ddq)
+    return Trajectory(scale * q + rng.uniform(lo, hi), scale * dq, scale * ddq)
 
 
-def from_rest(motion: Motion, period: float, rise: float = 0.3) -> Motion:
+def from_rest(motion: Trajectory, period: float, rise: float = 0.3) -> Trajectory:
     """The same motion set off smoothly from standstill: its own time starts slowly over ``rise`` seconds."""
     K = len(motion.q)
     pace = np.clip(np.arange(K) * period / rise, 0.0, 1.0)
@@ -99,29 +99,29 @@ def from_rest(motion: Motion, period: float, rise: float = 0.3) -> Motion:
     clock = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]))])
     rate = np.gradient(pace, period)
     q, dq, ddq = (np.column_stack([np.interp(clock, np.arange(K), c) for c in x.T]) for x in motion)
-    return Motion(q, dq * pace[:, None], ddq * pace[:, None] ** 2 + dq * rate[:, None])
+    return Trajectory(q, dq * pace[:, None], ddq * pace[:, None] ** 2 + dq * rate[:, None])
 
 
-def run_up(space: Space, duration: float, period: float, rng: np.random.Generator) -> Motion:
+def run_up(space: Space, duration: float, period: float, rng: np.random.Generator) -> Trajectory:
     """Straight at constant speeds, as before a stop: some joints fast, some slow, some still."""
     n = len(space.speed)
     share = np.where(rng.random(n) < 0.5, rng.uniform(0.3, 1.0, n), rng.uniform(0.0, 0.45, n))
     rate = space.speed * share * rng.choice([-1.0, 1.0], n)
     t = np.arange(round(duration / period)) * period
-    return Motion(pose(space, rng, 0.75) + np.outer(t, rate), np.tile(rate, (len(t), 1)), np.zeros((len(t), n)))
+    return Trajectory(pose(space, rng, 0.75) + np.outer(t, rate), np.tile(rate, (len(t), 1)), np.zeros((len(t), n)))
 
 
-def ramp_down(motion: Motion, tick: int, ramp: float, hold: float, period: float) -> Motion:
+def ramp_down(motion: Trajectory, tick: int, ramp: float, hold: float, period: float) -> Trajectory:
     """``motion`` up to ``tick``, then all joints to rest in ``ramp`` seconds (fixed time), then ``hold`` seconds."""
     t = np.arange(round((ramp + hold) / period)) * period
     q0, v0 = motion.q[tick], motion.dq[tick]
     s = np.clip(t, 0.0, ramp)[:, None]
     q, dq = q0 + v0 * (s - s * s / (2 * ramp)), v0 * (1.0 - s / ramp)
     ddq = np.where(t[:, None] < ramp, -v0 / ramp, 0.0)
-    return Motion(*(np.vstack([a[:tick], b]) for a, b in zip(motion, (q, dq, ddq), strict=True)))
+    return Trajectory(*(np.vstack([a[:tick], b]) for a, b in zip(motion, (q, dq, ddq), strict=True)))
 
 
-def creep(target: Array, direction: Array, period: float) -> Motion:
+def creep(target: Array, direction: Array, period: float) -> Trajectory:
     """Slowly into ``target`` from one side and stay: after it, friction holds the pose with nearly all it has.
 
     The reference dies away over more than the controller's own time, so the joint never swings back.
@@ -131,12 +131,12 @@ def creep(target: Array, direction: Array, period: float) -> Motion:
     x = np.clip(t / run, 0.0, 1.0)
     s, ds, dds = (1 - x) ** 3, -3 * (1 - x) ** 2 / run, 6 * (1 - x) / run**2
     way = -away * direction
-    return Motion(target + np.outer(s, way), np.outer(ds, way), np.outer(dds, way))
+    return Trajectory(target + np.outer(s, way), np.outer(ds, way), np.outer(dds, way))
 
 
-def _from_rates(q0: Array, dq: Array, period: float) -> Motion:
+def _from_rates(q0: Array, dq: Array, period: float) -> Trajectory:
     q = q0 + np.vstack([np.zeros((1, len(q0))), np.cumsum(0.5 * (dq[1:] + dq[:-1]), axis=0)]) * period
-    return Motion(q, dq, np.gradient(dq, period, axis=0))
+    return Trajectory(q, dq, np.gradient(dq, period, axis=0))
 
 
 def _smooth(x: Array, width: int) -> Array:

@@ -20,7 +20,7 @@ from stopset.types import Array
 ELEMENTS = 4  # spring-slider elements in parallel, each with its share of the friction
 
 
-class Plant(NamedTuple):
+class SimulatedPlant(NamedTuple):
     """All true parameters of an arm; joint arrays are (n,), link side, SI. Zero means: this arm does not have it."""
 
     chain: Chain
@@ -70,7 +70,7 @@ class Plant(NamedTuple):
     gap: Array  # [rad] backlash of an elastic gear
 
 
-def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
+def healthy_plant(robot: Robot, rng: np.random.Generator) -> SimulatedPlant:
     """An arm that is what its CAD says, with friction and brakes drawn at random around what such drives have.
 
     Where the data sheet is silent: see `torque_limit` and `rotor_inertia`; brake 1.5 times the largest gravity torque.
@@ -87,7 +87,7 @@ def healthy_plant(robot: Robot, rng: np.random.Generator) -> Plant:
     delay = np.where(np.isfinite(delay), delay, [0.015, 0.025])
     rise = np.where(np.isfinite(rise), rise, [0.015, 0.025])
     none, far = np.zeros(n), np.full(n, 1.0)
-    return Plant(
+    return SimulatedPlant(
         chain=robot.chain, pi=robot.pi.copy(), rotor=rotor_inertia(robot), fc=fc, fv=fv, limit=limit,
         brake_torque=nominal * rng.uniform(0.95, 1.05, n),
         brake_delay=_inside(delay, rng), brake_rise=_inside(rise, rng),
@@ -130,6 +130,6 @@ def torque_limit(robot: Robot) -> Array:
 COLUMNS = 43  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
 
 
-def table(plant: Plant) -> Array:
+def table(plant: SimulatedPlant) -> Array:
     """(n, COLUMNS) the plant's joint arrays side by side."""
     return np.column_stack([np.asarray(x, float) for x in plant[2:]])

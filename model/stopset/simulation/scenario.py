@@ -13,7 +13,7 @@ from stopset.errors import EffectError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.arm import robot_of
-from stopset.simulation.campaign import PLANS, Plan, make, schedule
+from stopset.simulation.campaign import PLANS, Schedule, make, schedule
 from stopset.simulation.cell import Cell, build_cell, wrong_cad
 from stopset.simulation.compensated import PHASES, compensated
 from stopset.simulation.hidden import BASE, Parameters, healthy, kinds, parse_hidden
@@ -29,7 +29,7 @@ class Scenario:
 
     robot: Robot
     cell: Cell
-    plan: Plan
+    plan: Schedule
     truth: dict[str, Any]
 
     @property
@@ -95,7 +95,7 @@ def prepare(
     if cad == "wrong":
         plant = plant._replace(pi=wrong_cad(robot, np.random.default_rng([seed, 3])))
     base = build_cell(robot, healthy(plant), seed)
-    measured = Plan()  # sizes do not depend on how much is measured in the end
+    measured = Schedule()  # sizes do not depend on how much is measured in the end
     sound = closed_loop(base, measured)
     floor = residual_rms(base, sound)
     sized = [size_effect(base, measured, sound, effect, joint, RATIOS[size]) for effect, joint in wanted]

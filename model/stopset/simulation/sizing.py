@@ -14,7 +14,7 @@ import numpy as np
 
 from stopset.recording import Recording
 from stopset.robot.rigid import torques
-from stopset.simulation.campaign import Plan, closed_loop_jobs
+from stopset.simulation.campaign import Schedule, closed_loop_jobs
 from stopset.simulation.cell import Cell, record, temperatures
 from stopset.simulation.hidden import Hidden, Parameters, Truth, kinds
 from stopset.types import Array
@@ -53,7 +53,7 @@ def inject(cell: Cell, hidden: Sequence[Hidden]) -> tuple[Cell, list[Parameters]
     return replace(cell, truth=truth), said
 
 
-def closed_loop(cell: Cell, plan: Plan) -> list[Recording]:
+def closed_loop(cell: Cell, plan: Schedule) -> list[Recording]:
     """The closed-loop part of the campaign, evenly from cold to warm."""
     jobs = closed_loop_jobs(cell, plan)
     places = np.linspace(0.1, 1.0, len(jobs))
@@ -99,7 +99,7 @@ def _filtered(x: Array, derivative: int) -> Array:
     return np.column_stack([np.correlate(c, weights, "valid") for c in x.T])
 
 
-def size_effect(cell: Cell, plan: Plan, healthy: Sequence[Recording], effect: str, joint: int | None, wanted: float) -> Sized:
+def size_effect(cell: Cell, plan: Schedule, healthy: Sequence[Recording], effect: str, joint: int | None, wanted: float) -> Sized:
     """The size of ``effect`` at which the residual is ``wanted`` times that of ``healthy`` recordings, by secant.
 
     Where physics ends earlier (`Kind.most`), the largest sensible size is taken and the note says what it reaches.

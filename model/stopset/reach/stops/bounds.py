@@ -13,12 +13,11 @@ from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slic
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
-from stopset.reach.stops.fast import Certificate
 from stopset.reach.stops.friction import ROUNDING
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, fastest, stopped_after, tube_of, tubes_of
+from stopset.reach.stops.tubes import fastest, stopped_after, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
 from stopset.reach.stops.words import (
     BY_ENERGY,
@@ -116,22 +115,6 @@ class StopBounds:
         said = "; ".join(marks)
         why = "; ".join(x for x in (bound.why, said) if x)
         return replace(bound, certified=False, why=why, extrapolated=said, assumptions=(*bound.assumptions, *here), here=here)
-
-    def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
-        """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
-
-        ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in. None too outside the model's domain.
-        Raises `NotCovered` as `bound` does.
-        """
-        q, dq, q_radius, dq_radius = self._checked(q, dq, q_radius, dq_radius)
-        if self.setting is None or beyond_domain(self.model, q, dq, q_radius, dq_radius):
-            return None
-        n, start = self.model.n, self.setting.start
-        tube = tube_of(
-            self.setting, q + start.centre[:n], dq + start.centre[n:], q_radius + start.radius[:n], dq_radius + start.radius[n:],
-            knots=FAST_KNOTS,
-        )  # fmt: skip
-        return Certificate(tube, q, dq, q_radius, dq_radius, start) if tube.end == OK else None
 
     def _checked(
         self, q: ArrayLike, dq: ArrayLike, q_radius: ArrayLike | None = None, dq_radius: ArrayLike | None = None

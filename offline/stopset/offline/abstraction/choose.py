@@ -21,7 +21,7 @@ TIE = 0.02  # relative difference below which the simpler model is taken
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class ModelCandidate:
     """An abstraction and its error on held-out motion: RMS over windows, ages and joints [rad]; inf: it diverged."""
 
     abstraction: Abstraction
@@ -56,16 +56,16 @@ def prediction_error(abstraction: Abstraction, trials: Sequence[tuple[Array, Arr
 
 def ranked(
     models: Sequence[Abstraction], trials: Sequence[tuple[Array, Array]], dt: float, horizon: float = 1.0
-) -> list[Candidate]:
+) -> list[ModelCandidate]:
     """``models`` by their error on held-out ``trials``, best first; within `TIE` the simpler one (kind, then order)
     leads.
 
     Raises `StopsetError` when all of them diverge.
     """
-    return best_first([Candidate(m, prediction_error(m, trials, dt, horizon)) for m in models], horizon)
+    return best_first([ModelCandidate(m, prediction_error(m, trials, dt, horizon)) for m in models], horizon)
 
 
-def best_first(found: Sequence[Candidate], horizon: float = 1.0) -> list[Candidate]:
+def best_first(found: Sequence[ModelCandidate], horizon: float = 1.0) -> list[ModelCandidate]:
     """Candidates by their error, see `ranked`. Raises `StopsetError` when all of them diverge within ``horizon`` [s]."""
     best = min(c.error for c in found)
     if not np.isfinite(best):
@@ -76,5 +76,5 @@ def best_first(found: Sequence[Candidate], horizon: float = 1.0) -> list[Candida
     return sorted(found, key=lambda c: (c.error > best * (1 + TIE), c.error if c.error > best * (1 + TIE) else 0.0, _simple(c)))
 
 
-def _simple(c: Candidate) -> tuple[int, int]:
+def _simple(c: ModelCandidate) -> tuple[int, int]:
     return c.abstraction.kind, c.abstraction.order

@@ -31,7 +31,7 @@ ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
-class Dynamics:
+class DynamicsForms:
     """``M_m`` (n x n) and ``C[i][j][k]``, j <= k, the coefficient of ``dq_j dq_k`` in the Coriolis torque of joint i.
 
     Taylor forms in ``2 (n - 1)`` variables: deviations of the sines, then of the cosines, of joints 2 .. n from
@@ -46,7 +46,7 @@ class Dynamics:
     def algebra(self) -> Algebra:
         return self.M[0][0].algebra
 
-    def expanded(self, q_a: Array, order: int, *, inverse: bool) -> Dynamics:
+    def expanded(self, q_a: Array, order: int, *, inverse: bool) -> DynamicsForms:
         """Taylor polynomials about ``q_a`` (n,): M to ``order``, C to one less; ``inverse``: are quotients to follow?"""
         n = len(self.M)
         centre = np.concatenate([np.sin(q_a[1:]), np.cos(q_a[1:])])
@@ -59,7 +59,7 @@ class Dynamics:
 
         M = [[about(self.M[i][j], order) if j <= i else self.M[i][j] for j in range(n)] for i in range(n)]
         M = [[M[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-        return Dynamics(M, [[[about(x, order - 1) for x in row] for row in C] for C in self.C], centre)
+        return DynamicsForms(M, [[[about(x, order - 1) for x in row] for row in C] for C in self.C], centre)
 
 
 def terms(n: int) -> int:
@@ -67,7 +67,7 @@ def terms(n: int) -> int:
     return int(6 ** (n - 1))
 
 
-def dynamics(robot: Robot, rotor: Array, as_composed: bool = False) -> Dynamics:
+def dynamics(robot: Robot, rotor: Array, as_composed: bool = False) -> DynamicsForms:
     """The exact polynomials of an arm, about ``sin = cos = 0``, by operator overloading through the recursive
     algorithm.
 
@@ -104,7 +104,7 @@ def dynamics(robot: Robot, rotor: Array, as_composed: bool = False) -> Dynamics:
 
     C = [[[coriolis(i, j, k) for k in range(n)] for j in range(n)] for i in range(n)]
     with_rotor = [[M[i][j] + (float(rotor[i]) if i == j else 0.0) for j in range(n)] for i in range(n)]
-    return Dynamics(with_rotor, C, np.zeros(2 * (n - 1)))
+    return DynamicsForms(with_rotor, C, np.zeros(2 * (n - 1)))
 
 
 def _reduced(x: Taylor, m: int) -> Taylor:
@@ -159,7 +159,7 @@ def inverse(M: Matrix) -> Matrix:
     return out
 
 
-def coriolis_degree(exact: Dynamics) -> int:
+def coriolis_degree(exact: DynamicsForms) -> int:
     """Highest total degree of the Coriolis torques in velocities, sines and cosines (12 for a general arm of six joints)."""
     forms = [x for C in exact.C for row in C for x in row]
     largest = max(float(np.abs(x.value).max(initial=0.0)) for x in forms)

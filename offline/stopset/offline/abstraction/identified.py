@@ -11,7 +11,7 @@ import numpy as np
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
 from stopset.effects.registry import get
-from stopset.offline.abstraction.choose import Candidate, best_first, prediction_error
+from stopset.offline.abstraction.choose import ModelCandidate, best_first, prediction_error
 from stopset.offline.abstraction.models import build
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -88,6 +88,6 @@ def best_order(
     models = [abstract(arm, kind, p) for p in orders]
     if len(models) == 1:
         return Chosen(models[0], f"model {kind} of order {models[0].order}")
-    found = best_first([Candidate(m, prediction_error(m, seen(m), dt, HORIZON)) for m in models], HORIZON)
+    found = best_first([ModelCandidate(m, prediction_error(m, seen(m), dt, HORIZON)) for m in models], HORIZON)
     table = ", ".join(f"order {c.abstraction.order}: {1e3 * c.error:.2f} mrad" for c in found)
     return Chosen(found[0].abstraction, f"model {kind}: order {found[0].abstraction.order} by prediction error ({table})")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected
 from stopset.errors import StopsetError
-from stopset.offline.abstraction.forms import Dynamics, Matrix, coriolis_degree, dynamics, inverse, terms
+from stopset.offline.abstraction.forms import DynamicsForms, Matrix, coriolis_degree, dynamics, inverse, terms
 from stopset.ring.taylor import MEMORY_LIMIT, Taylor, TaylorError, monomials
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -107,7 +107,7 @@ def _guard(kind: int, order: int, n: int, friction_degree: int) -> None:
 class _Rows:
     """Monomials in (dq, sin q, cos q[, u]) being put together for one joint."""
 
-    def __init__(self, forms: Dynamics, width: int) -> None:
+    def __init__(self, forms: DynamicsForms, width: int) -> None:
         self.centre, self.width, self.n = forms.centre, width, len(forms.M)
         self.exponent: list[NDArray[np.int64]] = []
         self.coefficient: list[Array] = []
@@ -141,7 +141,7 @@ def _pairs(n: int) -> list[tuple[int, int]]:
     return [(j, k) for j in range(n) for k in range(j, n)]
 
 
-def _quadratic(C: Matrix, forms: Dynamics) -> Polynomial:
+def _quadratic(C: Matrix, forms: DynamicsForms) -> Polynomial:
     """``sum_{j<=k} C_jk dq_j dq_k`` of one joint."""
     rows = _Rows(forms, 3 * len(C))
     for j, k in _pairs(len(C)):
@@ -149,7 +149,7 @@ def _quadratic(C: Matrix, forms: Dynamics) -> Polynomial:
     return rows.polynomial()
 
 
-def _acceleration(forms: Dynamics, tau_nu: Array, order: int) -> tuple[Polynomial, ...]:
+def _acceleration(forms: DynamicsForms, tau_nu: Array, order: int) -> tuple[Polynomial, ...]:
     """Taylor polynomials of the accelerations in (dq, sin q, cos q, u)."""
     n = len(forms.M)
     Minv = inverse(forms.M)

@@ -31,7 +31,7 @@ def fit_ramp(train: Sequence[Recording], requests: Sequence[Recording], noise: B
 
 
 def ramp_from(
-    fits: Mapping[str, Sequence[Fit]], train: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]
+    fits: Mapping[str, Sequence[RampFit]], train: Sequence[Recording], requests: Sequence[Recording], noise: Box, notes: list[str]
 ) -> Ramp:
     """The same from the ramps of single stops, for either kind of ramp one per training stop."""
     n = train[0].q.shape[1]
@@ -72,7 +72,7 @@ def _band_of(values: Sequence[float], suites: Sequence[SuiteKey]) -> tuple[float
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class RampFit:
     """One stop's ramp: start [s], length [s] or deceleration [rad/s^2], pace [1/s] of the motion slowed down, squared misfit."""
 
     control: float
@@ -89,7 +89,7 @@ def _shape(kind: str, t: Array, v0: Array, control: float, value: float, pace: f
     return v0 * (way + 0.5 * pace * way * way), v0 * (1.0 - s) * np.maximum(1.0 + pace * way, 0.0)
 
 
-def fit_all(kind: str, stops: Sequence[Recording]) -> list[Fit]:
+def fit_all(kind: str, stops: Sequence[Recording]) -> list[RampFit]:
     """The ramps of all stops.  One that tells start and length only together (a slow one, or one asked for while the motion
     changed its speed) is read with where the others started."""
     alone = np.array([_fit_one(kind, r).control for r in stops])
@@ -98,7 +98,7 @@ def fit_all(kind: str, stops: Sequence[Recording]) -> list[Fit]:
     return [_fit_one(kind, r, (middle, spread)) for r in stops]
 
 
-def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) -> Fit:
+def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) -> RampFit:
     """The ramp of one stop; ``usual``: mean and standard deviation [s] of the time at which ramps start."""
     t, v, v0 = _motion(r)
     area = float(np.sum(np.abs(v)) * np.mean(np.diff(t))) / max(float(np.sum(np.abs(v0))), 1e-9)
@@ -115,7 +115,7 @@ def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) 
     bounds = ([0.0, -np.inf, 0.0], [0.5 * float(t[-1]), np.inf, 1.0])
     fit = least_squares(miss, [START, np.log(guess), 0.5], bounds=bounds, loss="soft_l1", f_scale=SOFT, max_nfev=80)
     control, size, pace = fit.x.tolist()
-    return Fit(control, float(np.exp(size)), before * pace, float(2.0 * fit.cost))
+    return RampFit(control, float(np.exp(size)), before * pace, float(2.0 * fit.cost))
 
 
 def _motion(r: Recording) -> tuple[Array, Array, Array]:
@@ -124,7 +124,7 @@ def _motion(r: Recording) -> tuple[Array, Array, Array]:
     return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
 
 
-def _settling(kind: str, train: Sequence[Recording], fits: Sequence[Fit], band: Array, notes: list[str]) -> float | None:
+def _settling(kind: str, train: Sequence[Recording], fits: Sequence[RampFit], band: Array, notes: list[str]) -> float | None:
     """[s] from the end of the next stop's own ramp until every joint stays slower than ``band`` (n,); None if a stop never rests."""
     late = []
     for r, fit in zip(train, fits, strict=True):
@@ -142,7 +142,7 @@ def _settling(kind: str, train: Sequence[Recording], fits: Sequence[Fit], band: 
     return farther(len(late)) * max(late)
 
 
-def _tracking(kind: str, r: Recording, fit: Fit) -> Array:
+def _tracking(kind: str, r: Recording, fit: RampFit) -> Array:
     """(2, n) largest error of angle and speed against the stop's own ramp."""
     k = trigger_of(r)
     assert k is not None

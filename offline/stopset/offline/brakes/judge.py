@@ -25,7 +25,7 @@ PIECES = 8  # tubes per stop and window of delays
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class StopVerdict:
     """Recorded stops against their bounds: how many have a certified one, which leave it (label, joint, time [s]).
 
     ``uncovered``: stops to which the bound does not apply, as its assumptions do not hold for them.
@@ -52,7 +52,7 @@ def stop0_tubes(setting: Setting, r: Recording, pieces: int = PIECES) -> list[Tu
     return None if tubes[-1].end != OK else tubes
 
 
-def judge_stop0(model: Model, stops: Sequence[Recording]) -> Verdict:
+def judge_stop0(model: Model, stops: Sequence[Recording]) -> StopVerdict:
     """All recorded power-off stops against the model's bounds."""
     setting = setting_of(model)
     assert setting is not None
@@ -65,10 +65,10 @@ def judge_stop0(model: Model, stops: Sequence[Recording]) -> Verdict:
         left = first_outside(tubes, r, setting.noise)
         if left is not None:
             outside.append((r.label, *left))
-    return Verdict(len(stops), certified, tuple(outside))
+    return StopVerdict(len(stops), certified, tuple(outside))
 
 
-def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> Verdict:
+def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> StopVerdict:
     """All recorded controlled stops against the ramp's bounds, where the motion they slow down changes as the ramp assumes."""
     outside, uncovered = [], []
     for r in stops:
@@ -79,7 +79,7 @@ def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> Verdict:
         left = first_outside([stop1_tube(ramp, noise, r)], r, noise) or first_restless(ramp, noise, r)
         if left is not None:
             outside.append((r.label, *left))
-    return Verdict(len(stops), len(stops) - len(uncovered), tuple(outside), tuple(uncovered))
+    return StopVerdict(len(stops), len(stops) - len(uncovered), tuple(outside), tuple(uncovered))
 
 
 def pace_before(r: Recording) -> float | None:
@@ -148,7 +148,7 @@ def inside(tubes: Sequence[Tube], t: Array, travel: Array, dq: Array, noise: Box
     return np.asarray(good)
 
 
-def guarantee_line(what: str, regular: Verdict, extra: Verdict, trained: int) -> Guarantee:
+def guarantee_line(what: str, regular: StopVerdict, extra: StopVerdict, trained: int) -> Guarantee:
     """What the held-out stops say, with how many had a certified bound at all: the rest says nothing either way."""
     tried, violated = regular.certified + extra.certified, len(regular.outside) + len(extra.outside)
     bound = clopper_pearson(violated, tried, CONFIDENCE) if tried else 1.0

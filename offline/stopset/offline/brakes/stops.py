@@ -10,7 +10,7 @@ import numpy as np
 from stopset.artifact import Guarantee, Model
 from stopset.errors import NotCovered, RecordingError
 from stopset.offline.brakes.controlled import fit_ramp
-from stopset.offline.brakes.judge import Verdict, guarantee_line, judge_stop0, judge_stop1
+from stopset.offline.brakes.judge import guarantee_line, judge_stop0, judge_stop1
 from stopset.offline.brakes.power_off import LEAST, fit_brakes
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import KEY, Ramp
@@ -151,4 +151,4 @@ def rest_noise(stops: Sequence[Recording], n: int) -> Box | None:
     return Box.symmetric(np.concatenate([1.5 * np.maximum(angle, 1e-5), 1.5 * np.maximum(speed, 1e-4)]))
 
 
-__all__ = ["StopFit", "Verdict", "divide", "identify_stops", "rest_noise", "with_stops"]
+__all__ = ["StopFit", "divide", "identify_stops", "rest_noise", "with_stops"]

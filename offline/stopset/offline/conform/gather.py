@@ -45,7 +45,7 @@ class SetForm:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class RetainedSums:
     """All that an update needs of recordings that are read no more, for one nominal model."""
 
     tally: Tally

@@ -16,7 +16,7 @@ from scipy.stats import beta
 
 from stopset.artifact import Guarantee
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.program import SOLVER_SLACK
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
@@ -51,7 +51,7 @@ def scenario_bound(support: int, scenarios: int, confidence: float = CONFIDENCE)
     return float(-np.expm1((np.log(1.0 - confidence) - np.log(scenarios) - choices) / (scenarios - support)))
 
 
-def touching(fit: Fit, R: Responses, env: Envelope) -> bool:
+def touching(fit: FittedSets, R: Responses, env: Envelope) -> bool:
     """Whether an envelope reaches the tube of ``fit``: without those that do not, the program has the same solution."""
     lo, hi = R.tube(fit.X0, fit.inputs, fit.V)
     rows = slice(1, min(env.steps, len(R.E1) - 1) + 1)
@@ -61,7 +61,7 @@ def touching(fit: Fit, R: Responses, env: Envelope) -> bool:
     return bool(np.any(env.hi[rows, states] >= hi - near) or np.any(env.lo[rows, states] <= lo + near))
 
 
-def needed_factors(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Array:
+def needed_factors(fit: FittedSets, R: Responses, env: Envelope, decoupled: bool) -> Array:
     """Smallest factors (n,), each >= 1, by which every joint's sets, grown about their centres, enclose ``env``.
 
     Joints of a coupled model, or of a zonotope, reach into each other's tubes: they share one factor.

@@ -28,7 +28,7 @@ AGES = 160  # of a zonotope's program, evenly in the logarithm: its rows couple 
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class FittedSets:
     """The sets, the cost they were chosen by (mean tube width, rad), and what fixes each bound.
 
     ``inputs``: the torque set in the coordinates of the responses' inputs: the box ``U`` itself, or of a ``template`` the
@@ -62,7 +62,7 @@ class Fit:
         z = self.zonotope
         return self.inputs if z is None else z.set.box
 
-    def inflated(self, factors: Array | float) -> Fit:
+    def inflated(self, factors: Array | float) -> FittedSets:
         """All sets grown about their centres, by one factor or one per joint (joints of a zonotope share the largest)."""
         f = np.broadcast_to(factors, self.X0.dim // 2)
         if np.all(f <= 1.0):
@@ -111,7 +111,7 @@ def _block(env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: li
     )
 
 
-def fit_sets(env: Envelope, R: Responses, problem: SetProblem, *, capped: bool = True) -> Fit:
+def fit_sets(env: Envelope, R: Responses, problem: SetProblem, *, capped: bool = True) -> FittedSets:
     """Smallest sets ``X0`` (2n,), ``U`` (n,), ``V`` (2n,) whose tube encloses the envelope at every age.
 
     ``R``: the problem's responses.  Positions alone say nothing of velocity readings: give those exactly.
@@ -140,7 +140,7 @@ def fit_sets(env: Envelope, R: Responses, problem: SetProblem, *, capped: bool =
         lo["X0"][xs], hi["X0"][xs], lo["V"][xs], hi["V"][xs], lo["U"][us], hi["U"][us] = bounds.split(z)
         cost += float(block.cost @ z)
         active += _active(block, z, env, names, joints)
-    return Fit(
+    return FittedSets(
         Box(lo["X0"], hi["X0"]), Box(lo["U"], hi["U"]), Box(lo["V"], hi["V"]), cost, tuple(active), conform, template
     )  # fmt: skip
 

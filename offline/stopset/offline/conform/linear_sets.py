@@ -16,7 +16,7 @@ from stopset.artifact import Guarantee, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
-from stopset.offline.conform.linear_program import Fit, fit_sets
+from stopset.offline.conform.linear_program import FittedSets, fit_sets
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
@@ -32,7 +32,7 @@ BOX = "box, same directions"  # beside a zonotope: the narrowest box where the z
 
 
 @dataclass(frozen=True, slots=True)
-class Conformance:
+class ConformedSets:
     """Sets and guarantee of one regime, and what was found on the way.
 
     ``table``: the two cases of Table II and the variants beside them, name -> fit; ``influence``: motion -> relative
@@ -43,7 +43,7 @@ class Conformance:
     other: UncertaintySets  # the other case of Table II: position only, or all states
     guarantee: Guarantee
     margins: Array  # (n,) calibrated factor of each joint
-    table: Mapping[str, Fit]
+    table: Mapping[str, FittedSets]
     influence: Mapping[int, tuple[float, ...]]
     cost: float
     notes: tuple[str, ...] = field(default=())
@@ -119,7 +119,7 @@ def gather(
     return out.mapped(lambda env: env)
 
 
-def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collection[int] = ()) -> Conformance:
+def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collection[int] = ()) -> ConformedSets:
     """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to the horizon.
 
     ``trials``: how many were; ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted
@@ -136,7 +136,7 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
     V = fit_sets(together, R, whole).V
     cases = {"all": whole, "position": problem.asking("position").reading(V)}  # positions alone say nothing of velocity readings
 
-    def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> Fit:
+    def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> FittedSets:
         env = g.union(list(envelopes))
         fit = fit_sets(env, R, cases[case])
         return fit if problem.template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
@@ -161,7 +161,7 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
     scope = f"{what} up to {everything.steps * problem.dt:.2f} s ahead of {where}"
     promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max()), how, scope))
 
-    def packed(f: Fit) -> UncertaintySets:
+    def packed(f: FittedSets) -> UncertaintySets:
         return UncertaintySets(
             X0=f.X0, U=f.U, V=f.V, dt=problem.dt, horizon=everything.steps * problem.dt, conform=f.conform,
             windows=options.windows, margin=float(chosen.max()), active=f.active, zonotope=f.zonotope,
@@ -177,7 +177,7 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
             "which is never narrower"
         )
     companion = packed(enclosing(second.inflated(chosen), R, everything, alone))
-    return Conformance(
+    return ConformedSets(
         packed(final), companion, promise, factors, table, influence(used, fitted, fit, fixing), fit.cost, tuple(notes)
     )
 
@@ -187,7 +187,7 @@ def few_motions(used: int) -> bool:
     return used < g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY
 
 
-def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
+def enclosing(fit: FittedSets, R: Responses, env: Envelope, decoupled: bool) -> FittedSets:
     """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding).
 
     Raises `NotConformant` if growing does not help: nothing may be called enclosed that is not.
@@ -208,7 +208,7 @@ def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
 
 def _margin(
     halves: tuple[Envelope, Envelope], problem: SetProblem, used: dict[int, Envelope],
-    fitted: Callable[[Sequence[Envelope]], Fit], R: Responses,
+    fitted: Callable[[Sequence[Envelope]], FittedSets], R: Responses,
 ) -> tuple[Array, str, list[str]]:  # fmt: skip
     """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts.
 
@@ -242,7 +242,7 @@ def _range(factors: Array) -> str:
     return f"{factors.min():.2f} to {factors.max():.2f} by joint" if np.ptp(factors) > 0.005 else f"{factors.max():.2f}"
 
 
-def _variants(start: Envelope, problem: SetProblem, R: Responses) -> dict[str, Fit]:
+def _variants(start: Envelope, problem: SetProblem, R: Responses) -> dict[str, FittedSets]:
     """What the paper's own definition gives on the same data: from the trial's start, with and without the noise set."""
     if problem.template is not None:
         problem = replace(problem, template=None)
@@ -256,7 +256,7 @@ def _variants(start: Envelope, problem: SetProblem, R: Responses) -> dict[str, F
     }
 
 
-def _in_a_box(env: Envelope, problem: SetProblem) -> Fit:
+def _in_a_box(env: Envelope, problem: SetProblem) -> FittedSets:
     """The narrowest box in the directions in which a zonotope is the narrowest."""
     assert problem.template is not None
     box = replace(problem, template=Template(np.eye(problem.abstraction.n), problem.template.directions))
@@ -265,7 +265,11 @@ def _in_a_box(env: Envelope, problem: SetProblem) -> Fit:
 
 
 def influence(
-    used: Mapping[int, T], fitted: Callable[[list[T]], Fit], fit: Fit, fixing: Collection[int] | None = None, most: int = 64
+    used: Mapping[int, T],
+    fitted: Callable[[list[T]], FittedSets],
+    fit: FittedSets,
+    fixing: Collection[int] | None = None,
+    most: int = 64,
 ) -> dict[int, tuple[float, ...]]:
     """Leave one motion out: relative change of each joint's U width; nothing where there are more than ``most``.
 

@@ -19,7 +19,7 @@ import numpy as np
 from stopset.artifact import ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
-from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, age_weights, solved
 from stopset.reach.flowpipe import responses
@@ -139,7 +139,7 @@ def problems(trials: Sequence[Trial], asked: SetProblem) -> list[JointProblem]:
     return out
 
 
-def fit_cooperative(trials: Sequence[Trial], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[Fit, Array]:
+def fit_cooperative(trials: Sequence[Trial], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[FittedSets, Array]:
     """Sets of a decoupled model 1 with any friction curve, and the scaling each joint needed in the final check (n,).
 
     ``trials``: states (N, 2n) and inputs (N, n) on the grid; ``labels`` of the trials: to say what fixes each bound.
@@ -172,7 +172,7 @@ def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[Acti
     return out
 
 
-def needed_factor(fit: Fit, trials: Sequence[Trial], asked: SetProblem) -> float:
+def needed_factor(fit: FittedSets, trials: Sequence[Trial], asked: SetProblem) -> float:
     """Smallest factor (>= 1, to 1e-4) about the sets' centres that encloses ``trials``, worst joint."""
     n, worst = asked.abstraction.n, 1.0
     for j, problem in enumerate(problems(trials, asked.asking(fit.conform))):
@@ -184,8 +184,8 @@ def needed_factor(fit: Fit, trials: Sequence[Trial], asked: SetProblem) -> float
     return worst
 
 
-def packed(z: Array, half: Array, cost: float, conform: str) -> Fit:
+def packed(z: Array, half: Array, cost: float, conform: str) -> FittedSets:
     """The joints' unknowns (n, 8) as boxes; ``half`` (n,): error of an angle."""
     X0 = Box(np.concatenate([z[:, Q_LO], z[:, V_LO]]), np.concatenate([z[:, Q_HI], z[:, V_HI]]))
     V = Box(np.concatenate([-half, z[:, NOISE_LO]]), np.concatenate([half, z[:, NOISE_HI]]))
-    return Fit(X0, Box(z[:, U_LO].copy(), z[:, U_HI].copy()), V, cost, (), conform)
+    return FittedSets(X0, Box(z[:, U_LO].copy(), z[:, U_HI].copy()), V, cost, (), conform)

@@ -63,7 +63,7 @@ def _finest(a: Array, b: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class RetainedNoise:
     """What the estimate holds of each suite: spreads (2n,) of its trials, quantum (2n,), largest distance (2n,) of its powered
     readings from smooth motion, and sums (2, n) of their lateness."""
 
@@ -81,8 +81,8 @@ class NoiseEstimate:
     to the readings of powered motion is the most that their error may be, see `ReadingError`.
     """
 
-    def __init__(self, kept: Kept | None = None) -> None:
-        self.kept = kept or Kept({}, {}, {}, {})
+    def __init__(self, kept: RetainedNoise | None = None) -> None:
+        self.kept = kept or RetainedNoise({}, {}, {}, {})
         self._spread, self._quantum = self.kept.spread, self.kept.quantum
 
     def add(self, r: Recording, dt: float = 0.0) -> None:

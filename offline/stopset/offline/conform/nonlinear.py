@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import RUNAWAY, Trial
-from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
 from stopset.offline.conform.reading_error import ReadingError
@@ -46,7 +46,7 @@ class Diverges(NotConformant):
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class DeviationWindow:
     """Deviation ``d`` (H + 1, 2n) of the readings from the nominal solution that starts at one of them, and its responses."""
 
     trial: int
@@ -84,7 +84,7 @@ def starts_in(place: int, samples: int, windows: str, stride: int) -> range:
     return range((place * 7) % max(1, min(stride, samples - 1)), samples - 1, stride)
 
 
-def windows_of(trials: Sequence[Trial], asked: SetProblem, where: Sequence[tuple[int, int]]) -> Iterator[Window]:
+def windows_of(trials: Sequence[Trial], asked: SetProblem, where: Sequence[tuple[int, int]]) -> Iterator[DeviationWindow]:
     """The windows at ``where``, one after the other."""
     abstraction, dt, horizon = asked.abstraction, asked.dt, asked.steps
     for first in range(0, len(where), BATCH):
@@ -110,10 +110,10 @@ def windows_of(trials: Sequence[Trial], asked: SetProblem, where: Sequence[tuple
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # the core releases the interpreter
             for row, R in enumerate(pool.map(answer, range(len(batch)))):
                 k, s = batch[row]
-                yield Window(k, s, trials[k][0][s : s + last[row] + 1] - x[row, : last[row] + 1], R)
+                yield DeviationWindow(k, s, trials[k][0][s : s + last[row] + 1] - x[row, : last[row] + 1], R)
 
 
-def _rows(w: Window, ages: NDArray[np.int64], states: int) -> tuple[Array, Array]:
+def _rows(w: DeviationWindow, ages: NDArray[np.int64], states: int) -> tuple[Array, Array]:
     """Rows ``G z >= h`` of one window (see `program`), upper sides first."""
     E, P, N = (x[ages][:, :states].reshape(-1, x.shape[2]) for x in (w.R.E1, w.R.plus, w.R.minus))
     L = np.tile(w.R.E1[0, :states], (len(ages), 1))
@@ -121,14 +121,14 @@ def _rows(w: Window, ages: NDArray[np.int64], states: int) -> tuple[Array, Array
     return np.vstack(sides(E, L, P, N)), np.concatenate([d, -d])
 
 
-def _cost(w: Window, dt: float, states: int, n: int) -> Array:
+def _cost(w: DeviationWindow, dt: float, states: int, n: int) -> Array:
     """Price of the unknowns by one window: mean tube width [rad], velocities counted as the way gone in a stop."""
     E, P, N = (x[1:, :states] for x in (w.R.E1, w.R.plus, w.R.minus))
     weight: Array = np.where(np.arange(states) < n, 1.0, STOP_TIME)
     return price(E, w.R.E1[0, :states], P, N, age_weights(len(w.d) - 1, dt), weight)
 
 
-def needed(w: Window, fit: Fit) -> float:
+def needed(w: DeviationWindow, fit: FittedSets) -> float:
     """Smallest factor about the sets' centres with which one window is enclosed at all its ages; inf if none."""
     states = slice(0, fit.U.dim * (2 if fit.conform == "all" else 1))
 
@@ -141,7 +141,7 @@ def needed(w: Window, fit: Fit) -> float:
     return float(max(above.max(initial=0.0), below.max(initial=0.0)))
 
 
-def fit_windows(seen: Sequence[Window], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[Fit, float]:
+def fit_windows(seen: Sequence[DeviationWindow], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[FittedSets, float]:
     """Cheapest sets that enclose these windows, and the common scaling that the final check over all of them asked for.
 
     ``labels`` of the trials: to say what fixes each bound.  Raises `NotConformant`.
@@ -168,7 +168,7 @@ def fit_windows(seen: Sequence[Window], asked: SetProblem, labels: Sequence[str]
             w, age, i = origin[r]
             bound = f"{inputs[v - 2 * m]}.{side[v - 2 * m]}"
             active.append(ActiveBound(bound, labels[w.trial], w.start * dt, age * dt, title[i]))
-    fit = Fit(Box(x_lo, x_hi), Box(u_lo, u_hi), Box(v_lo, v_hi), float(cost @ z / len(chosen)), tuple(active), conform)
+    fit = FittedSets(Box(x_lo, x_hi), Box(u_lo, u_hi), Box(v_lo, v_hi), float(cost @ z / len(chosen)), tuple(active), conform)
     factor = max(1.0, *(needed(w, fit) for w in seen))
     if not np.isfinite(factor):
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")

@@ -19,8 +19,8 @@ from stopset.artifact import Abstraction, Guarantee, UncertaintySets
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
 from stopset.offline.conform.corners import Trial
-from stopset.offline.conform.linear_program import Fit
-from stopset.offline.conform.linear_sets import Conformance, Pairs, few_motions, influence
+from stopset.offline.conform.linear_program import FittedSets
+from stopset.offline.conform.linear_sets import ConformedSets, Pairs, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.problem import Options, SetProblem
 from stopset.progress import Tell, silent
@@ -41,9 +41,9 @@ class Algorithm:
 
     problem: SetProblem
     labels: dict[int, str]  # of the trials by the identity of their states
-    remembered: dict[tuple[int, ...], list[along.Window]] = field(default_factory=dict)
+    remembered: dict[tuple[int, ...], list[along.DeviationWindow]] = field(default_factory=dict)
 
-    def fit(self, trials: Sequence[Trial], conform: str) -> Fit:
+    def fit(self, trials: Sequence[Trial], conform: str) -> FittedSets:
         """Cheapest sets that enclose these trials, with what fixes them."""
         titles = [self.labels[id(x)] for x, _ in trials]
         asked = self.problem.asking(conform)
@@ -51,13 +51,13 @@ class Algorithm:
             return fit_cooperative(trials, asked, titles)[0]
         return along.fit_windows(self._windows(trials), asked, titles)[0]
 
-    def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
+    def needed(self, fit: FittedSets, trials: Sequence[Trial]) -> float:
         """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
         if self.problem.abstraction.decoupled:
             return needed_factor(fit, trials, self.problem)
         return max(1.0, *(along.needed(w, fit) for w in self._windows(trials)))
 
-    def checked(self, fits: Sequence[Fit], trials: Sequence[Trial], where: Sequence[tuple[int, int]]) -> Array:
+    def checked(self, fits: Sequence[FittedSets], trials: Sequence[Trial], where: Sequence[tuple[int, int]]) -> Array:
         """The same of several sets at once, in constant memory, from the starts ``where`` (all of them for decoupled joints)."""
         if self.problem.abstraction.decoupled:
             return np.array([self.needed(fit, trials) for fit in fits])
@@ -66,7 +66,7 @@ class Algorithm:
             worst = np.maximum(worst, [along.needed(w, fit) for fit in fits])
         return worst
 
-    def _windows(self, trials: Sequence[Trial]) -> list[along.Window]:
+    def _windows(self, trials: Sequence[Trial]) -> list[along.DeviationWindow]:
         """Windows of these trials: those of all trials of which these are most, or windows of their own.
 
         The first set of trials and the latest are remembered, for they are asked for again and again.
@@ -83,7 +83,7 @@ class Algorithm:
         return self.remembered[key]
 
 
-def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell = silent) -> Conformance:
+def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell = silent) -> ConformedSets:
     """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``tell`` is told how long it takes.
 
     The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
@@ -128,21 +128,21 @@ def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell
     scope = f"{what} up to {steps * grid:.2f} s ahead of {_scope(abstraction, options, starts)}"
     promise = replace(promise, text=g.words(promise, seen, len(data), float(chosen), how, scope))
 
-    def packed(f: Fit) -> UncertaintySets:
+    def packed(f: FittedSets) -> UncertaintySets:
         return UncertaintySets(f.X0, f.U, f.V, grid, steps * grid, f.conform, options.windows, float(chosen), f.active)
 
-    def refitted(rest: list[list[Trial]]) -> Fit:
+    def refitted(rest: list[list[Trial]]) -> FittedSets:
         return algorithm.fit([t for rows in rest for t in rows], options.conform)
 
     alone = influence({m: data[m] for m in division.used}, refitted, fit, most=MOST_LEFT_OUT)
-    return Conformance(
+    return ConformedSets(
         packed(final), packed(companion.inflated(float(more) * (1.0 + 1e-9))), promise, np.full(abstraction.n, margin),
         {options.conform: fit, other: second}, alone, fit.cost, tuple(notes),
     )  # fmt: skip
 
 
 def _left(
-    pairs: Pairs, algorithm: Algorithm, fits: Sequence[Fit], every: int, stride: int, held: Collection[int]
+    pairs: Pairs, algorithm: Algorithm, fits: Sequence[FittedSets], every: int, stride: int, held: Collection[int]
 ) -> tuple[dict[int, Array], int]:
     """What encloses each motion still asks of the sets, one factor each; and of how many window starts.
 

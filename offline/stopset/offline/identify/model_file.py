@@ -15,9 +15,9 @@ from stopset.offline.campaign.survey import Survey, Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.compare.tightness import Tightness, of_tube
 from stopset.offline.conform.bands import band_sets
-from stopset.offline.conform.gather import Kept, SetForm, Sums, set_problem
+from stopset.offline.conform.gather import RetainedSums, SetForm, Sums, set_problem
 from stopset.offline.conform.guarantee import union
-from stopset.offline.conform.linear_sets import Conformance, conform, few_motions
+from stopset.offline.conform.linear_sets import ConformedSets, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.absurd import absurd, late, silent
@@ -26,7 +26,7 @@ from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
 from stopset.offline.nominal.parameter_uncertainty import widened
-from stopset.offline.update.signals_file import Signals
+from stopset.offline.update.signals_file import RetainedSignals
 from stopset.progress import Tell
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording
@@ -37,12 +37,12 @@ class Identification:
     """The model and what was found on the way to it, for the command's printout and the report."""
 
     model: Model
-    conformance: Conformance
+    conformance: ConformedSets
     survey: Survey
     settings: Settings
     tightness: Tightness
     absurd: tuple[str, ...]
-    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
+    kept: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
 
 
 def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: Tally | None = None) -> Identification:
@@ -68,12 +68,12 @@ def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: 
     fitted = found.learnt or frozenset(found.motion) - found.held_out
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, form, found.motion, files)
+    kept = RetainedSums(tally, sums, nominal, meta, fitted, found.session, found.dt, form, found.motion, files)
     return replace(out, kept=kept)
 
 
 def packed(
-    run: Run, nominal: NominalPart, figures: Figures, result: Conformance, by_band: dict[str, UncertaintySets],
+    run: Run, nominal: NominalPart, figures: Figures, result: ConformedSets, by_band: dict[str, UncertaintySets],
     tight: Callable[[UncertaintySets], Tightness],
 ) -> Identification:  # fmt: skip
     """The model file's content from the sets and what was found on the way; ``tight`` judges the sets that go out."""
@@ -109,7 +109,7 @@ def packed(
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
     """With brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
-    kept = replace(found.kept, stops=tuple(stops)) if isinstance(found.kept, Kept) else None
+    kept = replace(found.kept, stops=tuple(stops)) if isinstance(found.kept, RetainedSums) else None
     if not stops or found.model.effort == "compensated_torque":
         return replace(found, kept=kept)
     tell(f"brakes and ramps from {len(stops)} recorded stops")

@@ -24,7 +24,7 @@ from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
-from stopset.offline.conform.linear_sets import Conformance, Pairs
+from stopset.offline.conform.linear_sets import ConformedSets, Pairs
 from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
@@ -34,7 +34,7 @@ from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
-from stopset.offline.update.signals_file import Signals
+from stopset.offline.update.signals_file import RetainedSignals
 from stopset.progress import Tell, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
@@ -108,7 +108,7 @@ def identified(
     except NotConformant as e:
         raise NotConformant("; ".join([str(e), *nominal.limited])) from e
     out = stopped(out, stops, tell)
-    return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
+    return replace(out, kept=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
 
 
 def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:
@@ -138,7 +138,7 @@ def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None
 
     problem = set_problem(run, nominal.abstraction)
 
-    def sets_of(some: Pairs, margin: float | None) -> Conformance:
+    def sets_of(some: Pairs, margin: float | None) -> ConformedSets:
         return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, tell)
 
     while True:

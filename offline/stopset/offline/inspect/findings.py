@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.inspect.tally import EVEN, LAGS, Tally
+from stopset.offline.inspect.tally import EVEN, LAGS, SignalSums
 from stopset.recording.types import Meta
 from stopset.types import Array
 
@@ -56,7 +56,7 @@ class Finding:
         return f"{where}{self.seen}; expected {self.expected}: {self.do}"
 
 
-def clock(t: Tally, meta: Meta, dq_sound: bool = True) -> list[Finding]:
+def clock(t: SignalSums, meta: Meta, dq_sound: bool = True) -> list[Finding]:
     """Irregular stamps, missing, repeated and jumped samples, and a rate that is not the stated one.
 
     ``dq_sound``: dq is the derivative of q, so that jumps of q against it tell of lost samples.
@@ -116,7 +116,7 @@ def clock(t: Tally, meta: Meta, dq_sound: bool = True) -> list[Finding]:
     return out
 
 
-def _rate(t: Tally, meta: Meta) -> list[Finding]:
+def _rate(t: SignalSums, meta: Meta) -> list[Finding]:
     """A rate on average that is not the stated one, or not the same in all trials."""
     out = []
     mean = np.array(t.mean_period or t.period)
@@ -137,7 +137,7 @@ def _rate(t: Tally, meta: Meta) -> list[Finding]:
     return out
 
 
-def saturation(t: Tally, joints: Sequence[str]) -> list[Finding]:
+def saturation(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     """Signals that stop at one value for many samples."""
     out = []
     top = {"tau": np.abs(t.range_tau).max(axis=1), "dq": np.abs(t.range_dq).max(axis=1)}
@@ -158,7 +158,7 @@ def saturation(t: Tally, joints: Sequence[str]) -> list[Finding]:
     return out
 
 
-def velocity(t: Tally, joints: Sequence[str], meta: Meta) -> list[Finding]:
+def velocity(t: SignalSums, joints: Sequence[str], meta: Meta) -> list[Finding]:
     """dq that is not the derivative of q: unit, sign, lag, unrelated; or derived though called measured."""
     out: list[Finding] = []
     aa, ab, bb = t.way
@@ -203,13 +203,13 @@ def _scaled(scale: dict[int, float], joints: Sequence[str]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _moved(t: Tally) -> NDArray[np.bool_]:
+def _moved(t: SignalSums) -> NDArray[np.bool_]:
     """(n,) whether a joint went further than the steps of its encoder, and than many windows of noise at standstill add up to."""
     step = np.where(np.isfinite(t.resolution), t.resolution, 0.0)
     return np.asarray(t.way[0] > np.maximum((30 * step) ** 2, t.windows * (STILL * step) ** 2))
 
 
-def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:
+def _lag(t: SignalSums, j: int, joint: str, period: float) -> list[Finding]:
     c = t.lagged[:, j]
     k = int(np.argmin(c))
     bend = c[max(k - 1, 0)] - 2 * c[k] + c[min(k + 1, len(c) - 1)]
@@ -226,7 +226,7 @@ def _lag(t: Tally, j: int, joint: str, period: float) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _derived(t: Tally, joints: Sequence[str], meta: Meta, period: float) -> list[Finding]:
+def _derived(t: SignalSums, joints: Sequence[str], meta: Meta, period: float) -> list[Finding]:
     """A velocity without noise of its own is a difference of q: dq = dq/dt then holds by construction, not by measurement."""
     if meta.velocity == "derived" or t.samples == 0:
         return []
@@ -244,7 +244,7 @@ def _derived(t: Tally, joints: Sequence[str], meta: Meta, period: float) -> list
     ]  # fmt: skip
 
 
-def torque_power(t: Tally, joints: Sequence[str]) -> list[Finding]:
+def torque_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     """Wrong sign of torque, from energy alone: over a campaign friction takes energy in, it never gives any."""
     out = []
     net, gross = t.power
@@ -315,7 +315,7 @@ def torque_delay(
     return out
 
 
-def torque_limits(t: Tally, joints: Sequence[str], limit: Array) -> list[Finding]:
+def torque_limits(t: SignalSums, joints: Sequence[str], limit: Array) -> list[Finding]:
     """More torque than the drive has."""
     top = np.abs(t.range_tau).max(axis=1)
     return [

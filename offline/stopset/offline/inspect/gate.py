@@ -11,7 +11,7 @@ from stopset.errors import RecordingError
 from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, torque_limits, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
-from stopset.offline.inspect.tally import Tally
+from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Meta, Recording
@@ -26,7 +26,7 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     What `stopset inspect` would say besides is returned: identification goes on, but nobody should have to ask.
     """
     some = sample[:: max(1, len(sample) // LOOKED_AT)]
-    tally, momentum = Tally(robot.n), Momentum(robot)
+    tally, momentum = SignalSums(robot.n), Momentum(robot)
     for r in some:
         tally.add(r)
     # a scale that no unit, sign or clock explains may be that of a few trials: sets that hold them say so

@@ -16,9 +16,9 @@ from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
-from stopset.offline.inspect.needs import Need, Recorded, needs
-from stopset.offline.inspect.tally import MOVING, Tally
-from stopset.offline.inspect.units import Sample, degrees
+from stopset.offline.inspect.needs import Inventory, Need, needs
+from stopset.offline.inspect.tally import MOVING, SignalSums
+from stopset.offline.inspect.units import UnitSample, degrees
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
@@ -67,7 +67,7 @@ class Inspection:
 class _Campaign:
     """Counts by phase, kept while the trials stream by."""
 
-    tally: Tally
+    tally: SignalSums
     momentum: Momentum | None = None  # of compensated torque, where the robot is known
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class _Campaign:
     torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each open-loop suite
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
-    sample: Sample = field(default_factory=Sample)
+    sample: UnitSample = field(default_factory=UnitSample)
 
     def add(self, r: Recording) -> None:
         self.tally.add(r)
@@ -129,7 +129,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, NormalEquatio
     meta = read_meta(path)
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
-    campaign = _Campaign(Tally(len(joints)), Momentum(robot) if robot is not None and compensated else None)
+    campaign = _Campaign(SignalSums(len(joints)), Momentum(robot) if robot is not None and compensated else None)
     data: NormalEquations | None = None
     refused = None
     try:
@@ -206,7 +206,7 @@ def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]
     repeats = max((c for (_, p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
     motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
-    return needs(Recorded(
+    return needs(Inventory(
         phases=campaign.phases(), paired_poses=paired, speed=np.column_stack([low, top]), limit=limit,
         temperature="temp" in campaign.channels, effort=meta.effort, repeats=repeats, motions=motions,
     ))  # fmt: skip

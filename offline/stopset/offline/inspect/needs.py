@@ -34,7 +34,7 @@ def upper_bound(motions: int, confidence: float = 0.95) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class Inventory:
     """What recordings hold, as far as identification wants it."""
 
     phases: Collection[str]
@@ -47,7 +47,7 @@ class Recorded:
     motions: int  # independent ones in open loop, of which suites may be several starts
 
 
-def needs(r: Recorded) -> list[Need]:
+def needs(r: Inventory) -> list[Need]:
     """What identification wants and these recordings do not have, in the order of the identification."""
     out: list[Need] = []
     phases, motions = r.phases, r.motions

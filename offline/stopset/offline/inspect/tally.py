@@ -23,7 +23,7 @@ PLATEAU = 5  # equal samples in a row at a signal's largest value
 
 
 @dataclass(slots=True)
-class Tally:
+class SignalSums:
     """Sums per joint (n,) unless said otherwise; filled by `add`."""
 
     n: int

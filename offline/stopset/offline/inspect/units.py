@@ -19,7 +19,7 @@ FEWEST = 50  # rows
 
 
 @dataclass(slots=True)
-class Sample:
+class UnitSample:
     """A few rows of every trial, evenly spread, however many trials there are: ``rows`` of (q, dq, tau) (n,) each."""
 
     rows: list[tuple[Array, Array, Array]] = field(default_factory=list)
@@ -36,7 +36,7 @@ class Sample:
             self.rows, self.every = self.rows[::2], 2 * self.every
 
 
-def degrees(sample: Sample, robot: Robot) -> list[Finding]:
+def degrees(sample: UnitSample, robot: Robot) -> list[Finding]:
     """Whether positions make the measured torque look like gravity in degrees, and not in radians."""
     if len(sample.rows) < FEWEST:
         return []

@@ -20,7 +20,7 @@ from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Prior, prior_of
 from stopset.offline.nominal.unidentifiable import told
 from stopset.offline.plan.excitation import Series, excitations
-from stopset.offline.plan.motion import Envelope, Path, envelope, violations
+from stopset.offline.plan.motion import MotionLimits, PlannedMotion, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
 from stopset.progress import Tell, silent
@@ -55,13 +55,13 @@ class Wishes:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PlanPart:
     """One kind of experiment: its motions, how often each is driven, seconds in all, and what it identifies."""
 
     name: str
     phase: str
     identifies: str
-    motions: tuple[Path, ...]
+    motions: tuple[PlannedMotion, ...]
     repeats: int
     seconds: float
     tells: dict[str, Any] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class Plan:
 
     robot: Robot
     wishes: Wishes
-    parts: tuple[Part, ...]
+    parts: tuple[PlanPart, ...]
     poses: Array
     suites: tuple[dict[str, float], ...]
     stops: tuple[dict[str, float], ...]
@@ -135,7 +135,7 @@ def _check(w: Wishes) -> None:
             raise StopsetError(f"--{name} is {value:g}; expected {low:g} to {high:g}: choose within")
 
 
-def _suites(fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
+def _suites(fast: Sequence[PlannedMotion], w: Wishes) -> tuple[dict[str, float], ...]:
     """Four start points per motion; the torques are those recorded closed-loop from there to the end, at most 5 s."""
     rows: list[dict[str, float]] = []
     for m, p in enumerate(fast):
@@ -148,7 +148,7 @@ def _suites(fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
     return tuple(rows)
 
 
-def _stops(robot: Robot, fast: Sequence[Path], w: Wishes) -> tuple[dict[str, float], ...]:
+def _stops(robot: Robot, fast: Sequence[PlannedMotion], w: Wishes) -> tuple[dict[str, float], ...]:
     """For each joint the motion in which it is fastest, at three speeds, both categories, triggered at its peak."""
     rows: list[dict[str, float]] = []
     for j in range(robot.n):
@@ -164,24 +164,24 @@ def _stops(robot: Robot, fast: Sequence[Path], w: Wishes) -> tuple[dict[str, flo
 
 
 def _parts(
-    poses: Array, waves: Sequence[Path], slow: Sequence[Path], fast: Sequence[Path],
+    poses: Array, waves: Sequence[PlannedMotion], slow: Sequence[PlannedMotion], fast: Sequence[PlannedMotion],
     suites: Sequence[dict[str, float]], stops: Sequence[dict[str, float]], w: Wishes,
-) -> tuple[Part, ...]:  # fmt: skip
-    def seconds(paths: Sequence[Path]) -> float:
+) -> tuple[PlanPart, ...]:  # fmt: skip
+    def seconds(paths: Sequence[PlannedMotion]) -> float:
         return sum(p.duration for p in paths)
 
     open_loop = sum((s["end_s"] - s["start_s"]) * s["repeats"] for s in suites)
     halting = sum((s["trigger_s"] + 1.0) * s["repeats"] for s in stops)
     return (
-        Part("static", "static", "gravity; Coulomb friction of both directions from the difference", (), 1, 6.0 * 2 * len(poses)),
-        Part("excitation", "closed_loop", "link inertias, rotor inertias, delay", tuple(waves), 2, 2 * seconds(waves)),
-        Part("ptp_slow", "closed_loop", "Coulomb and load-dependent friction, Stribeck, hysteresis, ripple",
+        PlanPart("static", "static", "gravity; Coulomb friction of both directions from the difference", (), 1, 6.0 * 2 * len(poses)),
+        PlanPart("excitation", "closed_loop", "link inertias, rotor inertias, delay", tuple(waves), 2, 2 * seconds(waves)),
+        PlanPart("ptp_slow", "closed_loop", "Coulomb and load-dependent friction, Stribeck, hysteresis, ripple",
              tuple(slow), 1, seconds(slow)),
-        Part("ptp_fast", "closed_loop", "viscous and cubic friction, rotor inertias; the torques of the open-loop suites",
+        PlanPart("ptp_fast", "closed_loop", "viscous and cubic friction, rotor inertias; the torques of the open-loop suites",
              tuple(fast), 1, seconds(fast)),
-        Part("open_loop", "open_loop", f"uncertainty sets X0, U, V_y ({len(suites)} suites, {len(fast)} independent motions)",
+        PlanPart("open_loop", "open_loop", f"uncertainty sets X0, U, V_y ({len(suites)} suites, {len(fast)} independent motions)",
              (), w.repeats, open_loop),
-        Part("stops", "stop0 stop1", "brake delay, rise and torque; sets of STOP 0 and STOP 1", (), 3, halting),
+        PlanPart("stops", "stop0 stop1", "brake delay, rise and torque; sets of STOP 0 and STOP 1", (), 3, halting),
     )  # fmt: skip
 
 
@@ -196,8 +196,8 @@ def _poses_as_recordings(robot: Robot, poses: Array) -> list[Recording]:
 
 
 def _outlook(
-    robot: Robot, e: Envelope, parts: Sequence[Part], poses: Array, data: NormalEquations | None, nominal: Nominal | None
-) -> tuple[tuple[Part, ...], tuple[dict[str, Any], ...]]:
+    robot: Robot, e: MotionLimits, parts: Sequence[PlanPart], poses: Array, data: NormalEquations | None, nominal: Nominal | None
+) -> tuple[tuple[PlanPart, ...], tuple[dict[str, Any], ...]]:
     """What each part would tell alone, and each parameter's standard error now, and after the campaign."""
     prior = prior_of(robot)
     guess = np.where(np.isfinite(e.tau), NOISE * e.tau, 0.5)
@@ -212,7 +212,7 @@ def _outlook(
         if part.motions or part.name == "static":
             total = mine if total is None else total + mine
             tells = _tells(robot, mine, prior, sigma)
-            part = Part(part.name, part.phase, part.identifies, part.motions, part.repeats, part.seconds, tells)
+            part = PlanPart(part.name, part.phase, part.identifies, part.motions, part.repeats, part.seconds, tells)
         out.append(part)
     assert total is not None
     after = expected_covariance(total, prior, sigma)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
-from stopset.offline.plan.motion import Envelope, Path, fitted, heights
+from stopset.offline.plan.motion import MotionLimits, PlannedMotion, fitted, heights
 from stopset.progress import Tell, silent
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
@@ -36,7 +36,7 @@ def _series(x: Array, period: float, t: Array, n: int) -> tuple[Array, Array, Ar
     return s @ a - co @ b, (co * w) @ a + (s * w) @ b, -(s * w**2) @ a + (co * w**2) @ b
 
 
-def centre(robot: Robot, e: Envelope, rng: np.random.Generator) -> Array:
+def centre(robot: Robot, e: MotionLimits, rng: np.random.Generator) -> Array:
     """(n,) pose that the series move about: the middle of the ranges, or with a floor the pose with most room above it."""
     middle: Array = np.asarray(e.q.mean(axis=1))
     half = 0.5 * (e.q[:, 1] - e.q[:, 0])
@@ -53,7 +53,7 @@ def centre(robot: Robot, e: Envelope, rng: np.random.Generator) -> Array:
     return np.asarray(tried[int(np.argmax([room(q) for q in tried]))])
 
 
-def _faded(x: Array, period: float, e: Envelope, t: Array, middle: Array) -> tuple[Array, Array, Array]:
+def _faded(x: Array, period: float, e: MotionLimits, t: Array, middle: Array) -> tuple[Array, Array, Array]:
     """The series about ``middle``, within position and speed limits, blended to rest at both ends (smooth to the acceleration)."""
     n = len(e.dq)
     q, dq, ddq = _series(x, period, t, n)
@@ -69,12 +69,12 @@ def _faded(x: Array, period: float, e: Envelope, t: Array, middle: Array) -> tup
     return middle + scale * q, scale * dq, scale * ddq
 
 
-def _above(robot: Robot, e: Envelope, p: Path, middle: Array) -> Path:
+def _above(robot: Robot, e: MotionLimits, p: PlannedMotion, middle: Array) -> PlannedMotion:
     """The same motion, smaller about its ``middle`` until it stays above the floor (if it can)."""
     for _ in range(30):
         if e.floor is None or float(heights(robot, p.q[:: max(1, len(p.q) // 500)]).min()) >= e.floor:
             break
-        p = Path(p.t, middle + 0.92 * (p.q - middle), 0.92 * p.dq, 0.92 * p.ddq)
+        p = PlannedMotion(p.t, middle + 0.92 * (p.q - middle), 0.92 * p.dq, 0.92 * p.ddq)
     return p
 
 
@@ -87,7 +87,7 @@ def rows(robot: Robot, q: Array, dq: Array, ddq: Array, weight: Array) -> Array:
     return np.asarray((X * weight[:, None]).reshape(-1, 11 * n))
 
 
-def directions(robot: Robot, e: Envelope, weight: Array, rng: np.random.Generator) -> Array:
+def directions(robot: Robot, e: MotionLimits, weight: Array, rng: np.random.Generator) -> Array:
     """(11 n, r) orthonormal combinations that torques can tell, a rotor beside its own link's inertia counted once."""
     n, N = robot.n, 300
     q = rng.uniform(e.q[:, 0], e.q[:, 1], (N, n))
@@ -121,11 +121,11 @@ class Series:
 
 def excitations(
     robot: Robot,
-    e: Envelope,
+    e: MotionLimits,
     asked: Series,
     rng: np.random.Generator,
     tell: Tell = silent,
-) -> tuple[list[Path], float, float]:
+) -> tuple[list[PlannedMotion], float, float]:
     """The trajectories asked for, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
@@ -138,7 +138,7 @@ def excitations(
     t = np.linspace(0.0, period, SAMPLES)
     total = np.zeros((V.shape[1], V.shape[1]))
     blind = total.copy()
-    paths: list[Path] = []
+    paths: list[PlannedMotion] = []
 
     def cost(x: Array, known: Array) -> tuple[float, Array]:
         q, dq, ddq = _faded(x, period, e, t, middle)
@@ -169,5 +169,5 @@ def excitations(
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / asked.rate, 1 / asked.rate)
-        paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine, middle)), middle)))
+        paths.append(fitted(robot, e, _above(robot, e, PlannedMotion(fine, *_faded(best, period, e, fine, middle)), middle)))
     return paths, condition(total), condition(blind)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stopset.files import write_text
-from stopset.offline.plan.design import NOISE, Part, Plan
-from stopset.offline.plan.motion import Path
+from stopset.offline.plan.design import NOISE, Plan, PlanPart
+from stopset.offline.plan.motion import PlannedMotion
 from stopset.offline.plan.poses import APPROACH
 
 
-def write_plan(plan: Plan, out: FilePath) -> list[FilePath]:
+def write_plan(plan: Plan, out: Path) -> list[Path]:
     """Write the motions as CSV, the schedules, ``plan.json`` and the table ``plan.md``; returns what was written.
 
     Raises `OutputError` when the folder cannot be written.
@@ -52,7 +52,7 @@ def as_dict(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def count(plan: Plan, part: Part) -> int:
+def count(plan: Plan, part: PlanPart) -> int:
     """How many different motions, poses, suites or stops a part has."""
     schedules = {"static": len(plan.poses), "open_loop": len(plan.suites), "stops": len(plan.stops)}
     return schedules.get(part.name, len(part.motions))
@@ -89,7 +89,7 @@ def summary(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _motions_csv(paths: Sequence[Path], joints: Sequence[str]) -> str:
+def _motions_csv(paths: Sequence[PlannedMotion], joints: Sequence[str]) -> str:
     head = "suite,trial,t," + ",".join(f"{s}_{j}" for s in ("q", "dq", "ddq") for j in joints)
     blocks = [head]
     for k, p in enumerate(paths):
@@ -108,7 +108,7 @@ def _static_csv(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _suites_csv(suites: Sequence[dict[str, float]], fast: Sequence[Path], joints: Sequence[str]) -> str:
+def _suites_csv(suites: Sequence[dict[str, float]], fast: Sequence[PlannedMotion], joints: Sequence[str]) -> str:
     rows: list[dict[str, Any]] = []
     for s in suites:
         p = fast[int(s["motion"])]

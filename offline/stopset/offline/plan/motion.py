@@ -14,7 +14,7 @@ from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Envelope:
+class MotionLimits:
     """What planned motions stay within: ``q`` (n, 2) [rad], ``dq, tau`` (n,) [rad/s, N m]; ``floor`` [m]: no link origin
     nor the flange below this height, if given; ``friction`` (n,) [N m]: what friction may take of the torque."""
 
@@ -26,7 +26,7 @@ class Envelope:
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class PlannedMotion:
     """A sampled motion: ``t`` (N,), ``q, dq, ddq`` (N, n)."""
 
     t: Array
@@ -38,7 +38,7 @@ class Path:
     def duration(self) -> float:
         return float(self.t[-1])
 
-    def slower(self, factor: float) -> Path:
+    def slower(self, factor: float) -> PlannedMotion:
         """The same way ``factor`` times slower, at the same sampling rate."""
         h = float(self.t[1])
         t = np.arange(0.0, self.duration * factor + 0.5 * h, h)
@@ -47,7 +47,7 @@ class Path:
         def at(x: Array) -> Array:
             return np.column_stack([np.interp(t, old, c) for c in x.T])
 
-        return Path(t, at(self.q), at(self.dq) / factor, at(self.ddq) / factor**2)
+        return PlannedMotion(t, at(self.q), at(self.dq) / factor, at(self.ddq) / factor**2)
 
     def recording(self, phase: str, suite: int, trial: int, robot: Robot) -> Recording:
         """As if it had been driven, torque from the rigid body: for asking what it would tell."""
@@ -55,7 +55,7 @@ class Path:
         return Recording(phase, suite, trial, 0, self.t, self.q, self.dq, tau)
 
 
-def envelope(robot: Robot, speed: float, torque: float, floor: float | None, margin: float = 0.05) -> Envelope:
+def envelope(robot: Robot, speed: float, torque: float, floor: float | None, margin: float = 0.05) -> MotionLimits:
     """Shares ``speed``, ``torque`` (0 to 1) of the robot's limits; joints without limits: one turn, and named as needed.
 
     Raises `RobotError` when the robot states no speed limit: none is invented.
@@ -71,7 +71,7 @@ def envelope(robot: Robot, speed: float, torque: float, floor: float | None, mar
     tau = np.where(np.isfinite(robot.torque_limit) & (robot.torque_limit > 0), robot.torque_limit, np.inf)
     # gears of this kind lose about a tenth of their rating to friction; measured friction replaces this guess
     friction = np.where(np.isfinite(tau), 0.15 * tau, 0.0)
-    return Envelope(np.column_stack([middle - half, middle + half]), speed * robot.dq_limit, torque * tau, friction, floor)
+    return MotionLimits(np.column_stack([middle - half, middle + half]), speed * robot.dq_limit, torque * tau, friction, floor)
 
 
 def heights(robot: Robot, q: Array) -> Array:
@@ -83,13 +83,13 @@ def heights(robot: Robot, q: Array) -> Array:
     return out
 
 
-def torque_share(robot: Robot, e: Envelope, p: Path) -> float:
+def torque_share(robot: Robot, e: MotionLimits, p: PlannedMotion) -> float:
     """Largest torque over what is allowed, friction included; 0 where no limit is known."""
     tau = np.abs(torques(robot.chain, robot.pi, p.q, p.dq, p.ddq) + robot.rotor * p.ddq) + e.friction
     return float((tau / e.tau).max())
 
 
-def violations(robot: Robot, e: Envelope, p: Path) -> list[str]:
+def violations(robot: Robot, e: MotionLimits, p: PlannedMotion) -> list[str]:
     """Sentences for every limit the sampled motion leaves; empty when it is fine."""
     out = []
     if (p.q < e.q[:, 0] - 1e-9).any() or (p.q > e.q[:, 1] + 1e-9).any():
@@ -104,7 +104,7 @@ def violations(robot: Robot, e: Envelope, p: Path) -> list[str]:
     return out
 
 
-def fitted(robot: Robot, e: Envelope, p: Path) -> Path:
+def fitted(robot: Robot, e: MotionLimits, p: PlannedMotion) -> PlannedMotion:
     """The motion slowed down until speed and torque are inside; gravity alone too large raises `RobotError`."""
     speed = float((np.abs(p.dq) / e.dq).max())
     if speed > 1:

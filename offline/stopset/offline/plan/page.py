@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from stopset.offline.plan.design import Plan
 from stopset.offline.plan.files import count
-from stopset.offline.plan.motion import Path
+from stopset.offline.plan.motion import PlannedMotion
 from stopset.offline.plan.poses import APPROACH
 from stopset.offline.report.page import COLOURS, Page
 
@@ -76,7 +76,7 @@ def _caption(motions: int) -> str:
     return f"Positions, and speeds as a share of each joint's limit.{first}"
 
 
-def _motions(paths: Sequence[Path], joints: Sequence[str], limit: np.ndarray) -> go.Figure:
+def _motions(paths: Sequence[PlannedMotion], joints: Sequence[str], limit: np.ndarray) -> go.Figure:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     for j, joint in enumerate(joints):
         start = 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from stopset.errors import RobotError
 from stopset.offline.nominal.unidentifiable import parameter_scale
-from stopset.offline.plan.motion import Envelope, heights
+from stopset.offline.plan.motion import MotionLimits, heights
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, regressors
 from stopset.types import Array
@@ -15,7 +15,7 @@ APPROACH = 0.05  # [rad] from below and from above: beyond the pre-sliding range
 CANDIDATES = 1500
 
 
-def static_poses(robot: Robot, e: Envelope, count: int, rng: np.random.Generator) -> Array:
+def static_poses(robot: Robot, e: MotionLimits, count: int, rng: np.random.Generator) -> Array:
     """(count, n) poses, greedily D-optimal for the gravity parameters, holdable and above the floor.
 
     Source: Swevers et al. (1997); greedy choice after Fedorov (1972).

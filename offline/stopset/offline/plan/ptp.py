@@ -13,7 +13,7 @@ import numpy as np
 
 from stopset.errors import RobotError
 from stopset.offline.nominal.preprocess import derivative
-from stopset.offline.plan.motion import Envelope, Path, fitted, heights
+from stopset.offline.plan.motion import MotionLimits, PlannedMotion, fitted, heights
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torque
 from stopset.types import Array
@@ -24,7 +24,7 @@ HOLDABLE = 0.9  # of the allowed torque that gravity and friction may take on th
 LEAST_WAY = 0.6  # [rad] that some joint moves, or the motion is not worth its time
 
 
-def random_goals(robot: Robot, e: Envelope, count: int, rng: np.random.Generator) -> Array:
+def random_goals(robot: Robot, e: MotionLimits, count: int, rng: np.random.Generator) -> Array:
     """(count + 1, n) uniformly random corners of a chain of motions, from the middle on where that is admissible.
 
     Gravity can be held on every way between them, and no way leads below the floor, if there is one.
@@ -50,13 +50,13 @@ def random_goals(robot: Robot, e: Envelope, count: int, rng: np.random.Generator
     return np.array(goals)
 
 
-def _admissible(robot: Robot, e: Envelope, q: Array) -> bool:
+def _admissible(robot: Robot, e: MotionLimits, q: Array) -> bool:
     """Whether gravity can be held at all poses ``q`` (N, n), and all are above the floor."""
     held = np.abs(gravity_torques(robot.chain, robot.pi, q)) + e.friction <= HOLDABLE * e.tau
     return bool(held.all()) and (e.floor is None or float(heights(robot, q).min()) >= e.floor)
 
 
-def ptp(robot: Robot, e: Envelope, start: Array, goal: Array, rate: float) -> Path:
+def ptp(robot: Robot, e: MotionLimits, start: Array, goal: Array, rate: float) -> PlannedMotion:
     """The fastest smooth straight motion from ``start`` to ``goal`` (n,) within the envelope."""
     law = _fastest(robot, e, start, goal)
     t = np.arange(0.0, law[0][-1] + SMOOTH + 0.5 / rate, 1 / rate)
@@ -71,10 +71,10 @@ def ptp(robot: Robot, e: Envelope, start: Array, goal: Array, rate: float) -> Pa
     ds = derivative(s, h)
     dds = derivative(ds, h)
     way = goal - start
-    return fitted(robot, e, Path(h * np.arange(len(s), dtype=np.float64), start + s * way, ds * way, dds * way))
+    return fitted(robot, e, PlannedMotion(h * np.arange(len(s), dtype=np.float64), start + s * way, ds * way, dds * way))
 
 
-def _fastest(robot: Robot, e: Envelope, start: Array, goal: Array) -> tuple[Array, Array]:
+def _fastest(robot: Robot, e: MotionLimits, start: Array, goal: Array) -> tuple[Array, Array]:
     """(t, s): way parameter over time, time-optimal by toppra."""
     import toppra
     from toppra import algorithm, constraint

@@ -48,7 +48,7 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Judgement:
     """All that was judged; ``first``: errors without any; what to identify the revision with; ``words``: what judged."""
 
     judged: tuple[Judged, ...]
@@ -76,7 +76,7 @@ class Judge:
 
 def by_simulation(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
-) -> Verdict:
+) -> Judgement:
     """Judge effects on compensated torque; ``first``: errors that are known already."""
     errors = start = dict(first) if first else judge.simulated(settings, ())
     judged = []
@@ -90,12 +90,12 @@ def by_simulation(
         judged.append(Judged(name, errors, after, helps, entry(effect), why))
         if not why:
             settings, errors = more, after
-    return Verdict(tuple(judged), start, settings, (), judge.division.words)
+    return Judgement(tuple(judged), start, settings, (), judge.division.words)
 
 
 def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
-) -> Verdict:
+) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.tell("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
@@ -121,7 +121,7 @@ def by_evidence(
             continue
         enters = entry(get(name.partition(":")[0]))
         judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], helps=True, enters=enters))
-    return Verdict(tuple(judged), errors[0], more, taken, answer.words)
+    return Judgement(tuple(judged), errors[0], more, taken, answer.words)
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:

@@ -28,8 +28,8 @@ from stopset.reach.stops import stop
 from stopset.robot import Robot
 
 if TYPE_CHECKING:
-    from stopset.offline.conform.gather import Kept
-    from stopset.offline.update.signals_file import Signals
+    from stopset.offline.conform.gather import RetainedSums
+    from stopset.offline.update.signals_file import RetainedSignals
 
 
 WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
@@ -44,7 +44,7 @@ class Revised:
     after: dict[str, float]
     judged: tuple[Judged, ...]
     judged_on: str
-    kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
+    kept: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
 
     @property
     def helps(self) -> bool:

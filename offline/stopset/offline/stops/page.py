@@ -29,7 +29,7 @@ from stopset.offline.stops.shown import (
     up,
     worst,
 )  # fmt: skip
-from stopset.offline.stops.table import Row, holding
+from stopset.offline.stops.table import StopRow, holding
 from stopset.reach.stops import Category
 
 DASHES = ("solid", "dash", "dot", "dashdot")  # of categories
@@ -37,7 +37,7 @@ HEAD = ("axis", "speed %", "payload kg", "extension %", "time s", "angle rad", "
 
 
 def build_page(
-    model: Model, rows: Sequence[Row], assumptions: Sequence[str], measured: Sequence[Measured],
+    model: Model, rows: Sequence[StopRow], assumptions: Sequence[str], measured: Sequence[Measured],
     separations: Sequence[Separation],
 ) -> Page:  # fmt: skip
     """The page: answer, one picture, what to do, worst stops, separation; then pictures, assumptions, every row, folded."""
@@ -80,13 +80,13 @@ def _next(proved: int, total: int, beyond: str) -> str:
     return "measure stops at these poses (ISO 10218-1, annex B) and hold them against the bounds with `stopset stops --data`."
 
 
-def _cells(r: Row, number: Mapping[str, int]) -> list[object]:
+def _cells(r: StopRow, number: Mapping[str, int]) -> list[object]:
     numbers = ["-" if x is None else up(x, 4) for x in (r.time_s, r.angle_rad, r.tcp_m)]
     said = " ".join(f"[{number[part]}]" for part in remarks(r))
     return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, said]
 
 
-def _overview(page: Page, rows: Sequence[Row]) -> None:
+def _overview(page: Page, rows: Sequence[StopRow]) -> None:
     """Distance and time over speed: one line per payload and category, the worst axis, full extension."""
     from plotly.subplots import make_subplots
 
@@ -111,12 +111,12 @@ def _overview(page: Page, rows: Sequence[Row]) -> None:
     )
 
 
-def _beyond(rows: Sequence[Row]) -> str:
+def _beyond(rows: Sequence[StopRow]) -> str:
     """What stands below a picture of rows with numbers that no recording supports."""
     return f" {beyond}." if (beyond := extrapolations(rows)) else ""
 
 
-def _worst_pose(page: Page, model: Model, rows: Sequence[Row]) -> None:
+def _worst_pose(page: Page, model: Model, rows: Sequence[StopRow]) -> None:
     """The pose of the longest way of the flange, drawn from the side and from above."""
     told = [r for r in rows if r.tcp_m is not None and r.pose]
     if not told:
@@ -130,7 +130,7 @@ def _worst_pose(page: Page, model: Model, rows: Sequence[Row]) -> None:
     )  # fmt: skip
 
 
-def _pictures(page: Page, model: Model, rows: Sequence[Row], measured: Sequence[Measured], category: Category) -> None:
+def _pictures(page: Page, model: Model, rows: Sequence[StopRow], measured: Sequence[Measured], category: Category) -> None:
     """Time and angle over speed, a row of two pictures for each axis, one line per payload."""
     from plotly.subplots import make_subplots
 

@@ -23,11 +23,15 @@ from stopset.offline.stops.shown import (
     up,
     worst,
 )  # fmt: skip
-from stopset.offline.stops.table import Row, holding
+from stopset.offline.stops.table import StopRow, holding
 
 
 def build_pdf(
-    model: Model, rows: Sequence[Row], assumptions: Sequence[str], measured: Sequence[Measured], separations: Sequence[Separation]
+    model: Model,
+    rows: Sequence[StopRow],
+    assumptions: Sequence[str],
+    measured: Sequence[Measured],
+    separations: Sequence[Separation],
 ) -> bytes:
     """The PDF file: what the page says, on paper."""
     doc = Document(
@@ -76,6 +80,6 @@ def build_pdf(
     return doc.bytes()
 
 
-def _cells(r: Row) -> list[str]:
+def _cells(r: StopRow) -> list[str]:
     numbers = ["-" if v is None else up(v, 4) for v in (r.time_s, r.angle_rad, r.tcp_m)]
     return [axis_name(r.joint), f"{r.speed_percent:.0f}", f"{r.payload:.3g}", f"{r.extension_percent:.0f}", *numbers, r.why]

@@ -9,7 +9,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.table import Row
+from stopset.offline.stops.table import StopRow
 from stopset.reach.stops import Category
 
 NAMES: dict[Category, str] = {
@@ -28,7 +28,7 @@ def axis_name(joint: str) -> str:
     return joint if count == 1 else f"{count} axes at once"
 
 
-def lines(rows: Sequence[Row], category: Category, joint: str, what: str) -> list[Curve]:
+def lines(rows: Sequence[StopRow], category: Category, joint: str, what: str) -> list[Curve]:
     """One line per payload over speed, at the largest extension."""
     mine = [r for r in rows if r.category == category and r.joint == joint]
     far = max((r.extension_percent for r in mine), default=0.0)
@@ -43,7 +43,7 @@ def lines(rows: Sequence[Row], category: Category, joint: str, what: str) -> lis
     return out
 
 
-def over_speed(rows: Sequence[Row], category: Category, what: str) -> list[Curve]:
+def over_speed(rows: Sequence[StopRow], category: Category, what: str) -> list[Curve]:
     """One line per payload over the speed [%]: the worst axis at the largest extension, up to where all axes have a number."""
     mine = [r for r in rows if r.category == category]
     out = []
@@ -59,7 +59,7 @@ def over_speed(rows: Sequence[Row], category: Category, what: str) -> list[Curve
     return out
 
 
-def answered(rows: Sequence[Row]) -> str:
+def answered(rows: Sequence[StopRow]) -> str:
     """How many stops are proved, and the longest of them; nothing shorter than a row without a number is called the longest."""
     proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
     rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
@@ -73,13 +73,13 @@ def answered(rows: Sequence[Row]) -> str:
     return " ".join(said)
 
 
-def refusals(rows: Sequence[Row]) -> dict[str, int]:
+def refusals(rows: Sequence[StopRow]) -> dict[str, int]:
     """Every remark of the rows once, numbered in the order of the rows."""
     said = dict.fromkeys(part for r in rows for part in remarks(r))
     return {part: k for k, part in enumerate(said, 1)}
 
 
-def remarks(row: Row) -> list[str]:
+def remarks(row: StopRow) -> list[str]:
     """What a row says of itself, one thing at a time."""
     return [part for part in row.why.split("; ") if part]
 
@@ -92,18 +92,18 @@ def seen(
     return [abs(m.speed) for m in mine], [m.time if what == "time_s" else abs(m.angle) for m in mine]
 
 
-def joints_of(rows: Sequence[Row], category: Category) -> list[str]:
+def joints_of(rows: Sequence[StopRow], category: Category) -> list[str]:
     """The axes of a category, single ones first."""
     return sorted(dict.fromkeys(r.joint for r in rows if r.category == category), key=lambda j: ("+" in j, j))
 
 
-def of_category(rows: Sequence[Row], category: Category) -> list[Row]:
+def of_category(rows: Sequence[StopRow], category: Category) -> list[StopRow]:
     """A category's rows, axis by axis."""
     axes = joints_of(rows, category)
     return sorted((r for r in rows if r.category == category), key=lambda r: axes.index(r.joint))
 
 
-def worst(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+def worst(rows: Sequence[StopRow]) -> Iterator[tuple[str, ...]]:
     """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved or extrapolated."""
     for category in dict.fromkeys(r.category for r in rows):
         for joint in joints_of(rows, category):
@@ -120,7 +120,7 @@ def worst(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             yield category, axis_name(joint), *numbers, f"{proved}, {beyond} EXTRAPOLATED" if beyond else proved
 
 
-def extrapolations(rows: Sequence[Row]) -> str:
+def extrapolations(rows: Sequence[StopRow]) -> str:
     """One sentence where rows have numbers beyond what recordings have seen, else empty."""
     said = list(dict.fromkeys(r.extrapolated.split(":")[0].split(",")[0] for r in rows if r.extrapolated))
     count = sum(bool(r.extrapolated) for r in rows)
@@ -148,7 +148,7 @@ def terms(separations: Sequence[Separation]) -> Iterator[tuple[str, tuple[str, .
         yield standard, ("term", *heads, "unit", "what"), rows
 
 
-def poses(rows: Sequence[Row], model: Model) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def poses(rows: Sequence[StopRow], model: Model) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows of the test poses, one for each axis, payload and extension."""
     known = {}
     for r in rows:

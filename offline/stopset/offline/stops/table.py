@@ -32,7 +32,7 @@ LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is kn
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class StopRow:
     """One line of a table. ``joint``: the axis, or several joined by '+'; numbers are None where nothing can be proved.
 
     ``extrapolated``: where filled, the numbers are beyond what recordings have seen, as it says, and not certified.
@@ -91,7 +91,7 @@ class Question:
 class Table:
     """Rows, and what they rest on."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[StopRow, ...]
     assumptions: tuple[str, ...]
     top_speed: Array  # (n,) [rad/s] what 100 % means
     reach: float  # [m]
@@ -168,7 +168,7 @@ def stop_table(model: Model, question: Question, tell: Tell = silent) -> Table:
     poses = Poses.of(model.robot, tip, model.domain.q)
     speed = top_speed(model)
     axes = three_axes(model, poses, speed)
-    rows: list[Row] = []
+    rows: list[StopRow] = []
     assumptions: tuple[str, ...] = ()
     cases = [
         (percent, kg, extension, group)
@@ -252,13 +252,13 @@ class Shares:
     extension: float
 
 
-def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Array, of: Shares) -> Row:
+def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Array, of: Shares) -> StopRow:
     angle = bound.angle
     far = bound.tcp if bound.tcp is None or bound.links is None else max(bound.tcp, float(bound.links.max()))
     fast = bound.tcp_speed
     if fast is not None and bound.link_speed is not None:
         fast = max(fast, float(bound.link_speed.max()))
-    return Row(
+    return StopRow(
         category=bound.category, joint="+".join(model.joints[j] for j in group), speed_percent=float(of.speed),
         payload_percent=of.payload, extension_percent=float(of.extension), speed=float(dq[group[0]]), payload=of.kg,
         time_s=None if bound.time is None else _up(float(bound.time.max())),
@@ -275,7 +275,7 @@ def _up(x: float, digits: int = 6) -> float:
     return float(np.ceil(x * 10**digits) / 10**digits)
 
 
-def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list[Row], dict[Category, StopBound]]:
+def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list[StopRow], dict[Category, StopBound]]:
     """Rows for one pose and the speeds of all axes at once: one per joint and category, and the bounds behind them.
 
     Raises `NotCovered` for a state beyond the data sheet's limits or a payload outside the domain.
@@ -302,7 +302,7 @@ def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list
 
 def along_path(
     model: Model, waypoints: Array, start: float, rate: float, question: Question
-) -> tuple[list[Row], dict[Category, StopBound]]:
+) -> tuple[list[StopRow], dict[Category, StopBound]]:
     """Rows of a STOP 1 that stays on the path through ``waypoints`` (W, n) [rad], from ``s = start`` (s counts them) at ``rate`` [1/s].
 
     Raises `NotCovered` for a path beyond the limits or one that starts too fast to be stopped on.
@@ -328,7 +328,7 @@ def along_path(
     return rows, {"1": found.bound}
 
 
-def holding(model: Model, rows: Sequence[Row]) -> list[str]:
+def holding(model: Model, rows: Sequence[StopRow]) -> list[str]:
     """Holding margins in words, for each payload the least of all poses: how much more than it must each joint surely holds."""
     out = []
     for kg in sorted({r.payload for r in rows if r.margin}):
@@ -344,7 +344,7 @@ def holding(model: Model, rows: Sequence[Row]) -> list[str]:
     return out
 
 
-def as_csv(rows: Sequence[Row]) -> str:
+def as_csv(rows: Sequence[StopRow]) -> str:
     """The rows as a CSV with units in its head."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")

@@ -35,7 +35,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Signals:
+class RetainedSignals:
     """All recordings of a model, ``places`` trials; ``known``: numbers of effects that its identification was given."""
 
     campaign: Campaign
@@ -43,7 +43,7 @@ class Signals:
     known: tuple[Fitted, ...] = ()
 
 
-def save_signals(path: str | Path, kept: Signals, model: Model) -> None:
+def save_signals(path: str | Path, kept: RetainedSignals, model: Model) -> None:
     """Write every trial behind ``model`` (as saved, with its SHA-256), whole or not at all."""
     head = {
         "format": FORMAT, "schema": SCHEMA, "model_sha256": model.sha256, "meta": asdict(kept.campaign.meta),
@@ -64,7 +64,7 @@ def save_signals(path: str | Path, kept: Signals, model: Model) -> None:
             writer.write_table(pa.concat_tables(waiting).combine_chunks())
 
 
-def load_signals(path: str | Path, model: Model) -> Signals:
+def load_signals(path: str | Path, model: Model) -> RetainedSignals:
     """What was kept for ``model``; the trials are read when they are asked for.
 
     Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
@@ -86,7 +86,7 @@ def load_signals(path: str | Path, model: Model) -> Signals:
         raise ModelFileError(
             f"{path} is damaged or no kept state ({type(e).__name__}); expected what `stopset identify --keep` wrote: identify again"
         ) from e
-    return Signals(Campaign(meta, lambda: counted(_trials(path, model.joints))), places, known)
+    return RetainedSignals(Campaign(meta, lambda: counted(_trials(path, model.joints))), places, known)
 
 
 def meta_of(m: Mapping[str, Any]) -> Meta:

@@ -25,10 +25,9 @@ from stopset.offline.campaign.survey import Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.gather import Kept, SetForm, Sums
+from stopset.offline.conform.gather import RetainedSums, SetForm, Sums
 from stopset.offline.conform.linear_sets import Gathered
-from stopset.offline.conform.noise import Kept as KeptNoise
-from stopset.offline.conform.noise import NoiseEstimate
+from stopset.offline.conform.noise import NoiseEstimate, RetainedNoise
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.nominal.model import NominalPart
@@ -47,7 +46,7 @@ SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
 
-def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
+def save_sums(path: str | Path, kept: RetainedSums, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
     arrays: Arrays = {}
     head = {
@@ -80,7 +79,7 @@ def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def load_sums(path: str | Path, model: Model) -> Kept:
+def load_sums(path: str | Path, model: Model) -> RetainedSums:
     """Read what was kept for ``model``.
 
     Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
@@ -117,7 +116,7 @@ def load_sums(path: str | Path, model: Model) -> Kept:
         raise ModelFileError(f"{path} is damaged ({type(e).__name__}: {e}); identify again with --keep") from e
 
 
-def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
+def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> RetainedSums:
     data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
         model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
@@ -127,7 +126,7 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
     steps = round(settings_of(model).horizon / dt)
     bands = None if head["bands"] is None else Bands(_box(arrays["reference"]), tuple(head["bands"]))
     zonotope = Template(arrays["generators"], arrays["directions"]) if "generators" in arrays else None
-    return Kept(
+    return RetainedSums(
         tally=_tally(head["tally"], arrays), sums=_sums(head["sums"], arrays, nominal, dt, steps, zonotope), nominal=nominal,
         meta=meta, learnt=frozenset(_key(*s) for s in head["learnt"]), session=Session(**head["session"]), dt=dt,
         form=SetForm(bands, zonotope),
@@ -209,7 +208,7 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
         means=list(arrays["means"]) if "means" in arrays else [],
         hulls={name: _box(arrays[f"hull_{name}"]) for name in head["hulls"]},
         noise=NoiseEstimate(
-            KeptNoise(
+            RetainedNoise(
                 {s: list(x) for s, x in zip(noisy, spread, strict=True)},
                 *(
                     dict(zip(suites, arrays[f"noise_{name}"], strict=True))

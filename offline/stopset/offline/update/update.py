@@ -26,13 +26,13 @@ from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
-from stopset.offline.conform.gather import Kept, Sums, sums_of
+from stopset.offline.conform.gather import RetainedSums, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
-from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
+from stopset.offline.update.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
 from stopset.progress import Tell, silent
 from stopset.recording import Recording, suite_label
@@ -40,15 +40,15 @@ from stopset.recording import Recording, suite_label
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
 
-def save_state(path: str | Path, kept: Kept | Signals, model: Model) -> None:
+def save_state(path: str | Path, kept: RetainedSums | RetainedSignals, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
-    if isinstance(kept, Signals):
+    if isinstance(kept, RetainedSignals):
         save_signals(path, kept, model)
     else:
         save_sums(path, kept, model)
 
 
-def load_state(path: str | Path, model: Model) -> Kept | Signals:
+def load_state(path: str | Path, model: Model) -> RetainedSums | RetainedSignals:
     """Read what was kept for ``model``.
 
     Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
@@ -64,19 +64,23 @@ def load_state(path: str | Path, model: Model) -> Kept | Signals:
 
 
 def update(
-    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
+    model: Model,
+    kept: RetainedSums | RetainedSignals,
+    paths: Sequence[str | Path],
+    tell: Tell = silent,
+    scheduler: str | None = None,
 ) -> Identification:
     """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
 
     From signals the result is that of all recordings, history aside; from sums that of all recordings with this nominal model.
     Raises `RecordingError` for recordings that are part of it already or hold another kind of torque.
     """
-    if isinstance(kept, Signals):
+    if isinstance(kept, RetainedSignals):
         return _again(model, kept, paths, tell, scheduler)
     return _folded(model, kept, paths, tell, scheduler)
 
 
-def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+def _again(model: Model, kept: RetainedSignals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """Everything identified anew from the kept signals and the new recordings."""
     robot, old = model.robot.as_described, kept.campaign.meta
     campaign = continued(kept.campaign, robot, paths, kept.places)
@@ -89,7 +93,7 @@ def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell,
     return replace(fresh, model=_next_revision(model, fresh.model, f"recordings {names}", note))
 
 
-def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+def _folded(model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
     settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, files = joined(kept.meta, paths), len(kept.meta.sources)
@@ -123,7 +127,7 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
     fresh = concluded(run, nominal, kept.form, earlier.merge(later), tally)
-    assert isinstance(fresh.kept, Kept)
+    assert isinstance(fresh.kept, RetainedSums)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
         f"{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
@@ -138,7 +142,7 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
 
 
 def from_scratch(
-    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
+    model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
 ) -> Identification:
     """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
 
@@ -159,7 +163,7 @@ def from_scratch(
     return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
 
 
-def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
+def _check_phases(phases: Counter[str], tally: Tally, kept: RetainedSums) -> None:
     best = next((p for p in POWERED if phases[p]), None)
     if best is not None and POWERED.index(best) < POWERED.index(tally.phase):
         raise RecordingError(
@@ -173,7 +177,7 @@ def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:
     )
 
 
-def _numbers(kept: Kept, found: Survey) -> dict[int, int]:
+def _numbers(kept: RetainedSums, found: Survey) -> dict[int, int]:
     """Old number of each motion -> new one; a new recording may show two old motions to be one."""
     out: dict[int, int] = {}
     for suite, number in kept.motion.items():

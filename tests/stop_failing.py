@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.offline.stops.sampling import ANGLE_ERROR, DT, SPEED_ERROR, draw, inverse_inertia, start_of
+from stop_sampling import ANGLE_ERROR, DT, SPEED_ERROR, draw, inverse_inertia, start_of
 from stopset.reach.stops import Ramp, StopBound, StopBounds
 from stopset.robot.rigid import Chain, link_frames
 from stopset.simulation.stop import StoppingArm, simulate_stop

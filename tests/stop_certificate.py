@@ -1,4 +1,4 @@
-"""The bound for a fast loop: a certificate made once for a box of states, evaluated in some ten microseconds inside it.
+"""A bound for a fast loop, that of the monitor is held against: made once for a box of states, evaluated in microseconds.
 
 A certificate is the tube of the box with the accelerations it was verified for.  Every motion from a state in the box
 obeys them, so from that state the one-sided comparison gives tighter curves: a closed form per joint, cut at the knots by
@@ -13,7 +13,10 @@ import numpy as np
 
 from stopset.core.library import ffi, given, lib, view
 from stopset.errors import NotCovered
-from stopset.reach.stops.tube import Tube
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.setting import beyond_domain
+from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.tubes import FAST_KNOTS, tube_of
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -56,3 +59,18 @@ class Certificate:
             raise NotCovered("the state has left the certified box; expected one inside: certify a new box around it")
         n = len(q)
         return follow(self.tube, dq + self.start.lo[n:], dq + self.start.hi[n:])
+
+
+def certify(bounds: StopBounds, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> Certificate | None:
+    """A certificate for STOP 0 on a box of measured states; None if one tube does not come to rest, or outside the model's domain.
+
+    ``q_radius`` [rad], ``dq_radius`` [rad/s]: (n,) half-widths for the state to move in.
+    """
+    if bounds.setting is None or beyond_domain(bounds.model, q, dq, q_radius, dq_radius):
+        return None
+    n, start = bounds.model.n, bounds.setting.start
+    tube = tube_of(
+        bounds.setting, q + start.centre[:n], dq + start.centre[n:], q_radius + start.radius[:n], dq_radius + start.radius[n:],
+        knots=FAST_KNOTS,
+    )  # fmt: skip
+    return Certificate(tube, q, dq, q_radius, dq_radius, start) if tube.end == OK else None
