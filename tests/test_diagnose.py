@@ -13,8 +13,9 @@ from stopset.effects import Effect, get
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.offline.diagnose.columns import elasticity as swing
 from stopset.offline.diagnose.evidence.candidate import Candidate
-from stopset.offline.diagnose.evidence.engine import Engine, _put
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, gain, project
+from stopset.offline.diagnose.evidence.hypothesis import Hypothesis, _put
 from stopset.offline.diagnose.evidence.scores import scores
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
@@ -215,23 +216,24 @@ def test_two_rounds_bend_a_soft_gear_as_many_do(engine: Engine, joint: int, rate
 
 
 def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> None:
-    hyper, _ = engine.fit()
-    view = engine.view()
+    hyper, _ = Hypothesis(engine).fit()
+    view = Hypothesis(engine).view()
     for j in range(engine.data.n):
         choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, float(s))) for s in SIGMAS]
-        best = max(choices, key=lambda h: view.criterion(view._project(h)[0], h, view._project(h)[1]))
+        best = max(choices, key=lambda h: view.criterion(view.project(h)[0], h, view.project(h)[1]))
         assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
 
 
 def test_a_lag_that_is_not_there_has_no_evidence_although_a_free_coefficient_would_like_it(engine: Engine) -> None:
     """Half a shifted record beside half the record is less noisy than either: only the whole shift may be compared."""
-    hyper, _ = engine.fit()
+    now = Hypothesis(engine)
+    hyper, _ = now.fit()
     lags = engine.add_all([(get("delay"), (j,), {"d0": d}) for j in range(engine.data.n) for d in LAGS])
-    assert all(s.score < 0 for s in scores(engine, lags, hyper))
-    G, _ = engine.total(hyper)
+    assert all(s.score < 0 for s in scores(now, lags, hyper))
+    G, _ = now.total(hyper)
     naive = []
     for c in lags:
-        p = project(G, 0, engine.nuisance, c.cols, engine.precision(hyper), engine.mean)
+        p = project(G, 0, now.nuisance, c.cols, now.precision(hyper), now.mean)
         naive.append(gain(p.S, p.s, 1.0 / c.sd**2)[0])
     assert max(naive) > 5 * THRESHOLD
 
@@ -334,10 +336,10 @@ def test_a_slow_wander_is_seen_and_called_unknown() -> None:
         wandering.append(dataclasses.replace(r, tau=r.tau + np.outer(x, [1.0, 0.0])))
     slow = []
     for recordings in (trials, wandering):
-        engine = Engine.build(scenario.robot, Recordings(meta, tuple(recordings)))
-        hyper, p = engine.fit()
-        slow.append([slow_excess(engine, p.theta, hyper, j) for j in range(2)])
-        assert max(engine.excess(j, p.theta, hyper.sigma[j], 1.0) for j in range(2)) < QUIET
+        now = Hypothesis(Engine.build(scenario.robot, Recordings(meta, tuple(recordings))))
+        hyper, p = now.fit()
+        slow.append([slow_excess(now, p.theta, hyper, j) for j in range(2)])
+        assert max(now.excess(j, p.theta, hyper.sigma[j], 1.0) for j in range(2)) < QUIET
     assert max(slow[0]) < 0.8 * WANDER and slow[1][1] < 0.8 * WANDER
     assert slow[1][0] > 1.2 * WANDER
     assert diagnose(scenario.robot, Recordings(meta, tuple(wandering))).verdict == "unknown"
@@ -379,7 +381,7 @@ def test_a_soft_gear_is_found_as_it_is_though_trials_begin_in_the_middle_of_a_sw
     assert values["K"] == pytest.approx(true["stiffness_Nm_per_rad"], rel=0.02)
     assert values["D"] == pytest.approx(true["damping_Nms_per_rad"], rel=0.1)
     assert values["share"] == pytest.approx(1.0, abs=0.03) and found.excess["a"] < SENSORS
-    monkeypatch.setattr(search_module, "begun", lambda engine, candidate, hyper: candidate)
+    monkeypatch.setattr(search_module, "begun", lambda now, candidate, hyper: candidate)
     assert diagnose(scenario.robot, recordings, names=("elasticity",)).excess["a"] > 10 * SENSORS
 
 
@@ -441,17 +443,14 @@ def test_a_narrow_decision_is_taken_again_once_the_other_causes_are_known() -> N
 @pytest.mark.parametrize(("effect", "shapes"), [("elasticity", {"K": 900.0, "D": 4.0}), ("delay", {"d0": 0.012}), ("spring", {})])
 def test_a_score_is_the_evidence_that_the_model_gains(engine: Engine, effect: str, shapes: dict[str, float]) -> None:
     """What finely sought shapes cost is the same to a contender and to a claim, else a claim would not be what was scored."""
-    engine.hold((int(engine.stamps[1]),))  # which a delay that is active holds too
     (c,) = engine.add_all([(get(effect), (1,), shapes)])
-    hyper, _ = engine.fit()
-    p, logdet = engine._project(hyper)
-    before = engine.criterion(p, hyper, logdet)
-    score = scores(engine, [c], hyper, quick=True)[0].score
-    engine.active.append(c)
-    p, logdet = engine._project(hyper)
-    after = engine.criterion(p, hyper, logdet)
-    engine.active.remove(c)
-    engine.hold(())
+    now = Hypothesis(engine, held=(int(engine.stamps[1]),))  # which a delay that is active holds too
+    hyper, _ = now.fit()
+    p, logdet = now.project(hyper)
+    before = now.criterion(p, hyper, logdet)
+    score = scores(now, [c], hyper, quick=True)[0].score
+    p, logdet = now.plus(c).project(hyper)
+    after = now.plus(c).criterion(p, hyper, logdet)
     assert after - before == pytest.approx(score, rel=1e-4, abs=0.05)
 
 

@@ -11,7 +11,9 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
-from stopset.offline.diagnose.evidence.engine import Engine, Known, Scored
+from stopset.offline.diagnose.evidence.candidate import Scored
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
@@ -57,12 +59,12 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
         verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
-    blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
+    blind = blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names)
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
-        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
+        shown = pattern(found.now, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
         "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
         "missing": lambda: advice.to_decide(rivals),

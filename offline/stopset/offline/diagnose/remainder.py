@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.evidence.hypothesis import Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.search.search import Claim, Found
 from stopset.types import Array
@@ -34,15 +34,16 @@ class Left:
         return next(iter((*self.loud, *self.restless)), None)
 
 
-def left_of(found: Found, engine: Engine) -> Left:
-    hyper, p = engine.fit(found.hyper)
+def left_of(found: Found) -> Left:
+    now, engine = found.now, found.now.engine
+    hyper, p = now.fit(found.hyper)
     depends, contradicted, wandering = {}, [], []
     ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
     for j in range(engine.data.n):
         if len(engine.rows[j].take) < 100:
             continue
-        ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
-        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
+        ranked = ranking[j] = dependences(now, p.theta, hyper, j)
+        if slow_excess(now, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
         if ranked[0].gain > limit.PATTERN:

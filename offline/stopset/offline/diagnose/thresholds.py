@@ -11,6 +11,7 @@ from math import log
 from typing import Any, NamedTuple
 
 THRESHOLD = 25.0  # of twice the log Bayes factor
+FORMS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)  # of a law's torque
 FORM_ERROR = 0.03  # of a claim's evidence
 TRUE_FORM = 0.003  # of a claim's evidence
 SIMPLER = 0.01  # of a claim's evidence

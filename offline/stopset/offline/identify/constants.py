@@ -37,7 +37,7 @@ from stopset.offline.conform import (
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
-from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
 from stopset.offline.diagnose.explain import doubt, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
@@ -150,7 +150,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "GIVEN SAME"),
+    ("diagnosis engine", engine, "SAME"),
+    ("diagnosis engine", hypothesis, "GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
     ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),
