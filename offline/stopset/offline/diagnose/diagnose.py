@@ -19,7 +19,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
-from stopset.offline.diagnose.search.search import Claim, Tell
+from stopset.offline.diagnose.search.search import Claim, Progress
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
@@ -54,11 +54,11 @@ def diagnose(
 def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
     engine, found, left = x.engine, x.found, x.left
-    ranked = tuple(r for r in x.ranked if not r.doubt and (names is None or r.effect in names))
+    ranked = tuple(r for r in x.ranked if not r.objection and (names is None or r.effect in names))
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
+        verdict = "unknown" if any(r.objection for r in x.ranked) else "none"
     blind = blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names)
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
@@ -88,11 +88,11 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 
 def diagnose_model(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = lambda _: None
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = lambda _: None
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
-    ``tell`` is told each step.
+    ``progress`` is told each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
@@ -105,7 +105,7 @@ def diagnose_model(
     fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
-    found = answered(examine(base.robot, recordings, fitted, known=base.known, tell=tell), names)
+    found = answered(examine(base.robot, recordings, fitted, known=base.known, progress=progress), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
@@ -116,24 +116,24 @@ def diagnose_model(
         found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
     if base.known is None or names is not None:
         return found, base.against
-    tell("what changed since identification")
+    progress("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
 
 
-def _with_changes(found: Diagnosis, told: Sequence[Change]) -> Diagnosis:
+def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
     """The answer with what changed since identification: that is the verdict where nothing is missing besides."""
-    if not told:
+    if not changed:
         return found
     if found.verdict == "missing":
-        return replace(found, changed=tuple(told))
+        return replace(found, changed=tuple(changed))
     ranked = tuple(
         Ranked(
             c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
             {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c,
         )
-        for c in told
+        for c in changed
     )  # fmt: skip
-    return replace(found, verdict="changed", ranked=ranked, changed=tuple(told), next_experiment=SINCE)
+    return replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE)
 
 
 def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Sequence[str]) -> tuple[str, ...]:
@@ -144,15 +144,17 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
 
 
 def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
-    """What is left at each joint that holds more than its sensors' noise, or a claim in doubt."""
-    sound = [k for k, r in enumerate(x.ranked) if not r.doubt]
+    """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding."""
+    sound = [k for k, r in enumerate(x.ranked) if not r.objection]
     error = x.errors(sound)[-1]
     out = []
     for j, joint in enumerate(x.engine.data.joints):
-        doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
-        if x.found.excess[j] > limit.QUIET or j in x.left.depends or doubted:
+        refuted = tuple(
+            f"{r.label}: {r.objection}" for r in x.ranked if r.objection and joint in (r.joints or x.engine.data.joints[:1])
+        )
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or refuted:
             names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
-            out.append(Unexplained(joint, float(error[j]), names, doubted))
+            out.append(Unexplained(joint, float(error[j]), names, refuted))
     return tuple(out)
 
 

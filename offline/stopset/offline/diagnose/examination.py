@@ -13,12 +13,12 @@ from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
-from stopset.offline.diagnose.explain.doubt import doubt, within
+from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.held_out import held_out
-from stopset.offline.diagnose.search.search import Claim, Found, Tell, search
+from stopset.offline.diagnose.search.search import Claim, Found, Progress, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -44,7 +44,7 @@ class Examination:
         return tuple(
             k
             for k, r in enumerate(self.ranked)
-            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+            if r.effect == effect and not r.objection and (wanted is None or set(r.joints) == wanted)
         )
 
     def errors(self, claims: Sequence[int]) -> list[Array]:
@@ -54,18 +54,18 @@ class Examination:
 
 def examine(
     robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
-    names: Sequence[str] | None = None, known: Known | None = None, tell: Tell = lambda _: None,
+    names: Sequence[str] | None = None, known: Known | None = None, progress: Progress = lambda _: None,
 ) -> Examination:  # fmt: skip
     """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
 
-    ``tell`` is told each step.
+    ``progress`` is told each step.
     """
-    tell(f"{len(recordings)} recordings; preparing their rows")
+    progress(f"{len(recordings)} recordings; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)
     already = _with_own(Hypothesis(engine), fitted)
-    tell(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
-    found = search(already, names, tell=tell)
-    tell("what is left, and what these recordings cannot tell")
+    progress(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
+    found = search(already, names, progress=progress)
+    progress("what is left, and what these recordings cannot tell")
     left = left_of(found)
     return Examination(already, found, left, _ranked(found, already, left))
 
@@ -105,16 +105,16 @@ def _errors(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[
 
 
 def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]:
-    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+    """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
     numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
-    doubts = []
+    objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
-        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
+        objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(objections) if not why][: limit.HANDFUL]
     errors = dict(zip([-1, *sound], _errors(found, already, [found.claims[k] for k in sound]), strict=True))
     out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
@@ -122,27 +122,27 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
-        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        why = objections[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
-                c.effect.look_at, _says(c.effect, given), points=partial(found.now, left.hyper, left.theta, c, worst), doubt=why,
+                c.effect.look_at, _says(c.effect, given), points=partial(found.now, left.hyper, left.theta, c, worst), objection=why,
             )
         )  # fmt: skip
         before = after
     return tuple(out)
 
 
-def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
+def _says(effect: Effect, numbers: Mapping[str, Parameter]) -> str:
     """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
-    m = told["m"] if effect.carried else None
+    m = numbers["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std
     text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
     if abs(m.value) < half:
         return f"{text}."
-    centre = ", ".join(f"{told[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
+    centre = ", ".join(f"{numbers[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
     return f"{text}, centre at ({centre}) m in the last link's frame."
 
 

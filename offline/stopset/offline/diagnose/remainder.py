@@ -14,7 +14,7 @@ from stopset.types import Array
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly.
+    """What the claims leave: ``depends`` by joint, best variable first; ``noisy`` joints have too much variance, in rows or slowly.
 
     ``hyper``, ``theta``: the whole model refitted with the claims; ``ranking``: all variables by joint.
     """
@@ -23,15 +23,15 @@ class Left:
     theta: Array
     ranking: dict[int, list[Dependence]]
     depends: dict[int, list[Dependence]]
-    loud: tuple[int, ...]
+    noisy: tuple[int, ...]
     contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
-    restless: tuple[int, ...]
+    scattering: tuple[int, ...]
 
     @property
     def worst(self) -> int | None:
         if self.depends:
             return max(self.depends, key=lambda j: self.depends[j][0].gain)
-        return next(iter((*self.loud, *self.restless)), None)
+        return next(iter((*self.noisy, *self.scattering)), None)
 
 
 def left_of(found: Found) -> Left:
@@ -50,20 +50,20 @@ def left_of(found: Found) -> Left:
             depends[j] = ranked
             if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
-    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
-    return Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
+    noisy = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    scattering = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.FRICTION_SCATTER)
+    return Left(hyper, p.theta, ranking, depends, noisy, tuple(contradicted), scattering)
 
 
 def verdict_of(found: Found, left: Left) -> str:
     """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
     if left.contradicted:
         return "unknown"
-    if (left.depends or left.loud) and not _telling(found.claims):
+    if (left.depends or left.noisy) and not _telling(found.claims):
         return "unknown"
     if found.claims:
         return "missing"
-    return "unknown" if left.restless else "none"
+    return "unknown" if left.scattering else "none"
 
 
 def _telling(claims: Sequence[Claim]) -> bool:

@@ -26,7 +26,8 @@ from stopset.robot import Robot
 from stopset.types import Array
 
 SAME = 0.01  # prior deviation of the torque's scale from that of the recordings that a model is from
-KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
+RECENT = 8  # laws whose columns are kept
+CACHED = 64  # columns of tried shapes that are kept: a search comes back to them
 
 
 @dataclass(slots=True)
@@ -39,7 +40,7 @@ class Engine:
     rows: list[JointRows]
     fold_of_trial: Index
     friction: Array  # (n, 2) F_c, F_v of the first fit
-    told: Array  # (n, 2) the part of it that was taken off the rows beforehand
+    taken_off: Array  # (n, 2) the part of it that was taken off the rows beforehand
     grams: list[JointGram]
     prior_sd: Array  # (1 + base columns,) of y (unused) and the base model; inf: flat
     cad: Index  # base columns whose prior is the robot description
@@ -49,6 +50,7 @@ class Engine:
     scales: tuple[float, ...] = limit.SCALES
     rotor_scales: tuple[float, ...] = limit.ROTOR_SCALES
     _level: dict[int, float] = field(default_factory=dict)
+    _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
 
     # -- building ---------------------------------------------------------------------------------------------------
@@ -70,8 +72,8 @@ class Engine:
         sd = np.full(2 + 15 * n, np.inf)
         sd[-1] = 1e-6 if compensated else SAME if known else limit.DRIVES  # torque constants off on all joints alike
         sd[base] = link_tolerance(robot, tol).ravel()
-        told = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
-        sd[own[:, 0]] = np.where(told, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
+        taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
+        sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
         sd[own[:, 4]] = 0.5 * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
         friction, grams = np.zeros((n, 2)), []
         for j in range(n):
@@ -80,7 +82,7 @@ class Engine:
                 sd[own[j, 1:3]] = np.maximum(known.spread * known.friction[j], 1e-3)
                 X[:, 0] -= X[:, -4:-2] @ known.friction[j]
             friction[j] = known.friction[j] if known else first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]))
-            f = rows[j].column(np.stack([data.way[:, j], data.dq[:, j]], axis=1) * friction[j])
+            f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, [1 + 15 * n], own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
@@ -130,7 +132,7 @@ class Engine:
         k = len(effect.terms)
         power, level, count = np.zeros(k), 0.0, 0
         parts = {}
-        for i, (moving, still) in columns(self.source, effect, joints, shapes).items():
+        for i, (moving, still) in self.columns(effect, joints, shapes).items():
             plain = self.rows[i].plain(moving)
             power += (plain**2).sum(axis=0)
             count += len(plain)
@@ -148,21 +150,31 @@ class Engine:
         sd = np.where(np.isfinite(span), np.minimum(sd, span / 2), sd)
         return Candidate(effect, joints, dict(shapes), np.arange(self.size, self.size + k), sd), parts
 
+    def columns(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
+        """`columns` of a law over rows and poses; the last `RECENT` are kept, as those of a claim are asked for again."""
+        key = (effect.name, joints, tuple(shapes.items()))
+        if key not in self._columns:
+            self._columns[key] = columns(self.source, effect, joints, shapes)
+            while len(self._columns) > RECENT:
+                del self._columns[next(iter(self._columns))]
+        return self._columns[key]
+
     def make_again(
         self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
     ) -> tuple[Candidate, dict[int, Array]] | None:
-        """`make` for a search that comes back to the same shapes: the last `KEPT` are kept."""
+        """`make` for a search that comes back to the same shapes: the last `CACHED` are kept."""
         key = (effect.name, joints, tuple(shapes.items()))
         if key in self._made:
             return self._made[key]
         made = self._made[key] = self.make(effect, joints, shapes)
-        while len(self._made) > KEPT:
+        while len(self._made) > CACHED:
             del self._made[next(iter(self._made))]
         return made
 
     def forget(self, joint: int) -> None:
         """Forget what was computed from other rows of ``joint``."""
         self._made.clear()
+        self._columns.clear()
         self._level.pop(joint, None)
 
     def level(self, joint: int) -> float:
@@ -177,12 +189,13 @@ class Engine:
         """Whether gravity loads one of ``joints`` in these motions."""
         return any(float(np.ptp(self.source.gravity[:, j])) >= limit.FLAT * self.level(j) for j in joints)
 
-    def tell_source(self, theta: Array) -> None:
+    def update_source(self, theta: Array) -> None:
         """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n
         own = theta[10 * n : 15 * n].reshape(n, 5)
-        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.told]))
+        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.taken_off]))
         self._made.clear()
+        self._columns.clear()
 
 
 def _motions(data: Prepared) -> dict[Any, int]:

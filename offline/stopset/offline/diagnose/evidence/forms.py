@@ -14,14 +14,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
-from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
+from stopset.offline.diagnose.rows.prepare import Index
 from stopset.types import Array
 
-STEPS = 6  # values of a random function, over as many equal parts of the rows
+DEGREE = 3  # of the curves that a form may be off by, over each thing it may depend on
 
 
 def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array) -> Hypothesis:
@@ -42,29 +43,30 @@ def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array) -> Hy
 
 
 def form_columns(engine: Engine, c: Candidate, value: Array) -> dict[int, Array]:
-    """Whitened columns (K, k) by joint: the claim's torque in each part of what it may depend on."""
+    """Whitened columns (K, k) by joint: the claim's torque times curves over what it may depend on."""
     out = {}
-    for i, (moving, still) in columns(engine.source, c.effect, c.joints, c.shapes).items():
+    for i, (moving, still) in engine.columns(c.effect, c.joints, c.shapes).items():
         torque, at_rest = moving @ value, still @ value
-        if c.joints and i not in c.joints:
-            moved, held = torque[:, None], at_rest[:, None]  # what a law leaves at other joints, it leaves there as a whole
-        else:
-            parts = [_parts(x, engine.rows[i].take) for x in _depends(engine, i, torque)]
-            moved = np.concatenate([torque[:, None] * p for p in parts], axis=1)
-            held = np.tile(at_rest[:, None] / len(parts) / STEPS, moved.shape[1])
-        if np.any(moved):
-            out[i] = engine.rows[i].column(moved, held)
+        shares = np.ones((len(torque), 1))  # what a law leaves at other joints, it leaves there as a whole
+        if not c.joints or i in c.joints:
+            shares = np.column_stack([shares, *(_curves(x, engine.rows[i].take) for x in _depends(engine, i, torque))])
+        held = np.zeros((len(at_rest), shares.shape[1]))
+        held[:, 0] = at_rest
+        if np.any(torque):
+            out[i] = engine.rows[i].column(torque[:, None] * shares, held)
     return out
 
 
 def _depends(engine: Engine, joint: int, torque: Array) -> list[Array]:
     """(N,) each: what a law's form may depend on at a joint."""
     d = engine.data
-    place = d.trial + 0.0
-    return [np.abs(torque), d.q[:, joint], d.dq[:, joint], engine.source.gravity[:, joint], place]
+    return [np.abs(torque), d.q[:, joint], d.dq[:, joint], engine.source.gravity[:, joint], d.trial + 0.0]
 
 
-def _parts(x: Array, take: Array) -> Array:
-    """(N, k) which of the equal parts of the rows ``take`` a row's ``x`` lies in; one part where it does not vary."""
-    edges = np.unique(np.quantile(x[take], np.linspace(0, 1, STEPS + 1)[1:-1])) if len(take) else np.zeros(0)
-    return np.eye(len(edges) + 1)[np.searchsorted(edges, x)]
+def _curves(x: Array, take: Index) -> Array:
+    """(N, `DEGREE`) Legendre polynomials over the range of ``x`` in the rows ``take``; none where it does not vary."""
+    lo, hi = (float(np.min(x[take])), float(np.max(x[take]))) if len(take) else (0.0, 0.0)
+    if hi <= lo:
+        return np.zeros((len(x), 0))
+    out: Array = legvander(np.clip(2 * (x - lo) / (hi - lo) - 1, -1.0, 1.0), DEGREE)[:, 1:]
+    return out

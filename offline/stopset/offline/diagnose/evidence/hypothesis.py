@@ -91,6 +91,13 @@ class Hypothesis:
 
     # -- its fit ----------------------------------------------------------------------------------------------------
 
+    def refit(self, h: Hyper) -> tuple[Hyper, Projection]:
+        """Coefficients and noise variances where all else that evidence chooses is given."""
+        view = self.view()
+        p = view.project(h)[0]
+        h = replace(h, kappa=tuple(view.kappa(j, p.theta, s) for j, s in enumerate(h.sigma)))
+        return h, view.project(h)[0]
+
     def fit(self, start: Hyper | None = None) -> tuple[Hyper, Projection]:
         """Hyperparameters by evidence, and coefficients."""
         engine, view = self.engine, self.view()
@@ -108,18 +115,23 @@ class Hypothesis:
             h = view._best(h, [replace(h, rotor=s) for s in engine.rotor_scales])
             for k in range(len(self.forms)):
                 h = view._best(h, [replace(h, forms=_put(h.forms, k, s)) for s in limit.FORMS])
-            p = view.project(h)[0]
-            h = replace(h, kappa=tuple(view.kappa(j, p.theta, h.sigma[j]) for j in range(n)))
+            h, p = view.refit(h)
             if h == before:
                 break
-        return h, view.project(h)[0]
+        return h, p
 
     def evidence(self, h: Hyper) -> float:
         """Twice the log evidence at ``h``, comparable between hypotheses about the same data."""
         view = self.view()
         p, logdet = view.project(h)
-        spread = sum(r.size * float(np.log(k)) for r, k in zip(self.engine.rows, h.kappa, strict=True))
-        return view.criterion(p, h, logdet) - spread
+        return view.criterion(p, h, logdet) - self._spread(h)
+
+    def misfit(self, p: Projection, h: Hyper) -> float:
+        """Twice the negative log likelihood of the likeliest coefficients, with their prior: what is left, whatever it took."""
+        return p.rss + self._spread(h)
+
+    def _spread(self, h: Hyper) -> float:
+        return sum(r.size * float(np.log(k)) for r, k in zip(self.engine.rows, h.kappa, strict=True))
 
     def excesses(self, theta: Array, h: Hyper) -> tuple[float, ...]:
         """Residual variance over the sensors' noise of each joint; ``theta``: coefficients of `nuisance`."""
@@ -127,9 +139,11 @@ class Hypothesis:
         return tuple(view.excess(j, theta, h.sigma[j], h.kappa[j]) for j in range(self.engine.data.n))
 
     def descriptions(self, h: Hyper) -> list[Hyper]:
-        """``h`` with the description or the data sheet holding better or worse."""
+        """``h`` with the description or the data sheet holding better or worse, or a claim's form truer."""
         links = [replace(h, scale=s) for s in self.engine.scales if s != h.scale]
-        return links + [replace(h, rotor=s) for s in self.engine.rotor_scales if s != h.rotor]
+        rotors = [replace(h, rotor=s) for s in self.engine.rotor_scales if s != h.rotor]
+        truer = [replace(h, forms=_put(h.forms, k, s)) for k, x in enumerate(h.forms) for s in limit.FORMS if s < x]
+        return links + rotors + truer
 
     # -- its linear algebra -----------------------------------------------------------------------------------------
 

@@ -34,8 +34,8 @@ def pattern(now: Hypothesis, theta: Array, hyper: Hyper, joint: int, alone: Sequ
         return Pattern(tuple(pair.variable.split(" * ")), pair.share, True)
     if best is None or best.gain <= least:
         return None
-    told = [d for d in alone if d.gain > least and d.share > 0.5 * best.share][:3]
-    names = dict.fromkeys(part for d in told for part in d.variable.split(" * "))
+    strong = [d for d in alone if d.gain > least and d.share > 0.5 * best.share][:3]
+    names = dict.fromkeys(part for d in strong for part in d.variable.split(" * "))
     return Pattern(tuple(names), best.share, False)
 
 

@@ -39,12 +39,12 @@ def dependences(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> list
     engine, d = now.engine, now.engine.data
     take = engine.rows[joint].take
     r, fold = whitened(now, theta, hyper, joint)
-    way, bins = d.way[take, joint], BINS
+    direction, bins = d.direction[take, joint], BINS
     if few_motions(engine):  # blocks of time are held out, and steps of time must be longer than they are
         fold, bins = by_time(engine, joint)[: len(take)], FEW_BINS
     found = []
     for name, x in _variables(engine, joint, take):
-        for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
+        for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", direction)):
             share = predicted(r, x, weight, fold, bins)
             found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)

@@ -56,13 +56,13 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
     out = [{t.symbol: float(sd[place[k]]) for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True)} for c in claims]
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
-    for c, told in zip(claims, out, strict=True):
+    for c, deviation in zip(claims, out, strict=True):
         if c.effect.carried:  # a load is known no better than the torque it is weighed with
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
-                told[t.symbol] = float(np.hypot(told[t.symbol], engine.source.gain_std * theta[place[k]]))
+                deviation[t.symbol] = float(np.hypot(deviation[t.symbol], engine.source.gain_std * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
-            told[symbol] = float(np.hypot(told[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
+            deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
     return out
 
 

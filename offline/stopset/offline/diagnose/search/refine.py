@@ -39,7 +39,7 @@ def _out_of_step(s: Scored) -> bool:
 
 
 def sharpened(now: Hypothesis, scored: Scored, hyper: Hyper) -> Candidate:
-    """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+    """An elasticity once it is certain: its exact column, so that steps of the torque leave no trace."""
     c = scored.candidate
     return c if c.effect.role != "swing" or "exact" in c.shapes else _climbed(now, c, "exact", 0.4, hyper)
 
