@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.recording import Recording, Recordings
-from stopset.robot import Robot, load_robot
+from stopset.robot import Robot
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.cell import TICK, Cell, Job, play, reported, temperatures
 from stopset.simulation.motions import fourier, point_to_point

@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 
 from stopset.offline.conform.bands import narrower
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identify
-from stopset.robot import load_robot
 
 BANDS = 3
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
+from stopset.offline.description import load_robot
 from stopset.recording import Meta, Recording, write_recordings
-from stopset.robot import load_robot
 
 RATE, SECONDS = 250.0, 5.0
 REPEATS, STARTS = 15, 4

@@ -17,9 +17,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.recording import Recordings
-from stopset.robot import load_robot
 from stopset.simulation import prepare
 
 EFFECTS = (

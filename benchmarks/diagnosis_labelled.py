@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 
 SAME = {"asym_coulomb": "asymmetric_coulomb"}  # names of the labels that differ from the catalogue's
 

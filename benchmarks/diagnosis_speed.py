@@ -29,8 +29,8 @@ CASES = ("none", "stribeck", "delay", "elasticity", "thermal_viscous+payload")
 
 def simulate(hide: str, folder: Path) -> Path:
     """A campaign with hidden effects, cut off at `SAMPLES`, as a Parquet file beside its robot."""
+    from stopset.offline.description import load_robot
     from stopset.recording import write_recordings
-    from stopset.robot import load_robot
     from stopset.simulation import prepare
 
     scenario = prepare(load_robot("lwa4p"), hide.split("+"), 7, "compact")
@@ -55,9 +55,9 @@ def child(path: Path) -> dict[str, Any]:
     """Everything measured in this process."""
 
     def whole() -> Any:
+        from stopset.offline.description import load_robot
         from stopset.offline.diagnose import diagnose
         from stopset.recording import read_recordings
-        from stopset.robot import load_robot
         from stopset.simulation.scenario import complete_robot
 
         robot = complete_robot(load_robot("lwa4p"), 7)

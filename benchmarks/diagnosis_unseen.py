@@ -28,12 +28,12 @@ from independent_sets import Truth, random_truth, write_set
 from independent_sizing import RATIO, hide
 from scipy.stats import beta
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 
 ENOUGH = {"easy": 2.0, "hard": 1.25}  # ratio below which another joint is drawn: there the effect can't be made that large
 CHANCES = 6

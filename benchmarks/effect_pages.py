@@ -19,7 +19,7 @@ from stopset.effects.base import Effect, Shape, Signals, Term
 from stopset.effects.registry import catalogue
 from stopset.effects.signals import arm_signals, paired
 from stopset.files import write_text
-from stopset.robot.arm import robot_from_text
+from stopset.offline.description import robot_from_text
 from stopset.types import Array
 
 ROOT = Path(__file__).parents[1]

@@ -10,17 +10,21 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from set_problems import binary_search, problem
 from stopset.artifact import Abstraction, Model
 from stopset.offline.compare.compare import inputs
 from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform.nonlinear import leak
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal
-from stopset.robot import load_robot
 from stopset.sets import Box
 
 MODELS = ((1, 1), (2, 3), (2, 5), (3, 3), (3, 5))
@@ -74,15 +78,14 @@ def per_dimension() -> str:
         push = rng.choice(suffered, steps // 25 + 1).repeat(25)[:steps, None]
         x = nominal(model, np.zeros((1, 2)), (u + push)[None, :-1], dt)[0]
         trials.append((x + rng.uniform(-1, 1, x.shape) * noise, u))
-    problem = co.problems(trials, model, ("joint",), ReadingError.exact(Box.symmetric(noise)), dt, 100)[0]
-    best, _ = co.verified(problem, co.search(problem))
-    wide = co.scaled(problem, best, 2.0)
+    joint = co.problems(trials, problem(model, ReadingError.exact(Box.symmetric(noise)), dt, 100))[0]
+    best, _ = co.verified(joint, co.search(joint))
+    wide = co.scaled(joint, best, 2.0)
     torque_first = [co.U_LO, co.U_HI, co.Q_LO, co.Q_HI, co.V_LO, co.V_HI]
     torque_last = torque_first[2:] + torque_first[:2]
     said = [("program", best)]
     said += [
-        (f"search, U {w}", co.binary_search(wide, problem.conformant, o))
-        for w, o in (("first", torque_first), ("last", torque_last))
+        (f"search, U {w}", binary_search(wide, joint.conformant, o)) for w, o in (("first", torque_first), ("last", torque_last))
     ]
     sets = "; ".join(f"{name}: [{z[co.U_LO]:.2f}, {z[co.U_HI]:.2f}]" for name, z in said)
     return f"torque set [{suffered[0]}, {suffered[1]}] N m of one simulated joint: {sets}"

@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import read_recordings, write_recordings
-from stopset.robot import Robot, load_robot
+from stopset.robot import Robot
 from stopset.simulation.campaign import Plan, make
 from stopset.simulation.cell import build_cell, wrong_cad
 from stopset.simulation.hidden import Hidden, healthy

@@ -120,7 +120,7 @@ def median(said: str) -> str:
 
 def judge(folder: Path, work: Path) -> dict[str, Any]:
     """One robot through all commands."""
-    from stopset.robot import load_robot
+    from stopset.offline.description import load_robot
 
     options = (folder / "only.txt").read_text().split() if (folder / "only.txt").exists() else []
     given = dict(zip(options[::2], options[1::2], strict=True))

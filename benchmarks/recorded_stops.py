@@ -26,6 +26,7 @@ from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.brakes.judge import Verdict, first_outside, stop0_tubes, stop1_tube
 from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
 from stopset.offline.brakes.stops import rest_noise
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import identify
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp, ramp_of, ramp_time
@@ -33,7 +34,6 @@ from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.recording import Recording, read_recordings
-from stopset.robot import load_robot
 from stopset.sets import Box
 
 MANY = 10  # stops of a suite from which on only each tenth is left out

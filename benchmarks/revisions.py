@@ -9,11 +9,11 @@ from __future__ import annotations
 import argparse
 
 from stopset.artifact import Model
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
 from stopset.offline.revise.revise import add
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 
 
 def row(name: str, figures: dict[str, float]) -> None:

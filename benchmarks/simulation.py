@@ -11,7 +11,8 @@ import time
 
 import numpy as np
 
-from stopset.robot import Robot, load_robot
+from stopset.offline.description import load_robot
+from stopset.robot import Robot
 from stopset.simulation import PLANS, prepare, simulate_stop
 from stopset.simulation.arm import Script, run, start
 from stopset.simulation.plant import Plant, healthy_plant

@@ -8,8 +8,8 @@ import numpy as np
 
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
 from stopset.effects.base import Fitted
-from stopset.robot import Robot, load_robot
-from stopset.robot.arm import robot_from_text
+from stopset.offline.description import load_robot, robot_from_text
+from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 from stopset.types import Array

@@ -8,7 +8,8 @@ from stop_arms import Array, prbt_like, ur5_like
 
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
 from stopset.effects.base import Fitted
-from stopset.robot.arm import Robot, robot_from_text
+from stopset.offline.description import robot_from_text
+from stopset.robot.arm import Robot
 from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
 

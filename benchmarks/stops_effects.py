@@ -29,12 +29,12 @@ from stopset.effects.registry import get
 from stopset.effects.signals import arm_signals
 from stopset.errors import NotCovered
 from stopset.files import write_text
+from stopset.offline.description import load_robot
 from stopset.offline.stops.sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import write_recordings
-from stopset.robot import load_robot
 from stopset.robot.rigid import Chain, torques
 from stopset.sets import Box
 from stopset.simulation import prepare

@@ -72,7 +72,7 @@ def tables() -> None:
         StopBounds.of(model, ramp=kept).bound(np.zeros(6), np.full(6, 0.1), c)
     for c, ramp in [*((c, kept) for c in CATEGORIES), ("1 guaranteed", watched)]:
         begin = time.process_time()
-        table = stop_table(model, Question(ramp=ramp, categories=(c,)), lambda items, what: iter(items))
+        table = stop_table(model, Question(ramp=ramp, categories=(c,)))
         how = "SS1-r, 0.3 s" if ramp.monitored else "SS1-t, ramp 0.5 s, power off after 0.6 s"
         certified, loose = sum(r.certified for r in table.rows), sum("kinetic energy" in r.why for r in table.rows)
         size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -27,7 +27,8 @@ import numpy as np
 
 from stopset.artifact import Abstraction
 from stopset.offline.abstraction import ORDERS, build, degrees
-from stopset.robot import Robot, load_robot
+from stopset.offline.description import load_robot
+from stopset.robot import Robot
 from stopset.robot.rigid import Chain, mass_matrices, torques
 from stopset.types import Array
 

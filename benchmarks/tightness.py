@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import StopsetError
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import identify
-from stopset.robot import load_robot
 
 HEAD = (
     "recording", "median 0.1 s", "widest 1 sample", "0.1 s", "1 s", "V speed [rad/s]", "noise", "fastest", "U [N m]", "held out, left",

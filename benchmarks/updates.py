@@ -17,9 +17,10 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from stopset.artifact import Model, model_text, save_model
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Keep, identify
 from stopset.offline.update.update import load_state, save_state, update
-from stopset.robot import Robot, load_robot
+from stopset.robot import Robot
 
 KINDS: tuple[Keep, ...] = ("sums", "signals")
 

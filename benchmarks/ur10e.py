@@ -35,12 +35,13 @@ from typing import Any
 import numpy as np
 
 from stopset.effects import Effect, Term
+from stopset.offline.description import load_robot
 from stopset.offline.nominal import Preprocessing, identify_nominal, residuals
 from stopset.offline.nominal.preprocess import motions
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.ring import absolute, sign
-from stopset.robot import Robot, load_robot
+from stopset.robot import Robot
 
 MOVING = 0.02  # [rad/s] the arm moves when some joint is faster
 # suites to fit and to test, best match to the known figures first

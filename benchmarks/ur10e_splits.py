@@ -20,13 +20,14 @@ import numpy as np
 import ur10e
 from scipy.signal import butter, filtfilt
 
+from stopset.offline.description import load_robot
 from stopset.offline.nominal import Preprocessing, accumulate, solve_nominal
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.normal_equations import moving_rows
 from stopset.offline.nominal.preprocess import motions
 from stopset.offline.nominal.unidentifiable import base_directions, parameter_scale
 from stopset.recording import Recording, read_recordings
-from stopset.robot import Robot, load_robot
+from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, regressors
 
 # recordings of one day, by suite: their dates are in the names of the files they were published as

@@ -15,8 +15,8 @@ import numpy as np
 
 from stopset.offline.conform.linear_program import Fit
 from stopset.offline.conform.linear_sets import BOX
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identify
-from stopset.robot import load_robot
 
 FEW = 18  # generators; the volume is a sum over all choices of n among them
 

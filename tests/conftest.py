@@ -52,8 +52,8 @@ def schunk_file(shared_data: Callable[[str], Path]) -> Path:
 @pytest.fixture(scope="session")
 def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The identification of the Schunk arm with the default settings, once per session."""
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import identify
-    from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file])
 
@@ -61,8 +61,8 @@ def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="session")
 def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
     """The same on the paper's definition: predictions from each trial's start, no margin."""
+    from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import Settings, identify
-    from stopset.robot import load_robot
 
     return identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0))
 
@@ -81,6 +81,35 @@ def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped
     found = identify(arm(names(2)), [folder / "rec.parquet"])
     save_model(found.model, folder / "m.model.json")
     return folder, trials, found
+
+
+@pytest.fixture(scope="session")
+def altered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small simulated arm: ``healthy.parquet``, its model ``m.model.json``, and ``altered.parquet``, where a spring pulls at ``bend``."""
+    from stopset.cli.main import main
+    from test_hidden_effects import ARM
+
+    folder = tmp_path_factory.mktemp("altered")
+    (folder / "three.urdf").write_text(ARM)
+    for name, hide in (("healthy", "none"), ("altered", "spring:bend")):
+        words = [
+            "simulate",
+            "--robot",
+            str(folder / "three.urdf"),
+            "--hide",
+            hide,
+            "--plan",
+            "short",
+            "--seed",
+            "1",
+            "--out",
+            str(folder / name),
+        ]
+        assert main(words) == 0
+        (folder / name / "recording.parquet").rename(folder / f"{name}.parquet")
+    words = ["--robot", str(folder / "healthy" / "robot.urdf"), "--data", str(folder / "healthy.parquet")]
+    assert main(["identify", *words, "--out", str(folder / "m.model.json"), "--accept-wide"]) == 0
+    return folder
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 
 from stopset.artifact import Abstraction, Domain, Guarantee, Model, UncertaintySets
 from stopset.effects import Fitted
-from stopset.robot.arm import robot_from_text
+from stopset.offline.description import robot_from_text
 from stopset.sets import Box
 
 J = np.array([1.9, 12.4, 1.9, 1.8, 0.55, 0.43])

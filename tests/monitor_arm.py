@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Abstraction, Brakes, Domain, Guarantee, Model, UncertaintySets
+from stopset.offline.description import load_robot
 from stopset.reach.flowpipe import discretise
 from stopset.recording import Meta, Recording
-from stopset.robot import load_robot
 from stopset.sets import Box
 
 DT = 0.004

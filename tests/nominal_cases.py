@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stopset.offline.description import robot_from_text
 from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques, torques
 from stopset.types import Array
 

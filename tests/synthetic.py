@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stopset.offline.description import robot_from_text
 from stopset.recording import Recording
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 
 DT = 0.004
 

@@ -17,8 +17,9 @@ from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluat
 from stopset.errors import StopsetError
 from stopset.offline.abstraction import ORDERS, build, degrees, predicted_bytes
 from stopset.offline.abstraction.forms import dynamics, inverse
-from stopset.robot import Robot, generic, load_robot
-from stopset.robot.arm import robot_from_text, standard_parameters
+from stopset.offline.description import load_robot, robot_from_text
+from stopset.robot import Robot, generic
+from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import mass_matrix, torque
 from stopset.sets import Box
 from test_taylor import CIRCLE, RADIUS

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, Domain, Model, load_model, model_text, save_model
 from stopset.artifact.polynomial import Polynomial
+from stopset.artifact.store import _build
 from stopset.effects.base import Fitted
 from stopset.errors import ModelFileError
 from stopset.sets import Box
@@ -53,6 +56,17 @@ def test_saved_and_loaded_to_the_last_bit(planar, tmp_path: Path) -> None:
     np.testing.assert_array_equal(saved.robot.chain.R, loaded.robot.chain.R)
     assert saved.robot.joints == loaded.robot.joints
     assert model_text(loaded) == (tmp_path / "m.json").read_text()  # and once more the same file
+
+
+@pytest.mark.parametrize("shape", [tuple[int, ...], typing.Any])
+def test_numbers_stay_real_however_numpy_writes_its_types(shape: object) -> None:
+    """Up to numpy 2.2 an array's type says `tuple[int, ...]` of its shape: every number of every model had been cut to a whole one."""
+    real, whole = (np.ndarray[shape, np.dtype[kind]] for kind in (np.float64, np.int64))  # type: ignore[valid-type]
+    assert _build(real, [0.5, 1.5], "x").tolist() == [0.5, 1.5]
+    assert _build(whole, [1, 2], "x").dtype == np.int64
+    assert (
+        _build(NDArray[np.int64], [1, 2], "x").dtype == np.int64 and _build(NDArray[np.float64], [1, 2], "x").dtype == np.float64
+    )
 
 
 def test_everything_optional_survives(planar, tmp_path: Path) -> None:

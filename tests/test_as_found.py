@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, Truth, arm, moving
-from stopset.artifact import SCHEMA_VERSION, load_model
+from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
@@ -22,6 +22,7 @@ from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import identify_nominal
@@ -30,8 +31,6 @@ from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.residual import residuals
 from stopset.offline.revise.revise import WIDER, widened
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
-from stopset.robot import load_robot
-from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques, torques
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -166,7 +165,7 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
 
 
 def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:
-    """Fast motions of all joints: U need not hold the Coriolis torque.  A slow arm keeps the plainer input and the older schema."""
+    """Fast motions of all joints: U need not hold the Coriolis torque.  A slow arm keeps the plainer input."""
     (tmp_path / "robot.urdf").write_text(arm().urdf)
     (tmp_path / "robot.json").write_text(json.dumps(dict(arm().datasheet)))
     found = {}
@@ -178,7 +177,7 @@ def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_pat
         found[name] = load_model(path)
     fast, slow = found["fast"], found["slow"]
     assert fast.abstraction.swift and any(note.startswith("Coriolis and centrifugal torque is taken off") for note in fast.notes)
-    assert not slow.abstraction.swift and json.loads((tmp_path / "slow.model.json").read_text())["schema"] < SCHEMA_VERSION
+    assert not slow.abstraction.swift
     plain = replace(fast, abstraction=replace(fast.abstraction, swift=False))
     r = read_recordings(tmp_path / "fast.parquet").trials[0]
     u, swift = plain.input(r.q, r.dq, r.tau), fast.input(r.q, r.dq, r.tau)
@@ -238,22 +237,26 @@ def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None
         identify_nominal(arm(), [still])
 
 
+LIMIT = '<limit lower="0" upper="0.1" effort="9" velocity="1"/>'
 GRIPPER = (
-    '<link name="finger_a"/><link name="finger_b"/>'
-    '<joint name="grip" type="{kind}"><parent link="l3"/><child link="finger_a"/><axis xyz="0 1 0"/></joint>'
-    '<joint name="grip_b" type="{kind}"><parent link="l3"/><child link="finger_b"/><axis xyz="0 1 0"/>{mimic}</joint></robot>'
+    '<link name="finger_a"/><link name="finger_b"/><joint name="grip" type="KIND"><parent link="l3"/><child link="finger_a"/>'
+    f'<axis xyz="0 1 0"/>{LIMIT}</joint><joint name="grip_b" type="KIND"><parent link="l3"/><child link="finger_b"/>'
+    f'<axis xyz="0 1 0"/>{LIMIT}</joint></robot>'
 )
 
 
 def test_urdfs_with_branches_name_the_chain() -> None:
     text = arm().urdf
-    slides = robot_from_text(text.replace("</robot>", GRIPPER.format(kind="prismatic", mimic="")))
-    assert slides.joints == JOINTS and "grip" in " ".join(slides.notes)
-    turns = text.replace("</robot>", GRIPPER.format(kind="revolute", mimic=""))
+    slides = text.replace("</robot>", GRIPPER.replace("KIND", "prismatic"))
+    with pytest.raises(RobotError, match=r"joint grip is prismatic; .*--lock grip,grip_b"):
+        robot_from_text(slides)
+    held = robot_from_text(slides, {"locked": ["grip", "grip_b"]})
+    assert held.joints == JOINTS and "grip" in " ".join(held.notes)
+    turns = text.replace("</robot>", GRIPPER.replace("KIND", "revolute"))
     with pytest.raises(RobotError, match=r"--tip.*finger_a"):
         robot_from_text(turns)
     assert robot_from_text(turns, {"locked": ["grip", "grip_b"]}).joints == JOINTS
-    with pytest.raises(RobotError, match="has no link"):
+    with pytest.raises(RobotError, match="has no link or joint"):
         robot_from_text(turns, {"tip": "nowhere"})
 
 

@@ -248,7 +248,7 @@ DAMAGED: dict[str, tuple[Callable[[str], str], str]] = {
     "newer": (_newer, "schema"),
     "empty": (lambda t: "", "not JSON"),
     "deep": (lambda t: "[" * 100_000, "bad.model.json"),
-    "a number beyond JSON": (lambda t: t.replace('"schema": 1', '"schema": 1e999', 1), "schema"),
+    "a number beyond JSON": (lambda t: t.replace(f'"schema": {SCHEMA_VERSION}', '"schema": 1e999', 1), "schema"),
 }
 
 

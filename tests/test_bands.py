@@ -203,7 +203,7 @@ def test_hidden_thermal_friction_makes_narrower_bands(tmp_path: Path) -> None:
     """Set d01 hides viscous friction that falls with temperature at two joints (thermal_viscous)."""
     if not SHARED.exists():
         pytest.skip("../shared/data/hidden_effect/d01 is not here")
-    from stopset.robot import load_robot
+    from stopset.offline.description import load_robot
 
     robot = load_robot(str(SHARED / "robot.urdf"))
     found = identify(robot, [SHARED / "recording.parquet"], Settings(bands=3))

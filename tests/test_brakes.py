@@ -17,11 +17,11 @@ from stopset.offline.brakes import divide, identify_stops, judge_stop0, judge_st
 from stopset.offline.brakes.bands import RISK, band, beyond, farther, hull
 from stopset.offline.brakes.impulse import Impulse, impulses
 from stopset.offline.brakes.timing import tell
+from stopset.offline.description import load_robot
 from stopset.reach.stops import Ramp, StopBounds, ramp_of
 from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.windows import windows
 from stopset.recording import Recording, read_recordings
-from stopset.robot import load_robot
 from stopset.sets import Box
 from stopset.simulation.stop import simulate_stop
 

@@ -10,10 +10,10 @@ import pytest
 
 from stopset.artifact import Model
 from stopset.offline.campaign.source import Campaign
+from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.recording import Recordings
-from stopset.robot.arm import robot_from_text
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.plant import Plant
 from test_hidden_effects import ARM

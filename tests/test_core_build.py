@@ -50,7 +50,7 @@ def test_flags_keep_the_order_of_operations() -> None:
 
 def test_a_call_costs_less_than_a_microsecond() -> None:
     """With the pointers at hand, as the monitor has them; the best of several runs, for the machine may be busy."""
-    from stopset.robot import load_robot
+    from stopset.offline.description import load_robot
     from stopset.robot.rigid import arm_struct
 
     arm = load_robot("lwa4p")
@@ -64,7 +64,7 @@ def test_a_call_costs_less_than_a_microsecond() -> None:
 @pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="runs what it compiles for linux-x86_64")
 def test_zig_makes_the_same_bits_as_the_systems_compiler(tmp_path: Path) -> None:
     """Two compilers, one result: as many numbers as a regressor and a mass matrix have, all equal."""
-    from stopset.robot import load_robot
+    from stopset.offline.description import load_robot
     from stopset.robot.rigid import arm_struct, mass_matrices, regressors
 
     theirs = ffi.dlopen(str(build.compile_core(tmp_path, "linux-x86_64")))

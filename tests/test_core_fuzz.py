@@ -152,7 +152,7 @@ def test_stop_tubes(seed: int) -> None:
         assert not tube.v_lo[-1].any() and not tube.v_hi[-1].any() and np.all(tube.margin >= 0.0)
         cut = slices(tube, 5)
         point_motion(chain, q, np.full(n, 1e-3), cut, n - 1, np.zeros(3))
-        swept_capsules(chain, q, np.full(n, 1e-3), tube, np.zeros(3))
+        swept_capsules(chain, q, np.full(n, 1e-3), tube, np.zeros((n, 7)))
         follow(tube, v_lo, v_hi)
 
 

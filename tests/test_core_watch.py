@@ -17,8 +17,8 @@ from stopset.effects.memory import coefficients, stepped
 from stopset.effects.registry import catalogue, get
 from stopset.errors import EffectError
 from stopset.monitor.layout import outward
+from stopset.offline.description import load_robot
 from stopset.ring import Tape
-from stopset.robot import load_robot
 from stopset.robot.rigid import gravity_torques, torques
 from stopset.types import Array
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.offline.diagnose.columns import elasticity as swing
 from stopset.offline.diagnose.evidence.candidate import Candidate
@@ -27,8 +28,6 @@ from stopset.offline.diagnose.search.search import predicts
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
 from stopset.offline.diagnose.thresholds import QUIET, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
-from stopset.robot import load_robot
-from stopset.robot.arm import robot_from_text
 from stopset.simulation import prepare
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose.columns.ripple import _power, _products
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.gravity import gravity_moments
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
-from stopset.robot import load_robot, rigid
+from stopset.robot import rigid
 
 RNG = np.random.default_rng(3)
 ARM = load_robot("lwa4p")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
-from stopset.robot import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from campaign import RATE, trials

@@ -8,10 +8,10 @@ import pytest
 
 from stopset.artifact import Model
 from stopset.effects import catalogue
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 
 MOUNTED = 2.805  # [kg] weighed
 SHOULDER, ELBOW = "shoulder_lift_joint", "elbow_joint"

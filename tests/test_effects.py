@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,14 +11,14 @@ import pytest
 
 import stopset.effects.registry as registry
 from stopset.artifact.inputs import entry
-from stopset.core import build
+from stopset.artifact.taped import SIGNALS, TILT, parameters_of, recorded
+from stopset.core.library import ffi, lib, view
 from stopset.effects import Effect, Signals, catalogue, check, get
 from stopset.effects.selection import base, of_part, usual, usual_friction
 from stopset.effects.signals import arm_signals
 from stopset.errors import EffectError
-from stopset.ring import CText, Interval
-from stopset.ring.ctext import PRELUDE
-from stopset.robot import load_robot
+from stopset.offline.description import load_robot
+from stopset.ring import Interval
 from stopset.robot.rigid import gravity_torques, torques
 
 NAMES = [
@@ -134,57 +129,27 @@ def test_interval_encloses_every_sample(effect: Effect) -> None:
             assert np.all((rate >= range_.lo) & (rate <= range_.hi)), "the states' flow"
 
 
-def compiler() -> list[str]:
-    for name in ("cc", "gcc", "clang"):
-        if shutil.which(name):
-            return [name]
-    pytest.importorskip("ziglang", reason="no C compiler and no ziglang")
-    return [sys.executable, "-m", "ziglang", "cc"]
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    """All laws as C functions of one array of signals and one of values."""
-    lines = [PRELUDE]
-    for e in catalogue().values():
-        s, values = drawn(e, np.random.default_rng(0), 1)
-        text = {k: CText(f"s[{i}]") for i, k in enumerate(s)}
-        torque = e.torque(signals(text, e), {k: CText(f"v[{i}]") for i, k in enumerate(values)})
-        lines.append(f"double {e.name}(const double *s, const double *v) {{ return {torque}; }}")
-        rates = e.rates(signals(text, e), {k: CText(f"v[{i}]") for i, k in enumerate(values)})
-        lines += [f"double {e.name}_rate{k}(const double *s, const double *v) {{ return {r}; }}" for k, r in enumerate(rates)]
-    folder = tmp_path_factory.mktemp("laws")
-    source, library = folder / "laws.c", folder / "laws.so"
-    source.write_text("\n".join(lines))
-    core = Path(build.__file__).with_name("c")
-    flags = [
-        "-O1",
-        "-ffp-contract=off",
-        f"-I{core}",
-        "-shared",
-        "-fPIC",
-        "-o",
-        str(library),
-        str(source),
-        str(core / "maths.c"),
-        "-lm",
-    ]
-    subprocess.run([*compiler(), *flags], check=True, capture_output=True, timeout=180)
-    return ctypes.CDLL(str(library))
-
-
-def test_c_text_computes_the_same(effect: Effect, compiled: ctypes.CDLL) -> None:
-    s, values = drawn(effect, np.random.default_rng(4))
-    v = (ctypes.c_double * len(values))(*values.values())
-    sig = signals(s, effect)
-    wanted = {"": effect.torque(sig, values)} | {f"_rate{k}": r for k, r in enumerate(effect.rates(sig, values))}
-    for what, numeric in wanted.items():
-        function = getattr(compiled, effect.name + what)
-        function.restype = ctypes.c_double
-        for k in range(50):
-            row = (ctypes.c_double * len(s))(*(x[k] for x in s.values()))
-            # sin, cos and exp of two libraries differ by a few units in the last place; sums of ten products add as many
-            assert function(row, v) == pytest.approx(np.broadcast_to(numeric, 50)[k], rel=1e-12, abs=1e-11)
+def test_c_text_computes_the_same(effect: Effect) -> None:
+    """Played by the core, recorded with other numbers; to the last bits of the elementary functions."""
+    rng = np.random.default_rng(4)
+    s, values = drawn(effect, rng)
+    other = {k: 0.5 * v + 0.1 for k, v in values.items()}
+    sig = replace(signals(s, effect), ddq_other=0.0)  # no sample of the core holds it
+    rows = np.zeros((lib.STOPSET_SIGNALS, 50))
+    for k, name in enumerate(SIGNALS):
+        rows[k] = np.broadcast_to(getattr(sig, name) if name != "way" else np.sign(sig.dq), 50)
+    for k, x in enumerate([*sig.tilt, *sig.tip, *sig.memory]):
+        rows[TILT + k] = x
+    wanted = [(-1, effect.torque(sig, values)), *enumerate(effect.rates(sig, values))]
+    for which, numeric in wanted:
+        tape = recorded(effect, other, which)
+        assert tape.apart and parameters_of(effect, other) == list(values)
+        numbers = np.array([*values.values(), *tape.numbers[len(values) :]])
+        law = ffi.new("StopsetProgram *", (len(tape.steps), ffi.from_buffer("int32_t[]", tape.steps), view(numbers)))
+        out = np.empty(50)
+        lib.stopset_law(law, 50, view(rows), view(out))
+        # sin, cos and exp of two libraries differ by a few units in the last place; sums of ten products add as many
+        assert out == pytest.approx(np.broadcast_to(numeric, 50), rel=1e-12, abs=1e-12)
 
 
 def test_payload_tilt_and_offset_are_the_rigid_body_s_derivatives() -> None:

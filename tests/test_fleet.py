@@ -19,8 +19,8 @@ pytest.importorskip("distributed")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from campaign import RATE, trials
 
+from stopset.offline.description import load_robot
 from stopset.recording import Meta, write_recordings
-from stopset.robot import load_robot
 
 TRIALS = 400
 LOOPBACK = "tcp://127.0.0.1"

@@ -252,8 +252,10 @@ def measured_run(model: Model, fmu: Path, shift: Array, **start: Any) -> dict[st
 
 
 def test_a_measurement_outside_names_the_joint_and_stays(exported: Any) -> None:
+    """Sets that conform from the start only: there is no other prediction than the unit's own."""
     model = arm_model()
-    fmu = exported(model, "arm", 3)
+    model = replace(model, sets={"powered": replace(model.powered, windows="start")})
+    fmu = exported(model, "from_the_start", 3)
     tube = deviation_tube(model.abstraction, model.powered)
     shift = np.zeros((60, model.n))
     shift[:, 2] = 0.999 * tube.hi[:60, 2]
@@ -304,7 +306,7 @@ def test_prediction_ends_at_the_horizon_or_starts_anew(exported: Any) -> None:
     shift = np.full((120, model.n), 5e-4)
     out = measured_run(model, fmu, shift)
     assert np.array_equal(out["covered"] == 1, out["age"] <= 0.5 + 1e-12)
-    assert np.all(out["verdict"][53:] == 0)
+    assert np.all(out["verdict"] == 1), "samples predict each other as in the monitor, however old the unit's own prediction is"
     again = measured_run(model, fmu, shift, restart=True)
     assert again["age"].max() <= 0.5 + 1e-12
     assert np.all(again["verdict"] == 1)

@@ -23,6 +23,7 @@ from fmu_models import arm_model
 from fmu_unit import unit
 from stopset.artifact import save_model
 from stopset.cli.main import main
+from stopset.effects import get
 from stopset.errors import EffectError, NotCovered, OutputError
 from stopset.fmu import PLATFORMS, Contents, archive, build, export
 from stopset.fmu.check import check_fmu
@@ -241,12 +242,14 @@ def test_units_in_base_units(unit: str, expected: dict[str, float] | None) -> No
     assert base_unit(unit) == expected
 
 
-def test_what_an_fmu_cannot_carry_is_said(own_effect: object) -> None:
+def test_what_an_fmu_cannot_carry_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     model = arm_model(3)
     with pytest.raises(NotCovered, match="model 1"):
         archive(replace(model, abstraction=replace(model.abstraction, kind=2)), Contents(3, (str(HERE),)))
-    with pytest.raises(EffectError, match=r"looks at t, which .* without it"):
-        archive(replace(model, effects=(friction("relaxing_hose", "axis_1", k=1.0, T=1.0),)), Contents(3, (str(HERE),)))
+    late = replace(get("coulomb"), name="late", needs=("dtau",), law=lambda s, _: (s.dtau,))
+    monkeypatch.setattr("stopset.fmu.laws.get", lambda name: late if name == "coulomb" else get(name))
+    with pytest.raises(EffectError, match=r"coulomb:axis_1 looks at dtau \(.*\), .* without it"):
+        archive(replace(model, effects=(friction("coulomb", "axis_1", F_c=1.0),)), Contents(3, (str(HERE),)))
     with pytest.raises(OutputError, match="expected x86_64-linux"):
         archive(model, Contents(3, ("pdp11",)))
 

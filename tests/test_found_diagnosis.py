@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stopset.robot.arm import robot_from_text
+from stopset.offline.description import robot_from_text
 from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.recording import Recordings
-from stopset.robot.arm import robot_from_text
 from stopset.simulation import prepare
 from stopset.simulation.hidden import Hidden
 from stopset.simulation.plant import largest_gravity

@@ -14,9 +14,9 @@ import pytest
 
 from stopset.cli.main import main
 from stopset.effects import catalogue
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 from stopset.simulation.hidden import kinds
 
 # a turntable, an upper arm and a light forearm with a flange: the smallest arm on which all effects differ (two parallel

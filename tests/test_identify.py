@@ -17,6 +17,7 @@ from stopset.errors import EffectError
 from stopset.offline.abstraction import build
 from stopset.offline.abstraction import order_selection as order
 from stopset.offline.abstraction.order_selection import abstracted
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import on_grid, survey
 from stopset.offline.compare.compare import answer, compare
 from stopset.offline.compare.metrics import torque_error
@@ -316,21 +317,19 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     head = Meta(joints=JOINTS, robot="three")
     found = survey(lambda: trials)
     settings = Settings(effects=("cubic_viscous",), friction="plain")
-    part = fit_nominal(robot, head, lambda: trials, found, settings)
+    run = Run(robot, head, lambda: trials, found, settings)
+    part = fit_nominal(robot, head, run.trials, found, settings)
     values = [f.values["v_3"] for f in part.effects if f.effect == "cubic_viscous"]
     np.testing.assert_allclose(values, v3, rtol=0.1)  # at every joint, since none was named
-    out = abstracted(robot, head, lambda: trials, found, settings, (), part)
+    out = abstracted(run, (), part)
     assert out.abstraction.kind == 1 and out.abstraction.order == best
     assert "held out of the fit" in out.notes[-1] and "order 1:" in out.notes[-1] and "order 3:" in out.notes[-1]
-    linear = abstracted(robot, head, lambda: trials, found, replace(settings, order=1), (), part)
+    linear = abstracted(replace(run, settings=replace(settings, order=1)), (), part)
     assert linear.abstraction.linear  # what is asked for is done
     plain = fit_nominal(robot, head, lambda: trials, found, Settings(friction="plain"))
-    assert abstracted(robot, head, lambda: trials, found, Settings(friction="plain"), (), plain) is plain
+    assert abstracted(replace(run, settings=Settings(friction="plain")), (), plain) is plain
     # what judges is never what was fitted
     seen: list[tuple[str, int]] = []
-
-    def source() -> list[Recording]:
-        return trials
 
     def fitted(*args: object) -> NominalPart:
         seen.extend(r.suite_key for r in args[2]())  # type: ignore[operator]
@@ -338,7 +337,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(order, "fit_nominal", fitted)
-        abstracted(robot, head, source, found, settings, (), part)
+        abstracted(run, (), part)
     held = order._half(found)
     assert held is not None
     assert 0 < len(seen) < len(trials) and not any(held(r) for r in trials if r.suite_key in seen)

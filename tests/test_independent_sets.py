@@ -19,7 +19,8 @@ from independent_outside import OUTSIDE
 from independent_sets import Truth, _run, _trial, closed_loop, random_truth, urdf
 from independent_sizing import RATIO, hide
 
-from stopset.robot import load_robot, rigid
+from stopset.offline.description import load_robot
+from stopset.robot import rigid
 
 ARM = """<robot name="two"><link name="base"/>
 <joint name="a" type="revolute"><parent link="base"/><child link="l1"/><origin xyz="0 0 0.3" rpy="0.2 -0.1 0.4"/><axis xyz="0 1 0"/>

@@ -262,7 +262,7 @@ def test_command_answers_and_exit_codes(
 
 @pytest.mark.shared
 def test_shared_recordings_are_sound(shared_data: Callable[[str], Path]) -> None:
-    from stopset.robot import load_robot
+    from stopset.offline.description import load_robot
 
     for name in ("hidden_effect/d06", "hidden_effect/p05", "hidden_effect/p01"):
         folder = shared_data(name)

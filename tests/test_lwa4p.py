@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stopset.robot import load_robot
+from stopset.offline.description import load_robot
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix
 
 ARM = load_robot("lwa4p")

@@ -12,11 +12,11 @@ from stopset.artifact.inputs import effect_torques, memories_along
 from stopset.effects import Effect, Fitted, Signals, Term, catalogue, get
 from stopset.effects.memory import affine, along, coefficients, stepped
 from stopset.errors import EffectError
+from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.search.wanted import wanted
 from stopset.offline.nominal.open_loop import DIRECTION_WIDTH, EffectTerm, JointBatch, roll_out
 from stopset.recording import Recordings
-from stopset.robot.arm import robot_from_text
 from stopset.simulation import prepare
 from stopset.types import Array
 from test_diagnose import ARM

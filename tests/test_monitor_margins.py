@@ -15,7 +15,7 @@ from stopset.monitor.config import ConfigError, Limits, Plane, Stops, load_confi
 from stopset.monitor.margins import ends, exceeded, margins, travels
 from stopset.monitor.override import STRETCHES, keeps, largest_override
 from stopset.monitor.stopworker import answer_for, prepare
-from stopset.robot import load_robot
+from stopset.offline.description import load_robot
 from stopset.types import Array
 
 ROBOT = load_robot("lwa4p")

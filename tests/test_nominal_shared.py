@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stopset.offline.description import load_robot
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import read_recordings
-from stopset.robot import load_robot
 
 pytestmark = pytest.mark.shared
 

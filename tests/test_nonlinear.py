@@ -12,25 +12,26 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from set_problems import binary_search, fit_nonlinear, problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
-from stopset.offline.abstraction import abstract, build, friction_polynomial, ranked
+from stopset.offline.abstraction import IdentifiedArm, abstract, build, friction_polynomial, ranked
 from stopset.offline.campaign import survey
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform import nonlinear, nonlinear_sets
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.conform.linear_sets import Options, Pairs
-from stopset.offline.conform.nonlinear import coarser, fit_nonlinear, leak
+from stopset.offline.conform.linear_sets import Pairs
+from stopset.offline.conform.nonlinear import coarser, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
 from stopset.recording import Recording, reader
-from stopset.robot import load_robot
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
 from test_abstraction import ROTOR, two_link
@@ -118,7 +119,7 @@ def test_two_simulations_are_the_exact_hull_for_any_friction_curve() -> None:
 
 def test_known_disturbances_are_found_again() -> None:
     trials = disturbed(CURVED)
-    fit, factor = co.fit_cooperative(trials, model_1(), ("a", "b"), READINGS, DT, 150)
+    fit, factor = co.fit_cooperative(trials, problem(model_1(), READINGS, DT, 150))
     # a torque at its corner for 25 steps moves the speed by more than the noise by far
     assert np.abs(fit.U.lo - TORQUE.lo).max() < 0.02 and np.abs(fit.U.hi - TORQUE.hi).max() < 0.02
     assert np.all(factor < 1.05)
@@ -135,7 +136,7 @@ def test_the_linear_model_needs_wider_sets_on_the_same_data() -> None:
     trials = disturbed(CURVED)
     widths = {}
     for name, model in (("curved", model_1()), ("linear", model_1(CURVED[:, :1] * 0.85))):
-        widths[name] = co.fit_cooperative(trials, model, ("a", "b"), READINGS, DT, 100)[0].U.width
+        widths[name] = co.fit_cooperative(trials, problem(model, READINGS, DT, 100))[0].U.width
     assert np.all(widths["curved"] < 0.9 * widths["linear"])
 
 
@@ -148,9 +149,9 @@ def test_straight_friction_gives_the_exact_linear_programs_sets(conform: str) ->
     for k, (x, u) in enumerate(trials):
         t = np.arange(len(x)) * DT
         deviations.add(envelope, Recording("open_loop", 0, k, k, t, x[:, :2], x[:, 2:], u), u)
-    noise = READINGS
-    want = fit_sets(envelope, responses(model, DT, steps), noise, model, ("a", "b"), conform)
-    got, _ = co.fit_cooperative(trials, model, ("a", "b"), noise, DT, steps, conform)
+    asked = problem(model, READINGS, DT, steps, conform)
+    want = fit_sets(envelope, asked.responses(), asked)
+    got, _ = co.fit_cooperative(trials, asked)
     # the linear program keeps 2e-7 of slack in every row, some per mille of the noise; the search stops within 1e-4
     assert got.cost == pytest.approx(want.cost, rel=2e-3)
     assert np.abs(got.U.width - want.U.width).max() < 0.01 * want.U.width.max()
@@ -159,37 +160,37 @@ def test_straight_friction_gives_the_exact_linear_programs_sets(conform: str) ->
 def test_a_search_per_dimension_depends_on_the_order() -> None:
     """Trap P19; and it is never cheaper than the program."""
     trials = disturbed(CURVED, 4, 150)
-    problem = co.problems(trials, model_1(), ("a", "b"), READINGS, DT, 100)[0]
-    best, _ = co.verified(problem, co.search(problem))
-    wide = co.scaled(problem, best, 2.0)
-    assert problem.conformant(wide)
+    joint = co.problems(trials, problem(model_1(), READINGS, DT, 100))[0]
+    best, _ = co.verified(joint, co.search(joint))
+    wide = co.scaled(joint, best, 2.0)
+    assert joint.conformant(wide)
     dimensions = [co.Q_LO, co.Q_HI, co.V_LO, co.V_HI, co.U_LO, co.U_HI]
-    answers = [co.binary_search(wide, problem.conformant, order) for order in (dimensions, dimensions[::-1])]
+    answers = [binary_search(wide, joint.conformant, order) for order in (dimensions, dimensions[::-1])]
     for z in answers:
-        assert problem.conformant(z)
-        assert problem.cost @ z > 1.02 * (problem.cost @ best)
+        assert joint.conformant(z)
+        assert joint.cost @ z > 1.02 * (joint.cost @ best)
     widths = [z[co.U_HI] - z[co.U_LO] for z in answers]
     assert widths[0] > 1.5 * widths[1]  # the start's bounds first leave U no way down, the other order does
 
 
 def test_the_common_scaling_is_smallest_and_sound() -> None:
     trials = disturbed(CURVED, 4, 150)
-    problem = co.problems(trials, model_1(), ("a", "b"), READINGS, DT, 100)[1]
-    z = co.search(problem)
+    joint = co.problems(trials, problem(model_1(), READINGS, DT, 100))[1]
+    z = co.search(joint)
     centre = 0.5 * (z[co.U_LO] + z[co.U_HI])
     small = z.copy()
     small[[co.U_LO, co.U_HI]] = centre + 0.6 * (z[[co.U_LO, co.U_HI]] - centre)
-    assert not problem.conformant(small)
-    out, factor = co.verified(problem, small)
-    assert problem.conformant(out) and factor > 1.05
-    assert not problem.conformant(co.scaled(problem, small, factor - 0.001))
+    assert not joint.conformant(small)
+    out, factor = co.verified(joint, small)
+    assert joint.conformant(out) and factor > 1.05
+    assert not joint.conformant(co.scaled(joint, small, factor - 0.001))
 
 
 def test_a_friction_curve_outside_its_range_is_refused() -> None:
     """Trap P10: a fitted cubic that pushes beyond its range cannot enclose fast motion; a sentence, not a number."""
     pushing = np.array([[1.0, 0.0, -60.0], [1.0, 0.0, -60.0]])
     with pytest.raises(NotConformant, match="joint a"):
-        co.fit_cooperative(disturbed(CURVED, 3, 150), model_1(pushing), ("a", "b"), READINGS, DT, 100)
+        co.fit_cooperative(disturbed(CURVED, 3, 150), problem(model_1(pushing), READINGS, DT, 100))
 
 
 def test_along_a_straight_model_it_is_the_linear_flowpipe() -> None:
@@ -231,7 +232,7 @@ def planar_trials(model: Abstraction, number: int = 12, suffered: Box = PUSH, N:
 def test_sets_of_coupled_models_enclose_and_are_tight(kind: int, order: int) -> None:
     model = planar(kind, order)
     trials = planar_trials(model)
-    sets = fit_nonlinear(trials, model, ("a", "b"), READINGS, 0.02, 1.0)
+    sets = fit_nonlinear(trials, problem(model, READINGS, 0.02, 50))
     assert enclosed(model, sets, trials, every=13)
     assert not enclosed(model, replace(sets, U=Box(sets.U.lo + 0.1, sets.U.hi - 0.1)), trials, every=2)
     assert np.abs(sets.U.lo - PUSH.lo).max() < 0.12 and np.abs(sets.U.hi - PUSH.hi).max() < 0.12
@@ -240,8 +241,7 @@ def test_sets_of_coupled_models_enclose_and_are_tight(kind: int, order: int) -> 
 def test_position_only_needs_no_more_torque() -> None:
     model = planar(2, 5)
     trials = planar_trials(model)
-    noise = READINGS
-    widths = {c: fit_nonlinear(trials, model, ("a", "b"), noise, 0.02, 1.0, c) for c in ("all", "position")}
+    widths = {c: fit_nonlinear(trials, problem(model, READINGS, 0.02, 50, c)) for c in ("all", "position")}
     assert widths["position"].U.width.sum() < 1.05 * widths["all"].U.width.sum()
     lo, hi = predicted_tube(model, widths["position"], trials[0][0][0], trials[0][1][:50])
     assert np.all(np.isinf(lo[:, 2:])) and np.all(np.isinf(hi[:, 2:]))
@@ -250,7 +250,7 @@ def test_position_only_needs_no_more_torque() -> None:
 def test_the_worse_model_pays_with_wider_sets() -> None:
     """Data of the arm with Coriolis torques: model 1 must swallow them in U."""
     trials = planar_trials(planar(2, 5))
-    U = {k: fit_nonlinear(trials, planar(k, 5), ("a", "b"), READINGS, 0.02, 1.0).U.width.sum() for k in (1, 2)}
+    U = {k: fit_nonlinear(trials, problem(planar(k, 5), READINGS, 0.02, 50)).U.width.sum() for k in (1, 2)}
     assert U[2] < 0.9 * U[1]
 
 
@@ -267,7 +267,7 @@ def test_what_the_linearisation_leaves_out_is_measured() -> None:
 def test_a_divergent_model_is_named() -> None:
     model = replace(planar(2, 5), viscous=np.array([[-40.0, 0, 0], [-40.0, 0, 0]]))
     with pytest.raises(NotConformant, match="diverges from the recorded motion"):
-        fit_nonlinear(planar_trials(planar(2, 5), 2), model, ("a", "b"), READINGS, 0.02, 1.5)
+        fit_nonlinear(planar_trials(planar(2, 5), 2), problem(model, READINGS, 0.02, 75))
 
 
 def test_the_order_is_chosen_by_held_out_error_not_by_size() -> None:
@@ -309,13 +309,13 @@ def test_sets_margin_and_guarantee_of_a_regime(kind: int) -> None:
     model = planar(2, 5)
     data = planar_trials(model, 16)
     fitted = model if kind == 2 else Abstraction(1, 3, np.diag([0.8, 1.2]), PLANAR_FRICTION)  # decoupled, poor on purpose
-    got = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), READINGS, 0.02, 0.6, Options(margin=1.1), 16)
+    got = conform_nonlinear(motions(data, 2), problem(fitted, READINGS, 0.02, 30, margin=1.1), 16)
     assert got.guarantee.motions == 2 and got.guarantee.calibration_motions == 6
     assert 0.7 < got.guarantee.upper_bound <= 1.0  # two motions prove next to nothing
     assert ("every sample" if kind == 1 else "starts spread over the recordings") in got.guarantee.text
     assert enclosed(fitted, got.sets, data, every=13 if kind == 1 else 11)
     assert got.other.conform == "position"
-    tight = conform_nonlinear(motions(data, 2), fitted, ("a", "b"), READINGS, 0.02, 0.6, Options(margin=1.0), 16)
+    tight = conform_nonlinear(motions(data, 2), problem(fitted, READINGS, 0.02, 30, margin=1.0), 16)
     assert np.all(tight.sets.U.width <= got.sets.U.width * 1.001)  # factors are found to 1e-4
 
 
@@ -330,7 +330,7 @@ def test_trials_beyond_those_in_memory_are_enclosed_and_what_fixes_the_sets_is_n
     monkeypatch.setattr(nonlinear_sets, "KEEP", 4)
     monkeypatch.setattr(nonlinear_sets, "TOGETHER", 3)
     monkeypatch.setattr(nonlinear, "WINDOWS", 200)
-    got = conform_nonlinear(motions(data, 8), fitted, ("a", "b"), READINGS, 0.02, 0.6, Options(margin=1.0), 16)
+    got = conform_nonlinear(motions(data, 8), problem(fitted, READINGS, 0.02, 30, margin=1.0), 16)
     where = [[s for k, s in nonlinear.starts(data, "sliding", 200) if k == trial] for trial in range(16)]
     assert not any(worst_excess(fitted, got.sets, x, at) for x, at in zip(data, where, strict=True))
     assert any("found on 4 of 16 trials" in x for x in got.notes) and "All 16 recorded trials" in got.guarantee.text
@@ -347,7 +347,7 @@ def test_trials_beyond_those_in_memory_are_enclosed_and_what_fixes_the_sets_is_n
 
 def test_the_margin_is_calibrated_on_repetitions_where_motions_are_few() -> None:
     model = planar(2, 5)
-    got = conform_nonlinear(motions(planar_trials(model, 8), 4), model, ("a", "b"), READINGS, 0.02, 0.5, Options(), 8)
+    got = conform_nonlinear(motions(planar_trials(model, 8), 4), problem(model, READINGS, 0.02, 25), 8)
     assert got.margins.max() > 1.0
     assert "none could be held out" in got.guarantee.text
     assert any("between repetitions" in note for note in got.notes)
@@ -363,7 +363,7 @@ def test_the_abstraction_of_an_identified_arm() -> None:
     assert np.array_equal(friction_polynomial(("j1", "j2"), effects), [[3.0, 0.0, -0.2], [0.0, 0.0, 0.0]])
     poses = np.random.default_rng(0).uniform(-1, 1, (30, 2))
     for kind in (1, 2, 3):
-        model = abstract(two_link(), ROTOR, effects, kind, 3, poses, np.array([0.01, 0.01]))
+        model = abstract(IdentifiedArm(two_link(), ROTOR, effects, poses, np.array([0.01, 0.01])), kind, 3)
         assert model.kind == kind and model.standstill[0] == 0.01
         rest = model.ddq(poses.mean(axis=0)[None], np.zeros((1, 2)), np.ones((1, 2)))
         assert np.all(np.isfinite(rest))

@@ -78,6 +78,7 @@ def workbench(planar: Any, tmp_path: Path) -> Iterator[Server]:
     yield s
     s.shutdown()
     s.server_close()
+    s.loop.close()
 
 
 @pytest.fixture(params=["watch", "workbench"])

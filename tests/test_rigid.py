@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from stopset.errors import StopsetError
-from stopset.robot import Robot, load_robot
+from stopset.offline.description import load_robot
+from stopset.robot import Robot
 from stopset.robot.rigid import (
     Chain,
     gravity_torque,

@@ -10,9 +10,9 @@ import pytest
 
 from stopset.cli.main import main
 from stopset.errors import EffectError, RobotError
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.recording import read_recordings
-from stopset.robot import Robot, load_robot
-from stopset.robot.arm import robot_from_text
+from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque
 from stopset.simulation import Plan, kinds, prepare
 from stopset.simulation.campaign import make

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stopset.offline.description import robot_from_text
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 from stopset.simulation import simulate_stop
 from stopset.simulation.dynamics import mass_and_bias

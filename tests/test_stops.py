@@ -89,7 +89,9 @@ def test_point_motion_holds_every_pose_of_the_tube() -> None:
     tube = tube_of(s, Q, DQ, s.noise.radius[:6], s.noise.radius[6:])
     robot = s.model.robot
     far, fast, box = point_motion(robot.chain, Q, s.noise.radius[:6], slices(tube, 10), 5, s.payload_com)
-    capsules = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, robot.tip)
+    capsules = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, robot.arm.capsules)
+    bodies = np.column_stack([rng.uniform(-0.2, 0.2, (6, 6)), rng.uniform(0.0, 0.1, 6)])  # links that are no lines
+    swept = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, bodies)
     for _ in range(3000):
         k = rng.integers(len(tube.t))
         q0 = Q + s.noise.radius[:6] * rng.choice([-1.0, 1.0], 6)
@@ -106,6 +108,9 @@ def test_point_motion_holds_every_pose_of_the_tube() -> None:
             end = o[link + 1] if link < 5 else o[link] + R[link] @ robot.tip
             point = o[link] + rng.random() * (end - o[link])
             assert any(_distance(point, c[link]) <= c[link][6] + 1e-9 for c in capsules)
+            a, b, out = bodies[link, :3], bodies[link, 3:6], rng.normal(size=3)
+            skin = o[link] + R[link] @ (a + rng.random() * (b - a) + bodies[link, 6] * out / np.linalg.norm(out))
+            assert any(_distance(skin, c[link]) <= c[link][6] + 1e-9 for c in swept)
 
 
 def _distance(p: np.ndarray, capsule: np.ndarray) -> float:

@@ -12,10 +12,10 @@ import pytest
 from stopset.cli.main import main
 from stopset.offline.campaign.survey import Survey
 from stopset.offline.compare.tightness import JUDGED, LIMIT, NAMES, Tightness, of_tube, table
+from stopset.offline.description import load_robot
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.pipeline import identify
 from stopset.reach.flowpipe import Tube
-from stopset.robot import load_robot
 from synthetic import arm, names, recordings, save_trials, urdf
 
 JOINTS = names(2)

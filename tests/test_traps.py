@@ -17,6 +17,7 @@ from scipy.stats import binom
 
 import stopset.offline.conform.linear_program as linear
 import stopset.offline.conform.program as program
+from set_problems import problem
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
@@ -149,8 +150,8 @@ def test_p2_noise_without_a_set_of_its_own_becomes_torque_and_is_integrated() ->
     trials, noise = standing(1e-5), ReadingError.exact(Box.symmetric([1.01e-5, 5.05e-4]))
     env = envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, env.steps)
-    ours = fit_sets(env, R, noise, SINGLE, ("a",))
-    naive = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), SINGLE, ("a",), capped=False)
+    ours = fit_sets(env, R, problem(SINGLE, noise, DT, env.steps))
+    naive = fit_sets(env, R, problem(SINGLE, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), DT, env.steps), capped=False)
     assert leaves(ours, R, env) <= 0.0
 
     def width(fit: Fit) -> float:
@@ -244,7 +245,7 @@ def test_p5_data_may_sit_in_a_corner_of_the_box_that_the_exact_reachable_set_lac
     env.labels.append("corner")
     for a in range(steps + 1):
         env.hi[a], env.lo[a] = hi[a], lo[a]
-    fit = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), SINGLE, ("a",), capped=False)
+    fit = fit_sets(env, R, problem(SINGLE, ReadingError.exact(Box.symmetric([NO_NOISE] * 2)), DT, env.steps), capped=False)
     assert leaves(fit, R, env) <= 0.0  # conformance accepts it, so nothing smaller than the box may predict
 
 
@@ -262,7 +263,9 @@ def test_p6_going_through_a_state_space_set_and_the_pseudo_inverse_widens_the_to
         trials.append(recording(x, np.zeros((steps + 1, 2)), DT, k))
     env = envelope(COUPLED, trials)
     R = responses(COUPLED, DT, env.steps)
-    direct = fit_sets(env, R, ReadingError.exact(Box.symmetric([NO_NOISE] * 4)), COUPLED, ("a", "b"), capped=False).U.width.sum()
+    direct = fit_sets(
+        env, R, problem(COUPLED, ReadingError.exact(Box.symmetric([NO_NOISE] * 4)), DT, env.steps), capped=False
+    ).U.width.sum()
     detour = _through_state_space(env, R)
     assert direct <= 4.0 * 1.01  # the truth is [-1, 1] for both
     assert detour > 1.2 * direct
@@ -291,7 +294,7 @@ def test_p7_a_constant_bias_stays_out_of_the_width() -> None:
     trials = recordings((2.0,), (4.0,), suites=2, trials=6, bias=2.0, spread=0.1, noise=(1e-9, 1e-9))
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    fit = fit_sets(env, R, ReadingError(Box.symmetric([1e-8] * 2), Box.symmetric([1e-6] * 2)), SINGLE, ("a",))
+    fit = fit_sets(env, R, problem(SINGLE, ReadingError(Box.symmetric([1e-8] * 2), Box.symmetric([1e-6] * 2)), DT, env.steps))
     assert leaves(fit, R, env) <= 0.0
     assert 1.85 < fit.U.lo[0] < fit.U.hi[0] < 2.15  # zero is not inside
     forced = max(fit.U.hi[0], 0.0) - min(fit.U.lo[0], 0.0)
@@ -395,14 +398,14 @@ def test_p12_stiction_cannot_hide_in_the_start_speed() -> None:
     start, sliding = envelope(SINGLE, trials), envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, sliding.steps)
     for case in ("all", "position"):
-        free = fit_sets(start, R, noise, SINGLE, ("a",), case, capped=False)
+        free = fit_sets(start, R, problem(SINGLE, noise, DT, start.steps, case), capped=False)
         assert np.abs([free.X0.lo[1], free.X0.hi[1]]).max() > 0.3  # rad/s at the start of a joint that stood still
         assert free.U.lo[0] > -0.5  # and hardly a trace of the 3 N m that held it
-    ours = fit_sets(sliding, R, noise, SINGLE, ("a",))
+    ours = fit_sets(sliding, R, problem(SINGLE, noise, DT, sliding.steps))
     assert leaves(ours, R, sliding) <= 0.0
     assert ours.U.lo[0] <= -2.9  # the holding torque is where it belongs
     assert np.abs([ours.X0.lo[1], ours.X0.hi[1]]).max() < 0.003
-    for fit in (ours, fit_sets(start, R, noise, SINGLE, ("a",))):
+    for fit in (ours, fit_sets(start, R, problem(SINGLE, noise, DT, start.steps))):
         assert fit.V.encloses(Box(-fit.X0.hi, -fit.X0.lo))
 
 
@@ -423,8 +426,8 @@ def test_p15_conformance_from_the_start_does_not_survive_a_restart() -> None:
     noise = ReadingError.exact(Box.symmetric([1e-7, 1e-6]))
     start, sliding = envelope(SINGLE, trials), envelope(SINGLE, trials, "sliding")
     R = responses(SINGLE, DT, sliding.steps)
-    naive = fit_sets(start, R, noise, SINGLE, ("a",))
-    ours = fit_sets(sliding, R, noise, SINGLE, ("a",))
+    naive = fit_sets(start, R, problem(SINGLE, noise, DT, start.steps))
+    ours = fit_sets(sliding, R, problem(SINGLE, noise, DT, sliding.steps))
     assert leaves(naive, R, start) <= 0.0
     assert leaves(naive, R, sliding) > 1e-3
     assert leaves(ours, R, sliding) <= 0.0
@@ -458,7 +461,7 @@ def test_p16_each_bound_names_the_trial_that_fixes_it_and_moves_without_it() -> 
 
     def fitted(chosen: list[Recording]) -> Fit:
         env = envelope(SINGLE, chosen)
-        return fit_sets(env, responses(SINGLE, DT, env.steps), noise, SINGLE, ("a",))
+        return fit_sets(env, responses(SINGLE, DT, env.steps), problem(SINGLE, noise, DT, env.steps))
 
     fit = fitted(trials)
     (upper,) = [a for a in fit.active if a.bound == "U[a].hi"]
@@ -493,7 +496,7 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
     monkeypatch.setattr(program, "linprog", sloppy)
     monkeypatch.setattr(program, "ROUNDS", 3)
     noise = ReadingError.exact(Box.symmetric([2e-5, 2e-3]))
-    fit = fit_sets(env, R, noise, SINGLE, ("a",))
+    fit = fit_sets(env, R, problem(SINGLE, noise, DT, env.steps))
     assert leaves(fit, R, env) <= 0.0
     assert _raw(env, R, noise) > 1e-6  # what believing the solver would have left outside
 

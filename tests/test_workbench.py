@@ -27,6 +27,7 @@ def server(planar: Any, tmp_path: Path) -> Iterator[Server]:
     yield s
     s.shutdown()
     s.server_close()
+    s.loop.close()
 
 
 def call(s: Server, path: str, body: bytes | None = None, **headers: str) -> tuple[int, str]:
@@ -153,8 +154,11 @@ def test_a_revision_can_be_undone_and_its_file_stays(server: Server, planar: Any
     do(server, "add", effect="cubic_viscous", joint=joint, force=True)
     assert Path(wait(server)["models"][-1]["file"]).name == "m.r1-2.model.json" and first.read_bytes() == text
     again = Loop(first, [planar[0] / "rec.parquet"], tmp_path)  # starts on its own output
-    assert again._next_file().name == "m.r2.model.json"
-    assert Loop(tmp_path / "m.r1-2.model.json", [planar[0] / "rec.parquet"], tmp_path)._next_file().name == "m.r2.model.json"
+    assert again._free_name("model.json").name == "m.r2.model.json"
+    assert (
+        Loop(tmp_path / "m.r1-2.model.json", [planar[0] / "rec.parquet"], tmp_path)._free_name("model.json").name
+        == "m.r2.model.json"
+    )
 
 
 def undone(s: Server) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,20 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from set_problems import problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import Fit, fit_sets
-from stopset.offline.conform.linear_sets import BOX, enclosing, seen_by
+from stopset.offline.conform.linear_sets import BOX, enclosing
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, Trial, generators, template, torque_deviations
+from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.offline.update.sums_file import load_sums as load_state
 from stopset.offline.update.update import from_scratch, save_state, update
 from stopset.reach.flowpipe import along_joints, deviation_tube
 from stopset.recording import Recording, read_recordings
-from stopset.robot import load_robot
 from stopset.sets import Box, Zonotope
 from synthetic import arm as robot_of
 from synthetic import names, recordings, save_trials
@@ -131,8 +131,9 @@ def fits(data: list[Trial], model: Abstraction) -> dict[str, Fit]:
     out = {}
     for name, G in shapes.items():
         T = Template(G, l)
-        R = seen_by(model, DT, 60, T)
-        out[name] = enclosing(fit_sets(envelope, R, ReadingError.exact(NOISE), model, ("a", "b"), template=T), R, envelope, False)
+        asked = problem(model, ReadingError.exact(NOISE), DT, 60, template=T)
+        R = asked.responses()
+        out[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
     return out
 
 
@@ -197,8 +198,9 @@ def test_impossible_data_are_refused() -> None:
     model, T = arm(), Template(np.eye(2), np.eye(2))
     broken = seen(trials(TOGETHER, 2), model, T.directions, 20)
     broken.hi[5] = np.nan
+    asked = problem(model, ReadingError.exact(NOISE), DT, 20, template=T)
     with pytest.raises((NotConformant, ValueError)):
-        fit_sets(broken, seen_by(model, DT, 20, T), ReadingError.exact(NOISE), model, ("a", "b"), template=T)
+        fit_sets(broken, asked.responses(), asked)
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +225,6 @@ def test_from_recordings_to_the_model_file_and_back(together: tuple[Path, Identi
     assert powered.zonotope is not None and powered.U.encloses(powered.zonotope.set.box)
     assert found.conformance.table["all"].cost < 0.95 * found.conformance.table[BOX].cost
     saved = save_model(found.model, tmp_path / "m.json")
-    assert json.loads((tmp_path / "m.json").read_text())["schema"] == 2
     again = load_model(tmp_path / "m.json")
     z = again.powered.zonotope
     assert z is not None and again.sha256 == saved.sha256
@@ -243,13 +244,10 @@ def test_a_box_that_is_not_around_its_zonotope_is_refused(together: tuple[Path, 
         load_model(tmp_path / "m.json")
 
 
-def test_files_without_zonotopes_are_of_the_first_schema(together: tuple[Path, Identification], tmp_path: Path) -> None:
-    """What an older stopset wrote and reads."""
+def test_a_file_without_zonotopes_has_none(together: tuple[Path, Identification], tmp_path: Path) -> None:
     model = together[1].model
     plain = replace(model, sets={k: s.boxed for k, s in model.sets.items()})
     save_model(plain, tmp_path / "m.json")
-    body = json.loads((tmp_path / "m.json").read_text())
-    assert body["schema"] == 1 and all("zonotope" not in s for s in body["sets"].values())
     assert load_model(tmp_path / "m.json").powered.zonotope is None
 
 
@@ -309,7 +307,8 @@ def test_on_the_real_arm_a_zonotope_is_narrower_at_the_tool() -> None:
     )  # about the encoder's resolution and the velocity's scatter
     got = {}
     for name, shape in (("box", Template(np.eye(6), T.directions)), ("zonotope", T)):
-        R = seen_by(model, 0.02, 50, shape)
-        got[name] = enclosing(fit_sets(envelope, R, noise, model, robot.joints, template=shape), R, envelope, False)
+        asked = problem(model, noise, 0.02, 50, template=shape)
+        R = asked.responses()
+        got[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
     assert got["zonotope"].cost < 0.9 * got["box"].cost
     assert of(got["zonotope"]).volume < 0.5 * of(got["box"]).volume

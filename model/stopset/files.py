@@ -41,6 +41,16 @@ def _failure(target: Path, e: OSError) -> OutputError:
     return OutputError(f"{target} cannot be written ({e.strerror or e}); choose another place")
 
 
+def cache_folder() -> Path | None:
+    """The user's cache folder for what can be made again, or None where nothing can be written."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stopset"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its name when the block ends well, and vanishes when it does not."""

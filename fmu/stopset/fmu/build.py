@@ -23,7 +23,7 @@ from pathlib import Path
 from platform import machine
 
 from stopset.errors import OutputError
-from stopset.files import write_bytes
+from stopset.files import cache_folder, write_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,19 +81,9 @@ def compiler() -> list[str]:
     return [sys.executable, "-m", "ziglang"]
 
 
-def _cache() -> Path | None:
-    """The user's cache folder for libraries and the compiler's own files, or None where nothing can be written."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stopset"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return folder if os.access(folder, os.W_OK) else None
-
-
 def _environment(scratch: Path) -> dict[str, str]:
     out = dict(os.environ)
-    out.setdefault("ZIG_GLOBAL_CACHE_DIR", str((_cache() or scratch) / "zig"))
+    out.setdefault("ZIG_GLOBAL_CACHE_DIR", str((cache_folder() or scratch) / "zig"))
     out.setdefault("ZIG_LOCAL_CACHE_DIR", out["ZIG_GLOBAL_CACHE_DIR"])
     return out
 
@@ -157,7 +147,7 @@ def binaries(
     compiler()  # refuses early where there is none
     core = resources.files("stopset.fmu") / "core"
     sources = {**sources, **{name: (core / name).read_text() for name in WINDOWS}}
-    kept = _cache()
+    kept = cache_folder()
     out: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)

@@ -118,7 +118,7 @@ def _run(model: Model, share: float) -> tuple[Reference, Array]:
             if not a.linear:  # decoupled joints are cooperative: the corners stay the corners
                 lo[k + 1], hi[k + 1] = step(lo[k], u[k] + s.U.lo), step(hi[k], u[k] + s.U.hi)
     if a.linear:
-        tube = deviation_tube(a, s.boxed)  # what is exported is the box
+        tube = deviation_tube(a, s)
         return Reference(t, tau, x, x + tube.lo[:rows], x + tube.hi[:rows], temp), u
     return Reference(t, tau, x, lo + s.V.lo, hi + s.V.hi, temp), u
 

@@ -13,25 +13,28 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects import REFERENCE_TEMPERATURE, get
 from stopset.errors import OutputError
 from stopset.fmu.ctext import array, quoted
-from stopset.fmu.laws import effect_laws
+from stopset.fmu.laws import Laws, laws_of
 from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
-from stopset.ring.ctext import PRELUDE
+from stopset.reach.flowpipe import torque_set
 
-OWN_UNITS = ("core.c", "linear.c", "tube.c", "body.c", "motion.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
 PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "tube")
-CORE_UNITS = ("maths.c", "rigid.c", *(f"stops/{name}.c" for name in PROOF))
-CORE_HEADERS = ("maths.h", "stopset.h", "vectors.h", "stops/stops.h")
+SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "watch")
+CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
+CORE_HEADERS = ("inputs.h", "law.h", "maths.h", "stopset.h", "vectors.h", "wide.h", "stops/stops.h")
 UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))
 FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",
     "fmi3FunctionTypes.h", "fmi3Functions.h", "fmi3PlatformTypes.h",
 )  # fmt: skip
+MOST_PREDICTIONS = 1500  # rows of the comparison, as `stopset.monitor.watch`
 GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR", "MEMORY", "MEMORY_RATE", "MEMORY_START")
 KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTPUT", "local": "KIND_LOCAL"}
 
@@ -51,11 +54,22 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
             lines.append(f"#define VR_{group} 0")
         lines.append(f"#define N_{group} {variables.count(group)}")
     lines.append("#define VR_FIRST_PHYSICAL VR_VISCOUS")
-    lines.append(
-        f"#define N_PHYSICAL {sum(variables.count(g) for g in ('VISCOUS', 'INERTIA', 'OFFSET', 'EFFECT', 'MEMORY_START'))}"
-    )
+    physical = sum(variables.count(g) for g in ("VISCOUS", "INERTIA", "OFFSET", "EFFECT", "MEMORY_START"))
+    lines += [f"#define N_PHYSICAL {physical}", f"#define N_KEY {physical + 5}"]
     lines += [f"#define {name} {value}" for name, value in flags.items()]
     return "/* Written by stopset export-fmu. */\n" + "\n".join(lines) + "\n"
+
+
+def _sizes(model: Model, variables: Variables, laws: Laws) -> dict[str, int]:
+    """Of the grid of ages, of predictions that are compared, of directions in which U acts."""
+    sets = model.powered
+    steps = round(sets.horizon / sets.dt) if model.abstraction.linear else 0
+    stride = max(1, -(-steps // MOST_PREDICTIONS))
+    generators = 0 if sets.zonotope is None else sets.zonotope.generators.shape[1]
+    return {
+        "HAS_DIRECTION": int(laws.direction), "HAS_INDICATORS": int(variables.count("INDICATOR") > 0), "AGES": steps + 1,
+        "STRIDE": stride, "PREDICTIONS": steps // stride + 1, "N_TORQUES": model.n + generators,
+    }  # fmt: skip
 
 
 def _kind(v: Variable) -> str:
@@ -68,28 +82,38 @@ def _starts(items: Iterable[Variable]) -> list[float]:
     return [float(v.start) if v.start is not None else 0.0 for v in items]
 
 
-def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
-    sets, a, d, chain = model.powered, model.abstraction, model.domain, model.robot.chain
-    n = model.n
-    temp_lo = d.temp.lo if d.temp is not None else np.full(n, -np.inf)
-    temp_hi = d.temp.hi if d.temp is not None else np.full(n, np.inf)
-    signed = a.decoupled and bool(np.all(a.viscous[:, 0] >= 0) and np.all(np.diag(a.Minv) > 0))
-    numbers: dict[str, Any] = {
+def _numbers(model: Model) -> dict[str, Any]:
+    """The model's arrays, by the names of their C fields."""
+    sets, a, d, chain, n = model.powered, model.abstraction, model.domain, model.robot.chain, model.n
+    torques, U = torque_set(sets)
+    temp = (np.full(n, -np.inf), np.full(n, np.inf)) if d.temp is None else (d.temp.lo, d.temp.hi)
+    return {
         "Minv": a.Minv, "X0_lo": sets.X0.lo, "X0_hi": sets.X0.hi, "V_lo": sets.V.lo, "V_hi": sets.V.hi,
-        "U_lo": sets.U.lo, "U_hi": sets.U.hi, "dt": sets.dt, "horizon": round(sets.horizon / sets.dt) * sets.dt,
-        "q_lo": d.q.lo, "q_hi": d.q.hi, "dq_lo": d.dq.lo, "dq_hi": d.dq.hi, "u_lo": d.u.lo, "u_hi": d.u.hi,
-        "temp_lo": temp_lo, "temp_hi": temp_hi, "payload_lo": d.payload[0], "payload_hi": d.payload[1],
+        "U_lo": U.lo, "U_hi": U.hi, "across": np.eye(n) if torques is None else torques, "dt": sets.dt,
+        "horizon": round(sets.horizon / sets.dt) * sets.dt,
+        "lo": np.concatenate([d.q.lo, d.dq.lo, d.u.lo, temp[0]]), "hi": np.concatenate([d.q.hi, d.dq.hi, d.u.hi, temp[1]]),
+        "payload_lo": d.payload[0], "payload_hi": d.payload[1],
         "R": chain.R, "p": chain.p, "axis": chain.axis, "gravity": chain.gravity, "pi": model.robot.pi,
-        "tip": model.robot.tip, "standstill": model.input.standstill, "q_a": model.provenance.get("q_a", np.zeros(n)),
+        "gain": model.input.gain, "standstill": model.input.standstill, "q_a": model.provenance.get("q_a", np.zeros(n)),
+        "reference_temperature": REFERENCE_TEMPERATURE,
     }  # fmt: skip
+
+
+def _flags(model: Model) -> dict[str, bool]:
+    sets, a = model.powered, model.abstraction
+    return {
+        "decoupled": a.decoupled, "generators": sets.zonotope is not None, "position_only": sets.conform == "position",
+        "motor_torque": model.effort != "compensated_torque", "swift": a.swift, "sliding": sets.windows == "sliding",
+        "plain": model.input.plain, "timed": any("t" in get(f.effect).needs for f in model.input.effects),
+        "has_domain_temp": model.domain.temp is not None,
+    }  # fmt: skip
+
+
+def _data(model: Model, variables: Variables, laws: Laws, token: str) -> str:
     stop = stop_data(model)
-    numbers |= stop.numbers
-    whole = {
-        "decoupled": a.decoupled, "signed_response": signed, "position_only": sets.conform == "position",
-        "motor_torque": model.effort != "compensated_torque", "swift": a.swift, "has_domain_temp": d.temp is not None, "has_brakes": not stop.refusal,
-    }  # fmt: skip
-    rows = [f"    .{k} = {array(v)}," for k, v in numbers.items()]
-    rows += [f"    .{k} = {int(v)}," for k, v in whole.items()]
+    rows = [f"    .{k} = {array(v)}," for k, v in (_numbers(model) | stop.numbers).items()]
+    rows += [f"    .{k} = {int(v)}," for k, v in (_flags(model) | {"has_brakes": not stop.refusal}).items()]
+    rows += [f"    .{k} = {text}," for k, text in laws.fields.items()]
     rows.append(f"    .start_real = {array(_starts(variables.of('Real')))},")
     for field, kind in (("start_int", "Integer"), ("start_bool", "Boolean")):
         starts = ", ".join(str(int(x)) for x in _starts(variables.of(kind)))  # type: ignore[arg-type]
@@ -97,18 +121,12 @@ def _data(model: Model, variables: Variables, laws: str, token: str) -> str:
     rows.append(f"    .kind = {{{', '.join(_kind(v) for v in variables)}}},")
     names = ",\n        ".join(f'"{v.name}"' for v in variables)
     rows.append(f"    .name = {{\n        {names}}},")
-    head = f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
-    prelude = "\n".join(line for line in PRELUDE.splitlines() if _used(line, laws)).replace("stopset.h", f"{CORE}/stopset.h")
     return (
-        f'{head}{prelude}\n#include "stopset_core.h"\n\n'
-        f'const char stopset_token[] = "{token}";\nconst char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws}\n'
+        f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
+        f'#include <math.h>\n\n#include "stopset_core.h"\n\nconst char stopset_token[] = "{token}";\n'
+        f"const char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws.c}\n"
         "const StopsetModel stopset_model = {\n" + "\n".join(rows) + "\n};\n"
     )
-
-
-def _used(line: str, laws: str) -> bool:
-    """Whether a line of the prelude is an include or defines a function that the laws call."""
-    return line.startswith("#") or any(f"{w}(" in laws for w in ("stopset_sign", "stopset_square") if w in line)
 
 
 def fmi_headers() -> Path:
@@ -131,11 +149,9 @@ def sources(model: Model, variables: Variables) -> tuple[dict[str, str], str]:
     # two FMUs in one process must not share their functions
     text[f"{CORE}/stopset.h"] = "#define STOPSET_API /* inside an FMU */\n" + text[f"{CORE}/stopset.h"]
     text |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
-    laws = effect_laws(model)
-    flags = {"HAS_EFFECTS": int(laws.effects), "HAS_DIRECTION": int(laws.direction), "HAS_LOAD": int(laws.load)}
-    flags["HAS_INDICATORS"] = int(variables.count("INDICATOR") > 0)
-    text["model_config.h"] = _config(variables, model.n, flags)
-    content = _data(model, variables, laws.c, "") + "".join(text[k] for k in sorted(text))
+    laws = laws_of(model)
+    text["model_config.h"] = _config(variables, model.n, laws.sizes | _sizes(model, variables, laws))
+    content = _data(model, variables, laws, "") + "".join(text[k] for k in sorted(text))
     token = "{" + str(uuid.UUID(hashlib.sha256(content.encode()).hexdigest()[:32])) + "}"
-    text["model_data.c"] = _data(model, variables, laws.c, token)
+    text["model_data.c"] = _data(model, variables, laws, token)
     return text, token

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
-from stopset.fmu.laws import EffectParameter, effect_laws, effect_parameters, remembered
+from stopset.fmu.laws import EffectParameter, effect_parameters, laws_of, remembered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.payload import weighed
 
@@ -137,7 +137,7 @@ def _outputs(m: Model) -> list[Variable]:
     for r in remembered(m):
         rate = f"rate of {r.name}"
         out.append(Variable(f"der_{r.name}", "MEMORY_RATE", "Real", "local", f"{r.unit}/s", rate, derivative=r.name))
-    if effect_laws(m).direction or brakes_of(m) is not None:
+    if laws_of(m).direction or brakes_of(m) is not None:
         margin = "positive while the direction of friction holds, {}"
         out += _joints(m, "friction_margin", "local", "", margin, group="INDICATOR")
     return out

@@ -63,6 +63,11 @@ class InputMap:
     standstill: Array
     swift: bool
 
+    @property
+    def plain(self) -> bool:
+        """Whether ``u = tau - offset`` alone."""
+        return self.effort == "compensated_torque" and not self.effects and bool(np.all(self.gain == 1.0))
+
     def __call__(
         self, q: Array, dq: Array, tau: Array, temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
         memories: Memories | None = None,

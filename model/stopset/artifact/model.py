@@ -19,7 +19,8 @@ from stopset.robot import Robot
 from stopset.sets import Box, Zonotope
 from stopset.types import Array
 
-SCHEMA_VERSION = 4  # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag; 4: swift inputs
+# 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag; 4: swift inputs; 5: the arm itself, not its URDF alone
+SCHEMA_VERSION = 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import json
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -21,21 +21,24 @@ from stopset.artifact.model import SCHEMA_VERSION, Model, UncertaintySets
 from stopset.errors import ModelFileError, RobotError
 from stopset.files import write_text
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
+from stopset.robot.arm import Arm, robot_of
 from stopset.sets import Box
 
 FORMAT = "stopset model"
-FIRST_SCHEMA, ZONOTOPES, LAGS = (
+FIRST_SCHEMA, LAGS, ARM = (
     1,
-    2,
     3,
-)  # before zonotopes; with them; brakes with lags. The newest: inputs without Coriolis torque
+    5,
+)  # since then: files; brakes with lags; the arm itself, before which its description was read each time
+
+Reader = Callable[[str, Mapping[str, Any]], Arm]  # of the description (URDF, data sheet) in a file older than `ARM`
 
 
 def _plain(x: Any) -> Any:
     """Dataclasses, arrays, boxes and tuples to JSON values; infinities as strings, since JSON has none."""
     if isinstance(x, Robot):
-        return {"urdf": x.urdf, "datasheet": dict(x.datasheet), "pi": _plain(x.pi), "gravity": _plain(x.chain.gravity)}
+        said = {"urdf": x.urdf, "datasheet": dict(x.datasheet), "arm": _plain(x.arm)}
+        return {**said, "pi": _plain(x.pi), "gravity": _plain(x.chain.gravity)}
     if isinstance(x, Box):
         return [[_plain(a), _plain(b)] for a, b in zip(x.lo.tolist(), x.hi.tolist(), strict=True)]
     if dataclasses.is_dataclass(x) and not isinstance(x, type):
@@ -73,24 +76,9 @@ def _digest(body: Mapping[str, Any]) -> str:
 
 
 def model_text(model: Model) -> str:
-    """The model file's text; its ``sha256`` covers everything else in it.
-
-    It is of the oldest schema that can hold the model: a file without zonotopes, brakes cut by one stage, or swift inputs is what it
-    was before there were any.
-    """
-    together = model.brakes is not None and model.brakes.apart is not None
-    shaped = any(s.zonotope is not None for s in model.sets.values())
-    swift = model.abstraction.swift
-    schema = SCHEMA_VERSION if swift else LAGS if together else ZONOTOPES if shaped else FIRST_SCHEMA
-    body: dict[str, Any] = {"format": FORMAT, "schema": schema, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
+    """The model file's text; its ``sha256`` covers everything else in it."""
+    body: dict[str, Any] = {"format": FORMAT, "schema": SCHEMA_VERSION, "units": "SI: rad, rad/s, N m, s, kg, m, degC"}
     body |= {k: v for k, v in _plain(model).items() if k != "sha256"}
-    if schema == FIRST_SCHEMA:
-        for sets in body["sets"].values():
-            del sets["zonotope"]
-    if not swift:
-        del body["abstraction"]["swift"]
-    if not together and body["brakes"] is not None:
-        del body["brakes"]["apart"], body["brakes"]["lag"]
     body["sha256"] = _digest(body)
     return _text(body)
 
@@ -102,6 +90,11 @@ def save_model(model: Model, path: str | Path) -> Model:
     return dataclasses.replace(model, sha256=json.loads(text)["sha256"])
 
 
+def _whole(kind: Any) -> bool:
+    """Whether arrays of type ``kind`` hold whole numbers. Up to numpy 2.2 an array's shape is `int` too: only its scalar counts."""
+    return any((isinstance(a, type) and issubclass(a, np.integer)) or _whole(a) for a in get_args(kind))
+
+
 def _build(kind: Any, x: Any, where: str) -> Any:
     """The value of type ``kind`` from JSON ``x``; raises with the place in the file."""
     # numpy's name of an array is an alias of its own since 2.5, of which Python tells the origin only when asked again
@@ -110,7 +103,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         options = [a for a in get_args(kind) if a is not type(None)]
         return None if x is None else _build(options[0], x, where)
     if kind is Robot:
-        robot = robot_from_text(x["urdf"], x["datasheet"], "the model's URDF")
+        robot = robot_of(_build(Arm, x["arm"], f"{where}.arm"), x["urdf"], x["datasheet"])
         robot = dataclasses.replace(robot, chain=robot.chain._replace(gravity=np.array(x["gravity"], float)))
         return robot.with_parameters(np.array(x["pi"], float))
     if kind is Box:
@@ -131,8 +124,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         value = get_args(kind)[1]
         return {k: _build(value, v, f"{where}.{k}") for k, v in x.items()}
     if origin is np.ndarray:
-        whole = "int" in str(kind)
-        return np.array(x, dtype=np.int64 if whole else np.float64)
+        return np.array(x, dtype=np.int64 if _whole(kind) else np.float64)
     if kind is float:
         return float(x)
     if kind in (int, str, bool) and not isinstance(x, kind):
@@ -140,9 +132,12 @@ def _build(kind: Any, x: Any, where: str) -> Any:
     return x
 
 
-def load_model(path: str | Path) -> Model:
-    """Read a model file, checked: format, schema version, hash, shapes. Raises `ModelFileError` with one sentence."""
-    return model_of(read_model_text(path), path)
+def load_model(path: str | Path, reader: Reader | None = None) -> Model:
+    """Read a model file, checked: format, schema version, hash, shapes. Raises `ModelFileError` with one sentence.
+
+    ``reader``: for files of older versions, which hold a description and not the arm; without one they are refused.
+    """
+    return model_of(read_model_text(path), path, reader)
 
 
 def read_model_text(path: str | Path) -> bytes:
@@ -158,8 +153,8 @@ def read_model_text(path: str | Path) -> bytes:
         ) from e
 
 
-def model_of(data: bytes, path: str | Path) -> Model:
-    """The model in the bytes of a file, checked as `load_model` says; ``path`` is what refusals name."""
+def model_of(data: bytes, path: str | Path, reader: Reader | None = None) -> Model:
+    """The model in the bytes of a file, checked and read as `load_model` says; ``path`` is what refusals name."""
     p = Path(path)
     try:
         body = json.loads(data.decode("utf-8"))
@@ -181,7 +176,14 @@ def model_of(data: bytes, path: str | Path) -> Model:
     if body.get("sha256") != _digest(body):
         raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
     content = {k: v for k, v in body.items() if k not in ("format", "schema", "units")}
+    if body["schema"] < ARM and reader is None:
+        raise ModelFileError(
+            f"{p} has schema {body['schema']}, which holds the robot's description unread; expected schema {ARM} or later, which holds "
+            f"the arm itself: make one of it with `stopset renew {p} --out NEW.model.json` where the offline part is installed"
+        )
     try:
+        if body["schema"] < ARM and reader is not None:
+            content["robot"]["arm"] = _plain(reader(content["robot"]["urdf"], content["robot"]["datasheet"]))
         if body["schema"] < LAGS:
             _own_places(content.get("brakes"))
         model = _build(Model, content, "model")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
+from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term
 from stopset.effects.registry import get
 from stopset.errors import EffectError
 from stopset.ring import Tape
@@ -61,18 +61,48 @@ class Kept:
         self.held.append(ffi.from_buffer(x))
         return ffi.cast(kind, self.held[-1])
 
-    def program(self, effect: Effect, values: Mapping[str, float], rate: bool = False) -> tuple[int, Any, Any]:
-        """``StopsetProgram`` of an effect's torque, or of its (only) state's rate; raises `EffectError` where it has no steps."""
-        tape = Tape()
-        try:
-            s = _signals(tape, len(effect.states))
-            steps, numbers = tape.finished(effect.rates(s, values)[0] if rate else effect.torque(s, values))
-        except (TypeError, ValueError, AttributeError) as e:
-            raise EffectError(
-                f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
-                "functions of stopset.ring: write it with those"
-            ) from e
-        return len(steps), self.array(steps, np.int32), self.array(numbers)
+    def program(self, effect: Effect, values: Mapping[str, float], rate: int = -1) -> tuple[int, Any, Any]:
+        """``StopsetProgram`` of `recorded`."""
+        r = recorded(effect, values, rate)
+        return len(r.steps), self.array(r.steps, np.int32), self.array(r.numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A law's steps (K, 3) and constants; ``apart``: these begin with its parameters, in the order of `parameters_of`; else the law
+    could only be recorded with their values in it."""
+
+    steps: NDArray[np.int32]
+    numbers: Array
+    apart: bool
+
+
+def recorded(effect: Effect, values: Mapping[str, float], rate: int = -1) -> Recorded:
+    """An effect's torque on tape, or the rate of its state number ``rate``; raises `EffectError` where it has no steps."""
+    try:
+        return _record(effect, values, rate, apart=True)
+    except EffectError:  # a law may ask of a parameter what no tape answers, such as whether it is positive
+        return _record(effect, values, rate, apart=False)
+
+
+def _record(effect: Effect, values: Mapping[str, float], rate: int, *, apart: bool) -> Recorded:
+    tape = Tape()
+    given: dict[str, Any] = {k: tape.parameter(values[k]) if apart else values[k] for k in parameters_of(effect, values)}
+    s = _signals(tape, len(effect.states))
+    try:
+        steps, numbers = tape.finished(effect.torque(s, given) if rate < 0 else effect.rates(s, given)[rate])
+    except (TypeError, ValueError, AttributeError) as e:
+        raise EffectError(
+            f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
+            "functions of stopset.ring: write it with those"
+        ) from e
+    return Recorded(steps, numbers, apart)
+
+
+def parameters_of(effect: Effect, values: Mapping[str, float]) -> list[str]:
+    """Symbols of the terms, then of the shapes, that ``values`` holds."""
+    every: list[Term | Shape] = [*effect.terms, *effect.shapes]
+    return [p.symbol for p in every if p.symbol in values]
 
 
 def places(f: Fitted, effect: Effect, joints: Sequence[str]) -> list[tuple[int, int]]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_condition_options, add_keep_options, add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -43,16 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Add; exit code 1 when the effect does not help and is not forced."""
-    from stopset.artifact import load_model, save_model
+    from stopset.artifact import save_model
+    from stopset.offline.description.older import load_model
     from stopset.offline.revise.revise import add
 
     check_outputs(args.out, args.json, args.keep, args.report)
     model = load_model(args.model)
 
-    def tell(text: str) -> None:
-        sys.stderr.write(f"{text}\n")
-
-    done = add(model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None, args.condition)
+    with steps("add", args.data, args.quiet) as tell:
+        done = add(
+            model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None, args.condition
+        )
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:

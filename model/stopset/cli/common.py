@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,6 +25,7 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     """``--json FILE`` and ``--report FILE.html``."""
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the machine-readable answer here")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a self-contained page here")
+    parser.add_argument("--quiet", action="store_true", help="the answer alone: say nothing on the way")
 
 
 def add_robot_options(parser: argparse.ArgumentParser) -> None:
@@ -52,12 +54,6 @@ def add_keep_options(parser: argparse.ArgumentParser) -> None:
         help="signals (default): all recordings, compressed; an update is then the same as identifying from all of them. sums: "
         "constant size for campaigns without end; an update then keeps the nominal model",
     )  # fmt: skip
-
-
-def stopwatch() -> Callable[[str], None]:
-    """Tells each step of long work on stderr, with the time since now."""
-    start = time.monotonic()
-    return lambda text: print(f"[{time.monotonic() - start:5.1f} s] {text}", file=sys.stderr, flush=True)
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:
@@ -127,23 +123,19 @@ def write_json(path: str | Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-    """Yield the items, telling on stderr how far it is, at most twice a second; silent where nobody watches."""
-    shown, start = 0.0, time.monotonic()
-    live = sys.stderr.isatty()
-    for count, item in enumerate(items, start=1):
-        yield item
-        now = time.monotonic()
-        if live and now - shown > 0.5:
-            of = f"/{total}" if total else ""
-            sys.stderr.write(f"\r{what}: {count}{of}, {now - start:.0f} s ")
-            sys.stderr.flush()
-            shown = now
-    if live and shown:
-        sys.stderr.write("\r" + " " * 60 + "\r")
+def listed(lines: Sequence[str], what: str, whole: bool) -> None:
+    """Lines of a list that not everybody wants: all of them if ``whole``, else how many there are."""
+    if whole or len(lines) == 1:
+        for line in lines:
+            say(f"{what}: {line}")
+    elif lines:
+        say(f"{what}: {len(lines)}, --all lists them")
 
 
 def say(text: str) -> None:
-    """A line of the command's answer for people."""
+    """A line of the command's answer for people, broken where the window ends."""
+    if sys.stdout.isatty() and len(text) > (room := shutil.get_terminal_size().columns):
+        inner = " " * (len(text) - len(text.lstrip()) + 4)
+        text = "\n".join(textwrap.wrap(text, max(room, 40), subsequent_indent=inner, drop_whitespace=False) or [text])
     sys.stdout.write(text + "\n")
     sys.stdout.flush()

@@ -6,12 +6,14 @@ import argparse
 from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.offline.compare.compare import Comparison
 
 AVERAGING_S, LONGEST_S = 0.2, 5.0  # as the comparison takes them; a test holds both together
+WORST = 5  # violations listed
 HELP = "where a model fails on recordings: per joint, per motion, violations, tubes"
 
 
@@ -27,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("model", metavar="M", help="model file")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
+    parser.add_argument("--all", action="store_true", help="list every violation, not the worst few")
     add_output_options(parser)
 
 
@@ -42,14 +45,15 @@ def _over(model: Model, found: Comparison) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
-    from stopset.artifact import load_model
     from stopset.offline.compare.compare import answer, compare
     from stopset.offline.compare.tightness import table
     from stopset.offline.compare.verdict import by_failure, verdict
+    from stopset.offline.description.older import load_model
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
-    found = compare(model, args.data)
+    with steps("compare", args.data, args.quiet) as tell:
+        found = compare(model, args.data, tell)
     said = verdict(found)
     say(said.text)
     say(f"what next: {said.next}")
@@ -61,11 +65,14 @@ def run(args: argparse.Namespace) -> int:
         say(f"{j:<22}" + "".join(f"{'-' if c is None else f'{c:.4f}':>{w}}" for c, w in cells))
     for line in (*MEANS, *table(found.tightness, tuple(found.figures))):
         say(line)
-    for v in sorted(found.violations, key=lambda v: -v.relative)[:10]:
+    worst = sorted(found.violations, key=lambda v: -v.relative)
+    for v in worst if args.all else worst[:WORST]:
         say(
             f"violation: {v.recording}: {v.state} {v.side} the set by {v.excess:.4g} {v.unit} "
             f"at age {v.age_s:.3f} s (start {v.start_s:.3f} s)"
         )
+    if len(worst) > WORST and not args.all:
+        say(f"violation: {len(worst) - WORST} more, --all lists them")
     say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
     for name, (held, out) in found.bands.items():
         say(f"{name}: {out} of the {held} recordings at its temperatures leave its narrower sets (nothing is promised of them)")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from stopset.cli.common import add_output_options, check_outputs, say, stopwatch, write_json
+from stopset.cli.common import add_output_options, check_outputs, listed, say, write_json
+from stopset.cli.steps import steps
 
 HELP = "which physical effect is missing, at which joint, and what would decide"
 
@@ -14,13 +15,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="M", help="model file")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--effects", metavar="a,b", help="look for these effects only (left out: the whole catalogue)")
+    parser.add_argument("--all", action="store_true", help="list what these recordings cannot tell, too")
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose; the exit code is 0 whatever the verdict."""
-    from stopset.artifact import load_model
     from stopset.effects import get
+    from stopset.offline.description.older import load_model
     from stopset.offline.diagnose import diagnose_model
     from stopset.recording import read_recordings
 
@@ -28,7 +30,8 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     names = [get(name).name for name in args.effects.split(",")] if args.effects else None
     recordings = read_recordings(args.data, model.robot)
-    found, against = diagnose_model(model, recordings, names, stopwatch())
+    with steps("diagnose", args.data, args.quiet) as tell:
+        found, against = diagnose_model(model, recordings, names, tell)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for note in found.notes:
         say(f"note: {note}")
@@ -53,8 +56,7 @@ def run(args: argparse.Namespace) -> int:
         of = f", depends on {', '.join(u.depends_on)}" if u.depends_on else ""
         like = f"; it resembles {'; '.join(u.resembles)}" if u.resembles else ""
         say(f"unexplained at {u.joint}: {u.size:.3g} N m{of}{like}")
-    for line in found.not_identifiable:
-        say(f"not identifiable: {line}")
+    listed([str(b) for b in found.not_identifiable], "not identifiable from these motions", args.all)
     if found.next_experiment:
         say(f"next: {found.next_experiment}")
     if args.json:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 HELP = "write the model as an FMU (FMI 2.0 or 3.0) that runs without Python"
 
@@ -30,11 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export; exit code 0."""
-    from stopset.artifact import load_model
     from stopset.errors import OutputError
     from stopset.fmu import Contents, export
     from stopset.fmu.build import chosen
     from stopset.fmu.stops import stop_refusal
+    from stopset.offline.description.older import load_model
 
     check_outputs(args.out, args.json, args.report)
     if args.out.suffix != ".fmu":
@@ -42,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     platforms = [] if args.source_only else [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
     contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference)
-    target = export(model, args.out, contents, say)
+    with steps("export-fmu", quiet=args.quiet) as tell:
+        target = export(model, args.out, contents, tell)
     what = "sources alone" if args.source_only else ", ".join(platforms)
     say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB; {what}")
     if not (args.no_reference or args.source_only):

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the chain."""
-    from stopset.artifact import load_model
+    from stopset.offline.description.older import load_model
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,12 +15,14 @@ from stopset.cli.common import (
     say,
     write_json,
 )
+from stopset.cli.steps import steps
 from stopset.errors import StopsetError
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.offline.conform.linear_program import Fit
     from stopset.offline.identify.pipeline import Identification
+    from stopset.progress import Tell
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
 
@@ -110,12 +109,8 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import save_model
 
     check_outputs(args.out, args.json, args.report, args.keep)
-    start = time.monotonic()
-
-    def tell(text: str) -> None:
-        sys.stderr.write(f"[{time.monotonic() - start:5.1f} s] {text}\n")
-
-    found = _updated(args, tell) if args.update else _identified(args, tell)
+    with steps("identify", args.data, args.quiet) as tell:
+        found = _updated(args, tell) if args.update else _identified(args, tell)
     model = save_model(found.model, args.out)
     if args.keep:
         from stopset.offline.update.update import save_state
@@ -162,9 +157,11 @@ def verdict(found: Identification, accepted: bool) -> int:
     return 1
 
 
-def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.offline.identify.pipeline import Settings, identify
-    from stopset.robot import load_robot
+def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
+    from stopset.offline.campaign.conditions import tagged
+    from stopset.offline.campaign.source import campaign_of
+    from stopset.offline.description import load_robot
+    from stopset.offline.identify.pipeline import Settings, identified
 
     if args.robot is None:
         raise StopsetError("no robot is named; expected --robot URDF (or --update M.model.json): give one")
@@ -176,13 +173,12 @@ def _identified(args: argparse.Namespace, tell: Callable[[str], None]) -> Identi
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
         shape=args.shape, friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
-    return identify(
-        robot, args.data, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None, conditions=args.condition
-    )
+    campaign = tagged(campaign_of(robot, args.data), args.condition, args.data)
+    return identified(robot, campaign, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
 
 
-def _updated(args: argparse.Namespace, tell: Callable[[str], None]) -> Identification:
-    from stopset.artifact import load_model
+def _updated(args: argparse.Namespace, tell: Tell) -> Identification:
+    from stopset.offline.description.older import load_model
     from stopset.offline.update.update import load_state, update
 
     parser = argparse.ArgumentParser()

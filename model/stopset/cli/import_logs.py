@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stopset.cli.common import add_output_options, check_outputs, progress, say, write_json
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 HELP = "turn CAN logs, ROS 2 bags, MCAP files or RTDE tables into recordings"
 
@@ -40,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.logs import log_meta, trials_of_log
     from stopset.monitor.profile import load_profile
     from stopset.monitor.rtde import is_rtde, read_rtde
+    from stopset.progress import counted
     from stopset.recording import Meta, Recording, write_recordings
 
     check_outputs(args.out, args.json, args.report)
@@ -49,25 +51,26 @@ def run(args: argparse.Namespace) -> int:
     constants = _numbers(args.torque_constant) if args.torque_constant else None
     trials: list[Recording] = []
     meta: Meta | None = None
-    for suite, path in enumerate(args.log):
-        if is_bag(path):
-            found = list(progress(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name))
-            this = meta_of_bag(found, args.effort)
-            trials += [r for r, _ in found]
-        elif is_rtde(path):
-            this, found_here, said = read_rtde(path, joints, constants, suite)
-            trials += found_here
-            say(f"{path.name}: torque is {said}")
-        else:
-            profile = load_profile(args.profile)
-            cycle = args.cycle or profile.cycle_s
-            trials += progress(trials_of_log(path, profile, cycle, suite), None, path.name)
-            this = log_meta(profile, cycle, args.effort)
-        if meta is not None and this.joints != meta.joints:
-            raise RecordingError(
-                f"{path} holds joints {', '.join(this.joints)}, the first log {', '.join(meta.joints)}; import them apart"
-            )
-        meta = meta or this
+    with steps("import", args.log, args.quiet) as tell:
+        for suite, path in enumerate(args.log):
+            if is_bag(path):
+                found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, tell))
+                this = meta_of_bag(found, args.effort)
+                trials += [r for r, _ in found]
+            elif is_rtde(path):
+                this, found_here, said = read_rtde(path, joints, constants, suite)
+                trials += found_here
+                say(f"{path.name}: torque is {said}")
+            else:
+                profile = load_profile(args.profile)
+                cycle = args.cycle or profile.cycle_s
+                trials += counted(trials_of_log(path, profile, cycle, suite), None, path.name, tell)
+                this = log_meta(profile, cycle, args.effort)
+            if meta is not None and this.joints != meta.joints:
+                raise RecordingError(
+                    f"{path} holds joints {', '.join(this.joints)}, the first log {', '.join(meta.joints)}; import them apart"
+                )
+            meta = meta or this
     assert meta is not None  # nargs="+"
     write_recordings(args.out, meta, trials)
     samples = sum(len(r.t) for r in trials)

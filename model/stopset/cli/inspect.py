@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0: nothing wrong; 1: something is wrong that identification should not be run over."""
+    from stopset.offline.description import load_robot
     from stopset.offline.inspect import inspect_recordings
-    from stopset.robot import load_robot
 
     check_outputs(args.json, args.report)
     robot = load_robot(args.robot, tip=args.tip, lock=args.lock) if args.robot else None

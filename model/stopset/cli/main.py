@@ -21,7 +21,7 @@ from stopset.errors import StopsetError
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
-NOT_COMMANDS = {"main", "common"}
+NOT_COMMANDS = {"main", "common", "steps"}
 FILES = {"import": "import_logs"}  # commands that are keywords of Python, and so no module's name
 DEFECT = 70  # exit code of an error inside stopset (EX_SOFTWARE): no answer, and nothing the caller could mend
 DEBUG = "STOPSET_DEBUG"  # set to anything: an error inside stopset is shown whole
@@ -54,6 +54,15 @@ def _overview() -> str:
     )
 
 
+def parser_of(command: str) -> Parser:
+    """What a command takes, as its ``--help`` and the reference pages tell it."""
+    parser = Parser(prog=f"stopset {command}", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=FOOTER)
+    module = _module(command)
+    parser.description = module.HELP
+    module.add_arguments(parser)
+    return parser
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 the answer is "no", 2 bad input, `DEFECT`, 130 interrupted."""
     words = list(sys.argv[1:] if argv is None else argv)
@@ -66,14 +75,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in commands():
         sys.stderr.write(f"stopset: no command {words[0]!r}; expected one of {', '.join(commands())}\n")
         return 2
-    parser = Parser(prog=f"stopset {words[0]}", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=FOOTER)
     try:
-        module = _module(words[0])
-        parser.description = module.HELP
-        module.add_arguments(parser)
-        args = parser.parse_args(words[1:])
+        args = parser_of(words[0]).parse_args(words[1:])
         check_apart(args)
-        return int(module.run(args))
+        return int(_module(words[0]).run(args))
     except StopsetError as e:
         sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")
         return 2

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 HELP = "design the experiments: excitation, PTP, static poses, open-loop suites, stops"
 
@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the campaign into the folder and its table to the terminal."""
     from stopset.errors import StopsetError
+    from stopset.offline.description import load_robot
     from stopset.offline.plan import Wishes, design, write_plan
     from stopset.offline.plan.files import as_dict, summary
     from stopset.recording import stream_recordings
-    from stopset.robot import load_robot
 
     robot = load_robot(args.robot)
     fresh = not args.out.exists()
@@ -46,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     recordings = stream_recordings(args.data, robot) if args.data else None
     try:
-        plan = design(robot, wishes, recordings, _watch)
+        with steps("plan", args.data or (), args.quiet) as tell:
+            plan = design(robot, wishes, recordings, tell)
     except StopsetError:
         if fresh:
             args.out.rmdir()  # a refused plan leaves nothing behind
@@ -71,9 +72,3 @@ def _make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise OutputError(f"--out {folder} cannot be made a directory ({e.strerror}); choose another place") from e
-
-
-def _watch(what: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{what}")
-        sys.stderr.flush()

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"key": key, **asdict(statement)})
     if args.report:
-        from stopset.artifact import load_model
+        from stopset.offline.description.older import load_model
         from stopset.offline.report.page import Page
 
         page = Page(f"{statement.robot}: signed model", load_model(args.model))

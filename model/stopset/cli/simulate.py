@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_output_options, check_outputs, progress, say, write_json
+from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 
 if TYPE_CHECKING:
+    from stopset.progress import Tell
     from stopset.recording import Recording
 
 HELP = "recordings from the simulated arm, effects hidden on request"
@@ -38,8 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.errors import EffectError, OutputError
     from stopset.files import write_text
+    from stopset.offline.description import load_robot
+    from stopset.progress import counted
     from stopset.recording import write_recordings
-    from stopset.robot import load_robot
     from stopset.simulation import prepare
 
     if args.seed < 0:
@@ -54,12 +57,13 @@ def run(args: argparse.Namespace) -> int:
     out.mkdir(exist_ok=True)
     lengths: list[int] = []
 
-    def counted() -> Iterator[Recording]:
-        for r in progress(scenario.recordings(), scenario.count, "recording"):
+    def measured(tell: Tell) -> Iterator[Recording]:
+        for r in counted(scenario.recordings(), scenario.count, "recordings simulated", tell):
             lengths.append(len(r.t))
             yield r
 
-    write_recordings(out / "recording.parquet", scenario.meta, counted())
+    with steps("simulate", quiet=args.quiet) as tell:
+        write_recordings(out / "recording.parquet", scenario.meta, measured(tell))
     rows = sum(lengths)
     write_text(out / "robot.urdf", scenario.robot.urdf)
     write_text(out / "robot.json", scenario.datasheet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from stopset.artifact import load_model
     from stopset.cli.common import check_outputs, say, write_json
     from stopset.errors import OutputError
     from stopset.files import write_bytes, write_text
+    from stopset.offline.description.older import load_model
     from stopset.offline.stops.measured import measured_stops
     from stopset.offline.stops.page import build_page
     from stopset.offline.stops.safety_file import build_pdf
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
-    from stopset.cli.common import progress
+    from stopset.cli.steps import steps
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
     from stopset.reach.stops import CATEGORIES, Ramp, ramp_of
@@ -129,10 +129,8 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
         if args.speed is not None:
             raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
 
-        def shown(items: Sequence[Any], what: str) -> Iterator[Any]:
-            return progress(items, len(items), what)
-
-        table = stop_table(model, question, shown)
+        with steps("stops", quiet=args.quiet) as tell:
+            table = stop_table(model, question, tell)
         return list(table.rows), table.assumptions, question
     q = _numbers(args.at, model.n, "--at")
     if args.speed is None:

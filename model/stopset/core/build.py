@@ -78,14 +78,20 @@ def compile_core(out: Path, target: str | None = None) -> Path:
     if target is None:
         command = [*compiler(), *([] if sys.platform == "win32" else ["-fPIC"])]
     else:
-        command = [*zig(), "-target", TARGETS[target][0], *([] if target.startswith("windows") else ["-fPIC"])]
-    made = path.with_name(f"{path.name}.{os.getpid()}")  # a reader never sees half a library
+        # without symbols: they carry the time of day on Windows, and the same sources are to give the same bytes
+        command = [*zig(), "-target", TARGETS[target][0], "-s", *([] if target.startswith("windows") else ["-fPIC"])]
+    # a reader never sees half a library; compiled under its own name, which libraries of some platforms carry inside
+    half = out / f"half-{os.getpid()}"
+    half.mkdir(exist_ok=True)
     stamp = f'-DSTOPSET_SOURCES="{sources_hash()}"'
-    command += [*FLAGS, stamp, "-shared", *map(str, c_files()), "-o", str(made)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"the C core does not compile with {command[0]}: {done.stderr.strip()[-1500:]}")
-    made.replace(path)
+    command += [*FLAGS, stamp, "-shared", *map(str, c_files()), "-o", path.name]
+    try:
+        done = subprocess.run(command, cwd=half, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"the C core does not compile with {command[0]}: {done.stderr.strip()[-1500:]}")
+        (half / path.name).replace(path)
+    finally:
+        shutil.rmtree(half, ignore_errors=True)
     return path
 
 

@@ -2,7 +2,7 @@
 
 A law gives the *columns* of its effect: the joint torque is ``sum(theta_k * column_k)``, linear in the terms' values
 ``theta`` and free in the shapes.  It is written once over `stopset.ring` numbers, so the same lines give the torque
-(arrays), the regressor (the columns themselves), a bound (intervals), a Taylor form, and C text for the FMU.
+(arrays), the regressor (the columns themselves), a bound (intervals), a Taylor form, and the steps that the compiled core plays.
 
 Sign: ``rigid(q, dq, ddq) + J_rotor ddq + friction + effects = tau``.
 """
@@ -17,7 +17,7 @@ from typing import Any, Literal
 from stopset.errors import EffectError
 from stopset.ring import sign
 
-Number = Any  # a float, an array, an Interval, a Taylor form or C text: whatever stopset.ring computes with
+Number = Any  # a float, an array, an Interval, a Taylor form or a tape: whatever stopset.ring computes with
 Entry = Literal["compensation", "inertia", "damping", "input_gain", "input_delay", "state"]
 Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing"]
 Part = Literal["", "dry friction", "damping", "constant torque", "torque scale", "load"]

@@ -11,11 +11,12 @@ Source: Liu & Althoff (2018), eq. (17)-(20), with the corrections named above.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stopset.artifact import Abstraction, UncertaintySets
-from stopset.core.library import lib, view
+from stopset.core.library import check, ffi, given, lib, view
 from stopset.errors import NotCovered
 from stopset.sets import Box
 from stopset.types import Array
@@ -45,10 +46,11 @@ def _linear(abstraction: Abstraction) -> tuple[Array, Array]:
 
 def discretise(abstraction: Abstraction, dt: float) -> tuple[Array, Array]:
     """``Ad`` (2n, 2n), ``Bd`` (2n, n): exact step of ``dt`` [s] with the input held (zero-order hold)."""
-    A, B = _linear(abstraction)
-    m, n = B.shape
-    block = expm(np.block([[A, B], [np.zeros((n, m + n))]]) * dt)
-    return block[:m, :m].copy(), block[:m, m:].copy()
+    A, _ = _linear(abstraction)
+    n = abstraction.n
+    Ad, Bd = np.empty((2 * n, 2 * n)), np.empty((2 * n, n))
+    check(lib.stopset_discretise(n, view(given(A[n:, n:])), view(given(abstraction.Minv)), dt, view(Ad), view(Bd)))
+    return Ad, Bd
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +69,13 @@ class Responses:
 
     def hull(self, X0_lo: Array, X0_hi: Array, U_lo: Array, U_hi: Array) -> tuple[Array, Array]:
         """Lower and upper bounds (H+1, r) of ``E1 X0 + convolution of K with U``."""
-        Ep, En = np.maximum(self.E1, 0.0), np.minimum(self.E1, 0.0)
-        hi = Ep @ X0_hi + En @ X0_lo + self.plus @ U_hi + self.minus @ U_lo
-        lo = Ep @ X0_lo + En @ X0_hi + self.plus @ U_lo + self.minus @ U_hi
+        ages, rows, states = self.E1.shape
+        if X0_lo.shape != (states,) or X0_hi.shape != (states,) or not U_lo.shape == U_hi.shape == self.plus.shape[2:]:
+            raise ValueError(f"sets of {X0_lo.size} states and {U_lo.size} torques; expected {states} and {self.plus.shape[2]}")
+        lo, hi = np.empty((ages, rows)), np.empty((ages, rows))
+        sets, _held = _sets(Box(X0_lo, X0_hi), Box(U_lo, U_hi), Box(X0_lo, X0_hi))
+        parts = [view(given(x)) for x in (self.E1, self.plus, self.minus)]
+        lib.stopset_hulls(ages, rows, states, self.plus.shape[2], *parts, sets, view(lo), view(hi))
         return lo, hi
 
     def tube(self, X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
@@ -87,30 +93,24 @@ def responses(
     ``torques``: (n, m) directions in the joints' torques that inputs act along, ``rows``: (r, 2n) combinations of states
     that are looked at; without them every joint and every state by itself.
     """
-    A, B = _linear(abstraction)
-    Ad, Bd = discretise(abstraction, dt)
+    A, _ = _linear(abstraction)
+    n = abstraction.n
     signed = torques is None and rows is None and _signed(abstraction)
-    if torques is not None:
-        B, Bd = B @ torques, Bd @ torques
-    m = A.shape[0]
-    L = np.eye(m) if rows is None else rows
-    E1 = np.empty((steps + 1, len(L), m))
-    plus, minus = np.zeros((steps + 1, len(L), B.shape[1])), np.zeros((steps + 1, len(L), B.shape[1]))
-    E = np.eye(m)
-    E1[0] = L
-    growth = np.abs(A) @ expm(np.abs(A) * dt)  # |K'| of the states on a step <= growth |K(start)|
-    for k in range(steps):
-        slope = np.abs(L) @ (growth @ np.abs(E @ B)) * dt
-        E = E @ Ad
-        E1[k + 1] = E if rows is None else L @ E
-        Ka, Kb = E1[k] @ B, E1[k + 1] @ B
-        whole = E1[k] @ Bd  # exact integral of K over the step
-        # with both ends on one side, K would need this much slope to reach zero and come back within the step
-        keeps_sign = ((Ka * Kb >= 0.0) & (np.abs(Ka) + np.abs(Kb) >= slope)) | signed
-        magnitude = np.where(keeps_sign, np.abs(whole), dt * (np.minimum(np.abs(Ka), np.abs(Kb)) + slope))
-        plus[k + 1] = plus[k] + 0.5 * (magnitude + whole)
-        minus[k + 1] = minus[k] - 0.5 * (magnitude - whole)
+    looked, inputs = 2 * n if rows is None else len(rows), n if torques is None else torques.shape[1]
+    held = [None if x is None else given(x) for x in (A[n:, n:], abstraction.Minv, torques, rows)]
+    pointers = [ffi.NULL if x is None else view(x) for x in held]
+    linear = ffi.new("StopsetLinear *", (n, looked, inputs, *pointers, int(signed)))
+    step, work = np.empty(lib.stopset_step_room(linear)), np.empty(lib.stopset_response_room(linear))
+    E1 = np.empty((steps + 1, looked, 2 * n))
+    plus, minus = np.empty((steps + 1, looked, inputs)), np.empty((steps + 1, looked, inputs))
+    check(lib.stopset_responses(linear, dt, steps, *(view(x) for x in (step, work, E1, plus, minus))))
     return Responses(dt, E1, plus, minus)
+
+
+def _sets(X0: Box, U: Box, V: Box, position_only: bool = False) -> tuple[Any, list[Array]]:
+    """``StopsetSets``, and what must live as long."""
+    held = [given(x) for b in (X0, U, V) for x in (b.lo, b.hi)]
+    return ffi.new("StopsetSets *", (*(view(x) for x in held), int(position_only))), held
 
 
 def _signed(abstraction: Abstraction) -> bool:
@@ -135,24 +135,27 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
     are not.  For ``conform == 'position'`` the velocity columns are unbounded (infinite): nothing was promised about them.
     """
     steps = round(sets.horizon / sets.dt)
-    n = abstraction.n
     rows = None if across is None else along_joints(across)
+    torques, U = torque_set(sets)
+    R = responses(abstraction, sets.dt, steps, torques, rows)
+    ages, looked, states = R.E1.shape
+    lo, hi = np.empty((ages, looked)), np.empty((ages, looked))
+    struct, _held = _sets(sets.X0, U, sets.V, sets.conform == "position")
+    look = ffi.NULL if rows is None else view(given(rows))
+    lib.stopset_tubes(
+        ages, looked, states, U.dim, look, *(view(x) for x in (R.E1, R.plus, R.minus)), struct, view(lo), view(hi)
+    )  # fmt: skip
+    return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo, hi)
+
+
+def torque_set(sets: UncertaintySets) -> tuple[Array | None, Box]:
+    """The torque set as a box along directions (n, m): the joints (None), or, of a zonotope, these for its centre, then its
+    generators from -1 to 1."""
     if sets.zonotope is None:
-        lo, hi = responses(abstraction, sets.dt, steps, None, rows).tube(sets.X0, sets.U, sets.V)
-        terms = n
-    else:  # a box in the generators' coordinates: a fixed centre, and -1 to 1 along each generator
-        G, c = sets.zonotope.generators, sets.zonotope.centre
-        R = responses(abstraction, sets.dt, steps, np.hstack([np.eye(n), G]), rows)
-        ones = np.ones(G.shape[1])
-        lo, hi = R.tube(sets.X0, Box(np.concatenate([c, -ones]), np.concatenate([c, ones])), sets.V)
-        terms = n + G.shape[1]
-    k = lo.shape[1] // 2
-    if sets.conform == "position":
-        lo[:, k:], hi[:, k:] = -np.inf, np.inf
-    # sums of 2n + 2 terms + 2n products in double precision, rounded outward
-    slack = 2.0**-50 * terms * np.maximum(np.abs(lo), np.abs(hi))
-    slack[~np.isfinite(slack)] = 0.0
-    return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo - slack, hi + slack)
+        return None, sets.U
+    G, c = sets.zonotope.generators, sets.zonotope.centre
+    ones = np.ones(G.shape[1])
+    return np.hstack([np.eye(len(c)), G]), Box(np.concatenate([c, -ones]), np.concatenate([c, ones]))
 
 
 def along_joints(directions: Array) -> Array:
@@ -189,6 +192,6 @@ def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:
         return path
     Ad, Bd = discretise(abstraction, dt)
     out = np.empty((u.shape[0], x0.shape[0]))
-    out[0], out[1:] = x0, u[:-1] @ Bd.T
-    lib.stopset_march(len(Ad), view(Ad), len(out), view(out))
+    out[0] = x0
+    lib.stopset_predict(abstraction.n, view(Ad), view(Bd), len(out), view(given(u)), view(out))
     return out

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-Number = Any  # float, array, Interval, CText, Taylor form
+Number = Any  # float, array, Interval, Tape, Taylor form
 
 
 def _apply(name: str, x: Number) -> Number:

@@ -23,6 +23,7 @@ class Tape:
 
     steps: list[tuple[int, int, int]] = field(default_factory=list)
     numbers: list[float] = field(default_factory=list)
+    _shared: dict[tuple[float, bool], int] = field(default_factory=dict)  # constants that the law itself writes
     _place: dict[tuple[int, int, int], int] = field(default_factory=dict)
 
     def step(self, what: int, first: int, second: int = 0) -> Played:
@@ -39,9 +40,14 @@ class Tape:
         """A number of the law."""
         if x != x:
             raise ValueError("a law holds a constant that is not a number; expected a finite one")
-        for k, known in enumerate(self.numbers):
-            if known == x and np.signbit(known) == np.signbit(x):
-                return self.step(CONSTANT, k)
+        key = (x, bool(np.signbit(x)))
+        if key not in self._shared:
+            self._shared[key] = len(self.numbers)
+            self.numbers.append(x)
+        return self.step(CONSTANT, self._shared[key])
+
+    def parameter(self, x: float) -> Played:
+        """A number with a place of its own among the constants, so that who plays the law may put another one there."""
         self.numbers.append(x)
         return self.step(CONSTANT, len(self.numbers) - 1)
 

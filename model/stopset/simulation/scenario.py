@@ -12,7 +12,7 @@ import numpy as np
 from stopset.errors import EffectError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
+from stopset.robot.arm import robot_of
 from stopset.simulation.campaign import PLANS, Plan, make, schedule
 from stopset.simulation.cell import Cell, build_cell, wrong_cad
 from stopset.simulation.compensated import PHASES, compensated
@@ -75,7 +75,7 @@ def complete_robot(robot: Robot, seed: int) -> Robot:
         row.setdefault("brake_rise_s", [0.015, 0.025])
         row.setdefault("brake_tolerance", 0.1)
         rows[joint] = row
-    return robot_from_text(robot.urdf, {**robot.datasheet, "robot": robot.name, "joints": rows}, robot.name)
+    return robot_of(robot.arm, robot.urdf, {**robot.datasheet, "robot": robot.name, "joints": rows})
 
 
 def prepare(

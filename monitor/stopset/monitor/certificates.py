@@ -29,7 +29,7 @@ class Numbers:
     provable: NDArray[np.bool_]
     why: str = ""
     margin: float = float("-inf")  # least holding margin [N m]
-    capsules: Array | None = None  # (P, 7) [m] both ends and radius: together they contain what the links' axes sweep
+    capsules: Array | None = None  # (P, 7) [m] both ends and radius: together they contain what the links sweep
     proven: bool = field(init=False)  # every joint is
 
     def __post_init__(self) -> None:

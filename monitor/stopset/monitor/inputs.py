@@ -39,7 +39,7 @@ class Inputs:
         ``warm``: between which places of the session (0 first trial of the identification, 1 last) the arm is now.
         """
         taken_off = model.input
-        plain = model.effort == "compensated_torque" and not taken_off.effects and bool(np.all(taken_off.gain == 1.0))
+        plain = taken_off.plain
         uses_warm = any("warm" in get(f.effect).needs for f in taken_off.effects)
         carried, between = Carried.of(model), warm if uses_warm else (warm[0], warm[0])
         struct, held = _struct(taken_off, quantum, between, plain, carried, model.powered.dt)
@@ -74,7 +74,7 @@ def _struct(
         first[k] = law
         law += len(places(f, get(f.effect), m.robot.joints))
     rates = ffi.new(
-        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=True)) for s in carried.states] or 1
+        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=0)) for s in carried.states] or 1
     )
     ends = sorted(set(warm))
     rounding = [kept.array(x) for x in (quantum.q, quantum.dq, quantum.tau)]

@@ -21,58 +21,16 @@ static int as_identified(const StopsetState *s) {
     return s->r[VR_PAYLOAD_MASS] >= m->payload_lo && s->r[VR_PAYLOAD_MASS] <= m->payload_hi;
 }
 
-static const char *inertia(StopsetState *s) {
-    const StopsetModel *m = &stopset_model;
-    memcpy(s->Minv, m->Minv, sizeof s->Minv);
-    double mass = s->r[VR_PAYLOAD_MASS];
-    if (!(mass >= 0.0) || !stopset_finite(mass)) return "payload_mass is not a mass; set a finite number >= 0 [kg]";
-    int changed = mass != 0.0;
-#if N_INERTIA
-    for (int i = 0; i < NJ; i++) {
-        double J = s->r[VR_INERTIA + i];
-        if (!(J > 0.0) || !stopset_finite(J)) return "an inertia parameter is not positive; set a finite number > 0 [kg m^2]";
-        if (J != m->start_real[VR_INERTIA + i]) s->Minv[i][i] = 1.0 / J;
-    }
-#endif
-    if (!stopset_invert(s->Minv, s->M)) return "the inertia matrix is singular; set inertia parameters > 0";
-    if (changed) {
-        double load[NJ][NJ];
-        stopset_point_mass(mass, &s->r[VR_PAYLOAD_COM], m->q_a, load);
-        for (int r = 0; r < NJ; r++)
-            for (int c = 0; c < NJ; c++)
-                if (r == c || !m->decoupled) s->M[r][c] += load[r][c];
-        if (!stopset_invert(s->M, s->Minv)) return "the inertia with the payload is singular; set a finite centre of mass [m]";
-    }
-    return 0;
-}
-
-const char *stopset_setup(StopsetState *s, double t0) {
+const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     const StopsetModel *m = &stopset_model;
     for (int v = 0; v < N_REAL; v++) {
         int kind = m->kind[v];
         if ((kind == KIND_FIXED || kind == KIND_TUNABLE) && !stopset_finite(s->r[v]))
             return "a parameter is not a finite number; set all parameters to numbers";
     }
-    const char *wrong = inertia(s);
+    const char *wrong = stopset_prepare(s, w);
     if (wrong) return wrong;
-    double magnitude[NJ][NJ];
-    for (int r = 0; r < NJ; r++)
-        for (int c = 0; c < NJ; c++) {
-            s->Av[r][c] = -s->Minv[r][c] * s->r[VR_VISCOUS + c];
-            magnitude[r][c] = fabs(s->Av[r][c]);
-        }
-    StopsetStep envelope;
-    stopset_phi(magnitude, m->dt, &envelope);
-    for (int r = 0; r < NJ; r++)
-        for (int c = 0; c < NJ; c++) {
-            s->growth_q[r][c] = envelope.F[r][c];
-            s->growth_v[r][c] = 0.0;
-            for (int k = 0; k < NJ; k++) s->growth_v[r][c] += magnitude[r][k] * envelope.F[k][c];
-        }
-    stopset_phi(s->Av, m->dt, &s->grid);
-    s->step.h = 0.0;
     s->h_try = 0.0;
-    stopset_tube_reset(s);
     s->r[VR_TIME] = s->start_time = s->tube_start = t0;
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q + i] = s->r[VR_Q_START + i];
@@ -88,6 +46,7 @@ const char *stopset_setup(StopsetState *s, double t0) {
     s->i[IX_VERDICT] = VERDICT_NONE;
     s->i[IX_VIOLATED_JOINT] = 0;
     stopset_motion_reset(s);
+    stopset_forget(s);
     return 0;
 }
 
@@ -102,19 +61,18 @@ int stopset_restart(StopsetState *s, double ahead) {
         s->r[VR_DQ + i] = s->r[VR_DQ_MEASURED + i];
     }
     s->tube_start = s->r[VR_TIME];
-    stopset_tube_reset(s);
     stopset_motion_reset(s);
     s->outputs_ready = 0;
     return 1;
 }
 
-const char *stopset_trigger(StopsetState *s, double *work) {
+const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
     if (!s->i[IX_STOP] || s->stopping) return 0;
     if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes) return stopset_refusal;
     if (s->i[IX_STOP] == 2 && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
-    stopset_outputs(s);
-    stopset_stop_request(s, work);
+    stopset_outputs(s, w);
+    stopset_stop_request(s, w);
     memcpy(s->stop_q, &s->r[VR_Q], sizeof s->stop_q);
     memcpy(s->stop_dq, &s->r[VR_DQ], sizeof s->stop_dq);
     s->stop_start = s->r[VR_TIME];
@@ -133,12 +91,39 @@ static void ramp(StopsetState *s, double t) {
     }
 }
 
-const char *stopset_step(StopsetState *s, double h, double *work) {
+/* The matrices of a step of h. */
+static const double *step_of(StopsetWork *w, double h) {
+    if (h == stopset_model.dt) return w->grid;
+    if (w->h != h) stopset_linear_step(&w->linear, h, w->piece);
+    w->h = h;
+    return w->piece;
+}
+
+/* What a measured sample says: the monitor's cycle where samples come at the model's own step, and the unit's own prediction. */
+static void look(StopsetState *s, StopsetWork *w, double h) {
+    int32_t joint = 0;
+    const StopsetModel *m = &stopset_model;
+    const int watched = NV == 1 && !m->timed && s->b[IX_MEASURED] && s->as_identified && !s->stopping && fabs(h - m->dt) <= 1e-9 * m->dt;
+    stopset_check(s, w);
+    if (!watched) {
+        stopset_forget(s);
+        return;
+    }
+    const int said = stopset_sample(s, w, &joint);
+    if (s->violated || said == NOTHING_BEFORE) return;
+    s->i[IX_VERDICT] = said;
+    s->violated = said == VERDICT_VIOLATED;
+    if (s->violated) s->i[IX_VIOLATED_JOINT] = joint;
+}
+
+const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
-    stopset_check(s);
+    const char *wrong = stopset_prepare(s, w);
+    if (wrong) return wrong;
+    look(s, w, h);
     if (!s->stopping) stopset_restart(s, h);
-    const char *wrong = stopset_trigger(s, work);
+    wrong = stopset_trigger(s, w);
     if (wrong) return wrong;
     s->outputs_ready = 0;
     s->length = h;
@@ -147,25 +132,17 @@ const char *stopset_step(StopsetState *s, double h, double *work) {
         ramp(s, s->r[VR_TIME] + h);
         return 0;
     }
-    if (!stopset_exact(s)) return stopset_integrate(s, h);
-    if (s->step.h != h) stopset_phi(s->Av, h, &s->step);
-    double u[NJ], push[NJ], q[NJ], dq[NJ];
-    stopset_input(s, u);
-    for (int r = 0; r < NJ; r++) {
-        push[r] = 0.0;
-        for (int c = 0; c < NJ; c++) push[r] += s->Minv[r][c] * u[c];
-    }
-    for (int r = 0; r < NJ; r++) {
-        q[r] = s->r[VR_Q + r];
-        dq[r] = 0.0;
-        for (int c = 0; c < NJ; c++) {
-            q[r] += s->step.G[r][c] * s->r[VR_DQ + c] + s->step.H[r][c] * push[c];
-            dq[r] += s->step.F[r][c] * s->r[VR_DQ + c] + s->step.G[r][c] * push[c];
-        }
-    }
-    memcpy(&s->r[VR_Q], q, sizeof q);
-    memcpy(&s->r[VR_DQ], dq, sizeof dq);
-    stopset_memory_step(s, h);
+    if (!stopset_exact(s)) return stopset_integrate(s, w, h);
+    const double *step = step_of(w, h);
+    double u[NJ], x[NX], after[NX], Bd[NX * NJ];
+    stopset_input(s, w, u);
+    memcpy(x, &s->r[VR_Q], NJ * sizeof *x);
+    memcpy(x + NJ, &s->r[VR_DQ], NJ * sizeof *x);
+    stopset_torque_part(step, Bd);
+    stopset_stride(NJ, step, Bd, x, u, after);
+    memcpy(&s->r[VR_Q], after, NJ * sizeof *x);
+    memcpy(&s->r[VR_DQ], after + NJ, NJ * sizeof *x);
+    stopset_memory_step(s, w, h);
     return 0;
 }
 
@@ -182,8 +159,8 @@ static int inside_domain(const StopsetState *s) {
     for (int i = 0; i < NJ; i++) {
         double q = qs[i], dq = dqs[i], temp = s->r[VR_TEMP + i];
         if (!stopset_finite(s->r[VR_Q + i]) || !stopset_finite(s->r[VR_DQ + i])) return 0; /* no prediction, no bound */
-        if (!(q >= m->q_lo[i] && q <= m->q_hi[i] && dq >= m->dq_lo[i] && dq <= m->dq_hi[i])) return 0;
-        if (m->has_domain_temp && !(temp >= m->temp_lo[i] && temp <= m->temp_hi[i])) return 0;
+        if (!(q >= m->lo[i] && q <= m->hi[i] && dq >= m->lo[NJ + i] && dq <= m->hi[NJ + i])) return 0;
+        if (m->has_domain_temp && !(temp >= m->lo[3 * NJ + i] && temp <= m->hi[3 * NJ + i])) return 0;
     }
     return 1;
 }
@@ -191,8 +168,27 @@ static int inside_domain(const StopsetState *s) {
 /* Whether the prediction is older than its sets were tested for. */
 static int too_old(const StopsetState *s) { return !(age_of(s) <= stopset_model.horizon + 1e-9 * stopset_model.dt); }
 
-static void bounds(StopsetState *s, double lo[NX], double hi[NX]) {
-    double age = age_of(s);
+/* The deviation tube at an age, exact between the steps of its grid too. */
+static void tube(StopsetWork *w, double age, double lo[NX], double hi[NX]) {
+    const double dt = stopset_model.dt;
+    const int64_t k = (int64_t)floor(age / dt + 1e-9);
+    const double rest = age - (double)k * dt;
+    if (rest <= 1e-9 * dt) {
+        memcpy(lo, w->lo[k], sizeof w->lo[k]);
+        memcpy(hi, w->hi[k], sizeof w->hi[k]);
+        return;
+    }
+    double step[STEP_ROOM], E[NX * NX], plus[NX * N_TORQUES], minus[NX * N_TORQUES];
+    stopset_grow(w, k);
+    memcpy(E, w->E, sizeof E);
+    memcpy(plus, w->plus, sizeof plus);
+    memcpy(minus, w->minus, sizeof minus);
+    stopset_linear_step(&w->linear, rest, step);
+    stopset_respond(&w->linear, rest, step, E, plus, minus, w->response);
+    stopset_tubes(1, NX, NX, N_TORQUES, 0, E, plus, minus, &w->sets, lo, hi);
+}
+
+static void bounds(StopsetState *s, StopsetWork *w, double lo[NX], double hi[NX]) {
     if (too_old(s)) {
         for (int i = 0; i < NX; i++) lo[i] = hi[i] = (double)NAN;
         return;
@@ -200,7 +196,7 @@ static void bounds(StopsetState *s, double lo[NX], double hi[NX]) {
     if (NV > 1)
         stopset_corner_tube(s, lo, hi);
     else
-        stopset_tube(s, age, lo, hi);
+        tube(w, age_of(s), lo, hi);
     for (int i = 0; i < NX; i++) {
         double x = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i];
         lo[i] += x;
@@ -214,14 +210,14 @@ static int covered(const StopsetState *s) {
            (!stopset_model.motor_torque || s->b[IX_MEASURED]);
 }
 
-void stopset_outputs(StopsetState *s) {
-    if (s->outputs_ready) return;
+void stopset_outputs(StopsetState *s, StopsetWork *w) {
+    if (s->outputs_ready || stopset_prepare(s, w)) return;
     double lo[NX], hi[NX];
     if (s->stopping) {
         memcpy(lo, s->stop_lo, sizeof lo);
         memcpy(hi, s->stop_hi, sizeof hi);
     } else
-        bounds(s, lo, hi);
+        bounds(s, w, lo, hi);
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q_LO + i] = lo[i];
         s->r[VR_Q_HI + i] = hi[i];
@@ -230,24 +226,24 @@ void stopset_outputs(StopsetState *s) {
     }
     s->r[VR_AGE] = age_of(s);
     s->b[IX_COVERED] = (uint8_t)covered(s);
-    stopset_accelerations(s, &s->r[VR_DDQ], &s->r[VR_MEMORY_RATE]);
+    stopset_accelerations(s, w, &s->r[VR_DDQ], &s->r[VR_MEMORY_RATE]);
 #if N_INDICATOR
-    stopset_indicators(s, &s->r[VR_INDICATOR]);
+    stopset_indicators(s, w, &s->r[VR_INDICATOR]);
 #endif
     s->i[IX_VERDICT] = s->violated ? VERDICT_VIOLATED : s->i[IX_VERDICT];
     s->b[IX_CONFORMANT] = s->i[IX_VERDICT] == VERDICT_CONFORMANT;
     s->outputs_ready = 1;
 }
 
-void stopset_check(StopsetState *s) {
+void stopset_check(StopsetState *s, StopsetWork *w) {
     if (s->violated) return; /* latched until reset: one sample outside is a refutation */
     int seen = s->b[IX_MEASURED] && covered(s);
     for (int i = 0; i < NJ; i++) seen = seen && stopset_finite(s->r[VR_Q_MEASURED + i]) && stopset_finite(s->r[VR_DQ_MEASURED + i]);
     s->i[IX_VERDICT] = seen ? VERDICT_CONFORMANT : VERDICT_NONE;
     s->outputs_ready = 0;
-    if (!seen) return;
+    if (!seen || stopset_prepare(s, w)) return;
     double lo[NX], hi[NX];
-    bounds(s, lo, hi);
+    bounds(s, w, lo, hi);
     for (int i = 0; i < NX; i++) {
         double x = s->r[(i < NJ ? VR_Q_MEASURED : VR_DQ_MEASURED - NJ) + i];
         if (x >= lo[i] && x <= hi[i]) continue;

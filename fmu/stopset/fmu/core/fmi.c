@@ -41,9 +41,12 @@ Instance *stopset_create(const char *name, const char *token, int co_simulation,
         free(c);
         return 0;
     }
-    if (stopset_model.has_brakes && !(c->work = malloc((size_t)stopset_stop_room(NJ) * sizeof *c->work))) {
-        stopset_fail(c, "instantiate", "no memory left for the stop proofs; free instances that are no longer needed");
-        free(c);
+    c->work = calloc(1, sizeof *c->work);
+    c->spare = malloc(3 * sizeof *c->spare);
+    if (c->work && stopset_model.has_brakes) c->work->proof = malloc((size_t)stopset_stop_room(NJ) * sizeof(double));
+    if (!c->work || !c->spare || (stopset_model.has_brakes && !c->work->proof)) {
+        stopset_fail(c, "instantiate", "no memory left; free instances that are no longer needed");
+        stopset_free(c);
         return 0;
     }
     stopset_reset(c);
@@ -52,7 +55,9 @@ Instance *stopset_create(const char *name, const char *token, int co_simulation,
 
 void stopset_free(Instance *c) {
     if (!c) return;
+    if (c->work) free(c->work->proof);
     free(c->work);
+    free(c->spare);
     free(c);
 }
 
@@ -66,7 +71,7 @@ void stopset_reset(Instance *c) {
 /* Before and during initialization every value follows from parameters and inputs. */
 static Level refresh(Instance *c) {
     if (!c->now.stale) return LEVEL_OK;
-    const char *wrong = stopset_setup(&c->now.s, c->now.t0);
+    const char *wrong = stopset_setup(&c->now.s, c->work, c->now.t0);
     if (wrong) return stopset_fail(c, "initialization", wrong);
     c->now.stale = 0;
     return LEVEL_OK;
@@ -83,9 +88,9 @@ Level stopset_enter_initialization(Instance *c, double t0) {
 
 Level stopset_exit_initialization(Instance *c) {
     if (stopset_expect(c, "exitInitializationMode", IN(PHASE_INITIALIZATION)) || refresh(c)) return LEVEL_ERROR;
-    stopset_check(&c->now.s);
+    stopset_check(&c->now.s, c->work);
     c->now.s.modes_by_events = (uint8_t)!c->co_simulation;
-    if (!c->co_simulation) stopset_update_modes(&c->now.s, 0.0);
+    if (!c->co_simulation) stopset_update_modes(&c->now.s, c->work, 0.0);
     c->now.phase = c->co_simulation ? PHASE_STEP : PHASE_EVENT;
     return LEVEL_OK;
 }
@@ -98,7 +103,7 @@ static Level unknown(Instance *c, const char *function, unsigned vr, const char 
 
 static Level ready(Instance *c) {
     if (refresh(c)) return LEVEL_ERROR;
-    stopset_outputs(&c->now.s);
+    stopset_outputs(&c->now.s, c->work);
     return LEVEL_OK;
 }
 
@@ -106,7 +111,7 @@ Level stopset_get_real(Instance *c, const unsigned vr[], size_t n, double value[
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "get", vr[k], "floating-point");
-        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_STOP_AGE) stopset_stop_bounds(&c->now.s, 0, c->work);
+        if (vr[k] >= VR_STOP_TIME && vr[k] <= VR_STOP_AGE) stopset_stop_bounds(&c->now.s, c->work, 0);
         value[k] = c->now.s.r[vr[k]];
     }
     return LEVEL_OK;
@@ -125,7 +130,7 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
     if (ready(c)) return LEVEL_ERROR;
     for (size_t k = 0; k < n; k++) {
         if (vr[k] < N_REAL + N_INT || vr[k] >= N_REAL + N_INT + N_BOOL) return unknown(c, "get", vr[k], "boolean");
-        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s, 0, c->work);
+        if (vr[k] - N_REAL - N_INT == IX_STOP_CERTIFIED) stopset_stop_bounds(&c->now.s, c->work, 0);
         value[k] = c->now.s.b[vr[k] - N_REAL - N_INT];
     }
     return LEVEL_OK;
@@ -194,7 +199,7 @@ Level stopset_do_step(Instance *c, double t, double h) {
         return stopset_fail(c, "doStep", what);
     }
     s->r[VR_TIME] = t;
-    const char *wrong = stopset_step(s, h, c->work);
+    const char *wrong = stopset_step(s, c->work, h);
     if (wrong) return stopset_fail(c, "doStep", wrong);
     s->r[VR_TIME] = t + h;
     s->outputs_ready = 0;
@@ -202,15 +207,15 @@ Level stopset_do_step(Instance *c, double t, double h) {
 }
 
 /* `from` with the knowns moved by `step` along the seed; a sentence where that is none. */
-static const char *moved(const Saved *from, const unsigned known[], size_t m, const double seed[], double step, Saved *out) {
+static const char *moved(StopsetWork *w, const Saved *from, const unsigned known[], size_t m, const double seed[], double step, Saved *out) {
     memcpy(out, from, sizeof *out);
     for (size_t k = 0; k < m; k++) out->s.r[known[k]] += step * seed[k];
     if (out->phase <= PHASE_INITIALIZATION) {
-        const char *wrong = stopset_setup(&out->s, out->t0);
+        const char *wrong = stopset_setup(&out->s, w, out->t0);
         if (wrong) return wrong;
     }
     out->s.outputs_ready = 0;
-    stopset_outputs(&out->s);
+    stopset_outputs(&out->s, w);
     return 0;
 }
 
@@ -241,14 +246,15 @@ Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const
         out[k] = 0.0;
     }
     if (!(largest > 0.0)) return LEVEL_OK;
-    Saved here = c->now, low, high;
-    if (!here.s.modes_by_events) stopset_update_modes(&here.s, 0.0);
-    here.s.modes_held = 1;
+    Saved *here = c->spare, *low = here + 1, *high = here + 2;
+    memcpy(here, &c->now, sizeof *here);
+    if (!here->s.modes_by_events) stopset_update_modes(&here->s, c->work, 0.0);
+    here->s.modes_held = 1;
     const double step = 1e-5 * size / largest;
-    const char *wrong = moved(&here, known, m, seed, -step, &low);
-    if (!wrong) wrong = moved(&here, known, m, seed, step, &high);
+    const char *wrong = moved(c->work, here, known, m, seed, -step, low);
+    if (!wrong) wrong = moved(c->work, here, known, m, seed, step, high);
     if (wrong) return stopset_fail(c, "getDirectionalDerivative", wrong);
-    for (size_t k = 0; k < n; k++) out[k] = (high.s.r[unknown[k]] - low.s.r[unknown[k]]) / (2.0 * step);
+    for (size_t k = 0; k < n; k++) out[k] = (high->s.r[unknown[k]] - low->s.r[unknown[k]]) / (2.0 * step);
     return LEVEL_OK;
 }
 
@@ -326,7 +332,7 @@ Level stopset_get_states(Instance *c, double x[], size_t n) {
 Level stopset_get_derivatives(Instance *c, double dx[], size_t n) {
     if (right_count(c, "getDerivatives", n) || refresh(c)) return LEVEL_ERROR;
     for (int i = 0; i < NJ; i++) dx[i] = c->now.s.r[VR_DQ + i];
-    stopset_accelerations(&c->now.s, dx + NJ, dx + NX);
+    stopset_accelerations(&c->now.s, c->work, dx + NJ, dx + NX);
     return LEVEL_OK;
 }
 
@@ -334,7 +340,7 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
     double all[NJ];
     if (n != N_INDICATORS) return stopset_fail(c, "getEventIndicators", "the number of event indicators differs from modelDescription.xml");
     if (!n) return LEVEL_OK;
-    stopset_indicators(&c->now.s, all);
+    stopset_indicators(&c->now.s, c->work, all);
     memcpy(z, all, n * sizeof *z);
     return LEVEL_OK;
 }
@@ -342,18 +348,18 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
 int stopset_completed_step(Instance *c) {
     int before = c->now.s.i[IX_VERDICT];
     if (c->now.s.certificate.steps < INT32_MAX) c->now.s.certificate.steps++;
-    stopset_check(&c->now.s);
+    stopset_check(&c->now.s, c->work);
     return c->now.s.i[IX_VERDICT] != before;
 }
 
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
     StopsetState *s = &c->now.s;
-    stopset_check(s);
+    stopset_check(s, c->work);
     *states_changed = s->stopping ? 0 : stopset_restart(s, 0.0);
     const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
     /* an importer finds the zero crossing of a velocity within its own tolerance */
-    if (stopset_update_modes(s, 1e-7)) *states_changed = 1;
+    if (stopset_update_modes(s, c->work, 1e-7)) *states_changed = 1;
     s->outputs_ready = 0;
     /* the bounds were tested up to the horizon: the flag `covered` changes there */
     *next = s->tube_start + stopset_model.horizon;

@@ -15,97 +15,106 @@ enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects reme
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
 static const int EVENTS = 2000;        /* sticking and sliding changes within one communication step */
-static const int STEPS = 20000;       /* of the integrator within one communication step */
+static const int MOST_STEPS = 20000;       /* of the integrator within one communication step */
 
 /* Whether friction depends on the direction of motion now. */
 static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
 
 int stopset_exact(const StopsetState *s) {
     if (NV > 1 || s->stopping) return 0;
-    return (!stopset_model.motor_torque && !HAS_EFFECTS) || s->b[IX_MEASURED];
+    return (!stopset_model.motor_torque && !N_LAWS) || s->b[IX_MEASURED];
 }
 
-/* Gravity torque where anything asks for it, else zero. */
-static void gravity_at(const StopsetState *s, const double q[NJ], int asked, double load[NJ]) {
-    double pi[NJ][10];
-    for (int i = 0; i < NJ; i++) load[i] = 0.0;
-    if (!asked) return;
-    stopset_loaded_links(s, pi);
-    stopset_gravity_torque(pi, stopset_model.gravity, q, load);
+/* A state at time t as the core takes it: q, dq (NJ,), what is remembered (N_MEMORY,). The unit begins where a recording begins. */
+static StopsetSamples sample_of(const StopsetState *s, StopsetWork *w, double t, const double *q, const double *dq, const double *memory) {
+    const StopsetSamples out = {q, dq, &s->r[VR_TAU], &s->r[VR_TEMP], 0, &w->since, memory, s->r[VR_WARM]};
+    w->since = t - s->start_time;
+    return out;
 }
 
-/* What is taken off the torque beside effects: gravity, and Coriolis and centrifugal torque where the model says so. */
-static void rigid_at(const StopsetState *s, const double q[NJ], const double dq[NJ], const double load[NJ], double out[NJ]) {
-    double pi[NJ][10];
-    memcpy(out, load, NJ * sizeof *out);
-    if (!stopset_model.swift) return;
-    stopset_loaded_links(s, pi);
-    stopset_bias_torque(pi, stopset_model.gravity, q, dq, out);
+/* Gravity torque, and Coriolis and centrifugal torque where the model takes that off too; what laws look at is there already. */
+static void rigid_at(const StopsetWork *w, const double *q, const double *dq, double out[NJ]) {
+    static const double rest[NJ] = {0};
+    const int needs = w->map.needs;
+    if (stopset_model.swift && !(needs & STOPSET_NEEDS_LINK))
+        stopset_torques(&w->map.arm, 1, q, dq, rest, out);
+    else if (!stopset_model.swift && !(needs & STOPSET_NEEDS_LOAD))
+        stopset_gravity_torques(&w->map.arm, 1, q, out);
+    else
+        for (int i = 0; i < NJ; i++) out[i] = stopset_model.swift ? w->rigid.link[i][0] : w->rigid.load[i][0];
+}
+
+/* What the laws give at one state with the friction directions `mode`, on top of tau; rigid signals are there. */
+static void effects(const StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double tau[NJ]) {
+    double signals[STOPSET_SIGNALS][ROWS], out[ROWS];
+    memset(signals, 0, sizeof signals);
+    for (int k = 0; k < N_LAWS; k++) {
+        const StopsetLaw *law = w->law + k;
+        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, signals);
+        stopset_play(&law->torque, (const double(*)[ROWS])signals, 1, out);
+        tau[law->joint] += out[0];
+    }
+}
+
+/* Flow of what the effects remember, mode 0: the direction of the speed. */
+static void rates(const StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double *rate) {
+    double signals[STOPSET_SIGNALS][ROWS], out[ROWS];
+    memset(signals, 0, sizeof signals);
+    for (int k = 0; k < N_MEMORY; k++) {
+        const StopsetLaw *law = w->law + w->carried[k].law;
+        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, signals);
+        stopset_play(&w->carried[k].rate, (const double(*)[ROWS])signals, 1, out);
+        rate[k] = out[0];
+    }
 }
 
 /* u of eq. (11) at the state (q, dq): torque without gravity and without the effects that the model compensates. */
-static void input_at(const StopsetState *s, double t, const double q[NJ], const double dq[NJ], const double *memory,
-                     const double way[NJ], double u[NJ]) {
+static void input_at(const StopsetState *s, StopsetWork *w, double t, const double *y, const int32_t mode[NJ], double u[NJ]) {
     const int off = s->stopping == 1; /* drives without power: gravity and brakes are left */
-    double load[NJ], rigid[NJ], effect[NJ];
-    memset(effect, 0, sizeof effect);
-    gravity_at(s, q, stopset_model.motor_torque || HAS_LOAD || off, load);
-    rigid_at(s, q, dq, load, rigid);
-    if (HAS_EFFECTS) stopset_effects(s, q, dq, way, load, memory, effect);
+    const StopsetSamples at = sample_of(s, w, t, y, y + NJ, y + YM);
+    double rigid[NJ], effect[NJ] = {0};
+    if (w->map.needs) stopset_rigid_signals(&w->map, 1, at.q, at.dq, 0, &w->rigid);
+    if (stopset_model.motor_torque || off) rigid_at(w, at.q, at.dq, rigid);
+    effects(w, &at, mode, effect);
     for (int i = 0; i < NJ; i++) {
-        u[i] = (off ? 0.0 : s->r[VR_TAU + i]) - s->r[VR_OFFSET + i] - effect[i];
+        u[i] = (off ? 0.0 : s->r[VR_TAU + i] / stopset_model.gain[i]) - s->r[VR_OFFSET + i];
         if (stopset_model.motor_torque || off) u[i] -= rigid[i];
+        u[i] -= effect[i];
         if (off) {
             double since = t - s->stop_start - stopset_model.brake_delay[i], rise = stopset_model.brake_rise[i];
             double share = since <= 0.0 ? 0.0 : since >= rise ? 1.0 : since / rise;
-            u[i] -= stopset_model.brake_mid[i] * share * way[i];
+            u[i] -= stopset_model.brake_mid[i] * share * mode[i];
         }
     }
 }
 
-/* u at the measured state, as stopset.artifact.inputs: at standstill friction balances what it can. */
-void stopset_input(const StopsetState *s, double u[NJ]) {
-    double way[NJ];
-    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED], *memory = &s->r[VR_MEMORY];
-    for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
-    input_at(s, s->r[VR_TIME], q, dq, memory, way, u);
-#if HAS_EFFECTS
-    if (!stopset_model.motor_torque) return;
-    double rest[NJ], load[NJ], rigid[NJ], ahead[NJ], back[NJ];
-    memset(rest, 0, sizeof rest);
-    gravity_at(s, q, 1, load);
-    rigid_at(s, q, dq, load, rigid);
-    for (int i = 0; i < NJ; i++) way[i] = 1.0;
-    stopset_effects(s, q, rest, way, load, memory, ahead);
-    for (int i = 0; i < NJ; i++) way[i] = -1.0;
-    stopset_effects(s, q, rest, way, load, memory, back);
-    for (int i = 0; i < NJ; i++) {
-        if (fabs(dq[i]) > stopset_model.standstill[i]) continue;
-        double whole = s->r[VR_TAU + i] - s->r[VR_OFFSET + i] - rigid[i];
-        u[i] = whole - fmin(fmax(whole, fmin(ahead[i], back[i])), fmax(ahead[i], back[i]));
-    }
-#endif
+/* u at the measured state, as identification and monitor have it. */
+void stopset_input(const StopsetState *s, StopsetWork *w, double u[NJ]) {
+    const StopsetSamples at = sample_of(s, w, s->r[VR_TIME], &s->r[VR_Q_MEASURED], &s->r[VR_DQ_MEASURED], &s->r[VR_MEMORY]);
+    stopset_inputs(&w->map, 1, &at, u);
 }
 
-/* Flow of what the effects remember at the measured state. */
-static void measured_rates(const StopsetState *s, const double *memory, double *rate) {
-    double way[NJ], load[NJ];
-    const double *q = &s->r[VR_Q_MEASURED], *dq = &s->r[VR_DQ_MEASURED];
-    for (int i = 0; i < NJ; i++) way[i] = (double)((dq[i] > 0.0) - (dq[i] < 0.0));
-    gravity_at(s, q, HAS_LOAD, load);
-    stopset_memory_rates(s, q, dq, way, load, memory, rate);
+/* Flow at the measured state. */
+static void measured_rates(const StopsetState *s, StopsetWork *w, const double *memory, double *rate) {
+    static const int32_t as_it_moves[NJ] = {0};
+    const StopsetSamples at = sample_of(s, w, s->r[VR_TIME], &s->r[VR_Q_MEASURED], &s->r[VR_DQ_MEASURED], memory);
+    if (N_MEMORY && w->map.needs) stopset_rigid_signals(&w->map, 1, at.q, at.dq, 0, &w->rigid);
+    rates(w, &at, as_it_moves, rate);
 }
 
-/* dz/dt = b + a z with the measured state held: the exact step of stopset.effects.memory. */
-void stopset_memory_step(StopsetState *s, double h) {
+/* dz/dt = b + a z with the measured state held: exact, as identification and monitor step it. */
+void stopset_memory_step(StopsetState *s, StopsetWork *w, double h) {
+    static const uint8_t first[2] = {1, 0};
     double at[NM], b[NM], whole[NM];
     for (int k = 0; k < NM; k++) at[k] = 0.0;
-    measured_rates(s, at, b);
+    measured_rates(s, w, at, b);
     for (int k = 0; k < NM; k++) at[k] = 1.0;
-    measured_rates(s, at, whole);
+    measured_rates(s, w, at, whole);
     for (int k = 0; k < N_MEMORY; k++) {
-        double a = whole[k] - b[k], x = a * h, z = s->r[VR_MEMORY + k];
-        s->r[VR_MEMORY + k] = z + (b[k] + a * z) * h * (fabs(x) < 1e-12 ? 1.0 : stopset_expm1(x) / x);
+        const double slope = whole[k] - b[k];
+        double z[2];
+        stopset_remember(2, &b[k], &slope, &h, first, s->r[VR_MEMORY + k], z);
+        s->r[VR_MEMORY + k] = z[1];
     }
 }
 
@@ -116,23 +125,19 @@ static double viscous(const StopsetState *s, int i, double dq) {
 }
 
 /* Torque left for acceleration on each joint, friction directions as given. */
-static void net_torque(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double net[NJ]) {
-    double way[NJ];
-    for (int i = 0; i < NJ; i++) way[i] = mode[i];
-    input_at(s, t, y, y + NJ, y + YM, way, net);
+static void net_torque(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double net[NJ]) {
+    input_at(s, w, t, y, mode, net);
     for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
 }
 
-/* Flow of what the effects remember at the simulated state. */
-static void own_rates(const StopsetState *s, const double y[NY], const int32_t mode[NJ], double *rate) {
-    double way[NJ], load[NJ];
-    for (int i = 0; i < NJ; i++) way[i] = mode[i];
-    gravity_at(s, y, HAS_LOAD, load);
-    stopset_memory_rates(s, y, y + NJ, way, load, y + YM, rate);
+/* Flow of what the effects remember, after net_torque of the same state. */
+static void own_rates(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double *rate) {
+    const StopsetSamples at = sample_of(s, w, t, y, y + NJ, y + YM);
+    rates(w, &at, mode, rate);
 }
 
 /* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
-static void accelerate(const StopsetState *s, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
+static void accelerate(const StopsetState *s, const StopsetWork *w, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
     int held = 0;
     if (directional(s))
         for (int i = 0; i < NJ; i++) held += mode[i] == 0;
@@ -140,13 +145,13 @@ static void accelerate(const StopsetState *s, const int32_t mode[NJ], const doub
         for (int r = 0; r < NJ; r++) {
             ddq[r] = 0.0;
             if (held && mode[r] == 0) continue;
-            for (int c = 0; c < NJ; c++) ddq[r] += s->Minv[r][c] * net[c];
+            for (int c = 0; c < NJ; c++) ddq[r] += w->Minv[r][c] * net[c];
         }
         return;
     }
     double A[NJ][NJ], inverse[NJ][NJ];
     for (int r = 0; r < NJ; r++)
-        for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? s->M[r][c] : (r == c ? 1.0 : 0.0);
+        for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? w->M[r][c] : (r == c ? 1.0 : 0.0);
     memset(inverse, 0, sizeof inverse);
     stopset_invert(A, inverse); /* a principal block of a positive definite matrix */
     for (int r = 0; r < NJ; r++) {
@@ -157,12 +162,12 @@ static void accelerate(const StopsetState *s, const int32_t mode[NJ], const doub
     }
 }
 
-static void derivative(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
+static void derivative(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double dy[NY]) {
     double net[NJ];
     const double *dq = y + NJ;
-    net_torque(s, t, y, mode, net);
-    own_rates(s, y, mode, dy + YM);
-    accelerate(s, mode, net, dy + NJ);
+    net_torque(s, w, t, y, mode, net);
+    own_rates(s, w, t, y, mode, dy + YM);
+    accelerate(s, w, mode, net, dy + NJ);
     memcpy(dy, dq, NJ * sizeof *dy);
 #if NV > 1
     /* decoupled joints are cooperative: the two corners of the sets stay the two corners */
@@ -171,14 +176,14 @@ static void derivative(const StopsetState *s, double t, const double y[NY], cons
         double *dx = dy + (1 + side) * NX;
         for (int i = 0; i < NJ; i++) {
             dx[i] = x[NJ + i];
-            dx[NJ + i] = s->Minv[i][i] * (net[i] + viscous(s, i, dq[i]) + U[i] - viscous(s, i, x[NJ + i]));
+            dx[NJ + i] = w->Minv[i][i] * (net[i] + viscous(s, i, dq[i]) + U[i] - viscous(s, i, x[NJ + i]));
         }
     }
 #endif
 }
 
 /* One step of length h from the derivative `first` at y; returns the error over the tolerance, `last`: the derivative at the end. */
-static double dormand_prince(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ], double h, const double first[NY],
+static double dormand_prince(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double h, const double first[NY],
                              double out[NY], double last[NY]) {
     static const double A[7][6] = {
         {0},
@@ -199,7 +204,7 @@ static double dormand_prince(const StopsetState *s, double t, const double y[NY]
             for (int j = 0; j < stage; j++) sum += A[stage][j] * k[j][i];
             out[i] = y[i] + h * sum;
         }
-        derivative(s, t + C[stage] * h, out, mode, k[stage]);
+        derivative(s, w, t + C[stage] * h, out, mode, k[stage]);
     }
     memcpy(last, k[6], sizeof k[6]);
     double worst = 0.0;
@@ -213,7 +218,7 @@ static double dormand_prince(const StopsetState *s, double t, const double y[NY]
 }
 
 /* Who of the joints at rest begins to slide, and which way: torque with the friction of either direction decides. */
-static void settle(const StopsetState *s, double t, double y[NY], int32_t mode[NJ]) {
+static void settle(const StopsetState *s, StopsetWork *w, double t, double y[NY], int32_t mode[NJ]) {
     double up[NJ], down[NJ], ddq[NJ], net[NJ];
     int32_t trial[NJ];
     for (int i = 0; i < NJ; i++) {
@@ -222,18 +227,18 @@ static void settle(const StopsetState *s, double t, double y[NY], int32_t mode[N
         if (mode[i] == 0) y[NJ + i] = 0.0;
     }
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
-    net_torque(s, t, y, trial, up);
+    net_torque(s, w, t, y, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
-    net_torque(s, t, y, trial, down);
+    net_torque(s, w, t, y, trial, down);
     for (int sweep = 0; sweep < 2 * NJ; sweep++) {
         int changed = 0;
         for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
-        accelerate(s, mode, net, ddq);
+        accelerate(s, w, mode, net, ddq);
         for (int i = 0; i < NJ; i++) {
             if (y[NJ + i] != 0.0) continue;
             double coupling = 0.0;
             for (int j = 0; j < NJ; j++)
-                if (j != i) coupling += s->M[i][j] * ddq[j];
+                if (j != i) coupling += w->M[i][j] * ddq[j];
             int32_t next = up[i] - coupling > 0.0 ? 1 : down[i] - coupling < 0.0 ? -1 : 0;
             if (next != mode[i]) {
                 mode[i] = next;
@@ -246,7 +251,7 @@ static void settle(const StopsetState *s, double t, double y[NY], int32_t mode[N
 }
 
 /* Whether the state asks for other friction directions than `mode`. */
-static int event(const StopsetState *s, double t, const double y[NY], const int32_t mode[NJ]) {
+static int event(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ]) {
     double copy[NY];
     int32_t next[NJ];
     int resting = 0;
@@ -256,7 +261,7 @@ static int event(const StopsetState *s, double t, const double y[NY], const int3
     }
     if (!resting) return 0;
     memcpy(copy, y, sizeof copy);
-    settle(s, t, copy, next);
+    settle(s, w, t, copy, next);
     for (int i = 0; i < NJ; i++)
         if (mode[i] == 0 && next[i] != 0) return 1;
     return 0;
@@ -277,19 +282,19 @@ void stopset_motion_reset(StopsetState *s) {
             s->corner[side][i] = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i] + (side ? stopset_model.X0_hi[i] : stopset_model.X0_lo[i]);
 }
 
-const char *stopset_integrate(StopsetState *s, double h) {
+const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
     double y[NY], next[NY], first[NY], last[NY];
     int32_t mode[NJ];
     int events = 0;
     double t = s->r[VR_TIME], left = h, step = s->h_try > 0.0 ? s->h_try : h;
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
-    if (directional(s)) settle(s, t, y, mode);
-    derivative(s, t, y, mode, first);
+    if (directional(s)) settle(s, w, t, y, mode);
+    derivative(s, w, t, y, mode, first);
     for (int count = 0; left > 0.0; count++) {
-        if (count == STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
+        if (count == MOST_STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
         double now = step >= left ? left : 2.0 * step > left ? 0.5 * left : step; /* no short one at the end */
-        double error = dormand_prince(s, t, y, mode, now, first, next, last);
+        double error = dormand_prince(s, w, t, y, mode, now, first, next, last);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
         double factor = error > 0.0 ? 0.9 * stopset_exp(-0.2 * stopset_log(error)) : 4.0;
         if (error > 1.0 && now > 1e-12) {
@@ -297,22 +302,22 @@ const char *stopset_integrate(StopsetState *s, double h) {
             continue;
         }
         if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
-        if (directional(s) && events < EVENTS && event(s, t + now, next, mode)) {
+        if (directional(s) && events < EVENTS && event(s, w, t + now, next, mode)) {
             double early = 0.0, late = now;
             for (int k = 0; k < 60 && late - early > 1e-15; k++) {
                 double middle = 0.5 * (early + late);
-                dormand_prince(s, t, y, mode, middle, first, next, last);
-                if (event(s, t + middle, next, mode))
+                dormand_prince(s, w, t, y, mode, middle, first, next, last);
+                if (event(s, w, t + middle, next, mode))
                     late = middle;
                 else
                     early = middle;
             }
             now = late;
-            dormand_prince(s, t, y, mode, now, first, next, last);
+            dormand_prince(s, w, t, y, mode, now, first, next, last);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
-            settle(s, t + now, next, mode);
-            derivative(s, t + now, next, mode, last);
+            settle(s, w, t + now, next, mode);
+            derivative(s, w, t + now, next, mode, last);
             events++;
         }
         memcpy(y, next, sizeof y);
@@ -331,7 +336,7 @@ const char *stopset_integrate(StopsetState *s, double h) {
     return 0;
 }
 
-void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate) {
+void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ], double *rate) {
     const double t = s->r[VR_TIME];
     double y[NY], net[NJ];
     int32_t mode[NJ];
@@ -343,21 +348,21 @@ void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate) 
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (stopset_exact(s)) {
-        stopset_input(s, net);
-        measured_rates(s, &s->r[VR_MEMORY], rate);
+        stopset_input(s, w, net);
+        measured_rates(s, w, &s->r[VR_MEMORY], rate);
         for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
     } else {
         if (s->modes_by_events || s->modes_held)
             memcpy(mode, s->mode, sizeof mode);
         else if (directional(s))
-            settle(s, t, y, mode);
-        net_torque(s, t, y, mode, net);
-        own_rates(s, y, mode, rate);
+            settle(s, w, t, y, mode);
+        net_torque(s, w, t, y, mode, net);
+        own_rates(s, w, t, y, mode, rate);
     }
-    accelerate(s, mode, net, ddq);
+    accelerate(s, w, mode, net, ddq);
 }
 
-int stopset_update_modes(StopsetState *s, double slack) {
+int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack) {
     const double t = s->r[VR_TIME];
     double y[NY];
     int changed = 0;
@@ -369,12 +374,12 @@ int stopset_update_modes(StopsetState *s, double slack) {
             y[NJ + i] = s->r[VR_DQ + i] = 0.0;
             changed = 1;
         }
-    settle(s, t, y, s->mode);
+    settle(s, w, t, y, s->mode);
     return changed;
 }
 
 /* Positive while the friction directions hold: speed of a sliding joint, margin of a sticking one [N m]. */
-void stopset_indicators(const StopsetState *s, double z[NJ]) {
+void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]) {
     const double t = s->r[VR_TIME];
     for (int i = 0; i < NJ; i++) z[i] = 1.0;
     if (!directional(s) || stopset_exact(s) || s->stopping == 2) return;
@@ -382,17 +387,17 @@ void stopset_indicators(const StopsetState *s, double z[NJ]) {
     int32_t trial[NJ];
     take(s, y);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : 1;
-    net_torque(s, t, y, trial, up);
+    net_torque(s, w, t, y, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : -1;
-    net_torque(s, t, y, trial, down);
+    net_torque(s, w, t, y, trial, down);
     for (int i = 0; i < NJ; i++) net[i] = s->mode[i] >= 0 ? up[i] : down[i];
-    accelerate(s, s->mode, net, ddq);
+    accelerate(s, w, s->mode, net, ddq);
     for (int i = 0; i < NJ; i++) {
         z[i] = s->mode[i] * y[NJ + i];
         if (s->mode[i]) continue;
         double coupling = 0.0;
         for (int j = 0; j < NJ; j++)
-            if (j != i) coupling += s->M[i][j] * ddq[j];
+            if (j != i) coupling += w->M[i][j] * ddq[j];
         z[i] = fmin(coupling - up[i], down[i] - coupling);
     }
 }

@@ -26,7 +26,7 @@ static int believed(const StopsetState *s) {
     for (int i = 0; i < NJ; i++) {
         const double temp = s->r[VR_TEMP + i];
         if (!(q[i] >= m->stop_q_lo[i] && q[i] <= m->stop_q_hi[i] && dq[i] >= m->stop_dq_lo[i] && dq[i] <= m->stop_dq_hi[i])) return 0;
-        if (m->has_domain_temp && !(temp >= m->temp_lo[i] && temp <= m->temp_hi[i])) return 0;
+        if (m->has_domain_temp && !(temp >= m->lo[3 * NJ + i] && temp <= m->hi[3 * NJ + i])) return 0;
     }
     return 1;
 }
@@ -63,7 +63,7 @@ static void box(const StopsetState *s, int exact, StopsetCertificate *c) {
     }
 }
 
-static void certify(StopsetState *s, int exact, double *work) {
+static void certify(StopsetState *s, StopsetWork *w, int exact) {
     const StopsetModel *m = &stopset_model;
     StopsetCertificate *c = &s->certificate;
     const StopsetBound out = {c->time, c->forward, c->back, c->speed, c->tool};
@@ -75,7 +75,7 @@ static void certify(StopsetState *s, int exact, double *work) {
         rq[i] = m->stop_radius[i] + c->q_radius[i];
         rdq[i] = m->stop_radius[NJ + i] + c->dq_radius[i];
     }
-    c->proved = (uint8_t)(stopset_power_off(&stopset_stops, q, dq, rq, rdq, work, &out) == STOPSET_OK);
+    c->proved = (uint8_t)(stopset_power_off(&stopset_stops, q, dq, rq, rdq, w->proof, &out) == STOPSET_OK);
     c->made = 1;
     c->exact = (uint8_t)exact;
     c->at = s->r[VR_TIME];
@@ -97,23 +97,23 @@ static void tell(StopsetState *s, int proved) {
     s->b[IX_STOP_CERTIFIED] = (uint8_t)proved;
 }
 
-void stopset_stop_bounds(StopsetState *s, int exact, double *work) {
+void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int exact) {
     if (s->stopping) { /* the bounds are those of the request */
         tell(s, s->b[IX_STOP_CERTIFIED]);
         return;
     }
     const int speaks = believed(s);
     exact = exact || s->b[IX_EVALUATE_STOP] || s->i[IX_STOP_EVERY] == 1;
-    if (speaks && due(s, exact)) certify(s, exact, work);
+    if (speaks && due(s, exact)) certify(s, w, exact);
     tell(s, speaks && inside(s) && s->certificate.proved);
 }
 
-void stopset_stop_request(StopsetState *s, double *work) {
+void stopset_stop_request(StopsetState *s, StopsetWork *w) {
     const StopsetModel *m = &stopset_model;
     const StopsetCertificate *c = &s->certificate;
     const double *q = state_of(s, 0);
     if (s->i[IX_STOP] == 1)
-        stopset_stop_bounds(s, 1, work);
+        stopset_stop_bounds(s, w, 1);
     else
         tell(s, 0); /* nothing is proved of a ramp */
     const int known = s->b[IX_STOP_CERTIFIED];

@@ -8,10 +8,12 @@
 
 #include <stdint.h>
 
+#include "core/inputs.h"
 #include "core/stopset.h"
-#include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, the VR_ and IX_ positions */
+#include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, AGES and so on, the VR_ and IX_ positions */
 
 enum { NX = 2 * NJ, NM = N_MEMORY > 0 ? N_MEMORY : 1, NS = NX + N_MEMORY }; /* joints, effects that remember, both */
+enum { NL = N_LAWS > 0 ? N_LAWS : 1, NN = N_NUMBERS > 0 ? N_NUMBERS : 1 };
 
 /* Needs nothing of the C library, unlike isfinite on some platforms. */
 static inline int stopset_finite(double x) { return x - x == 0.0; }
@@ -20,23 +22,44 @@ static inline int stopset_finite(double x) { return x - x == 0.0; }
 enum { KIND_TIME, KIND_INPUT, KIND_OUTPUT, KIND_FIXED, KIND_TUNABLE, KIND_LOCAL };
 
 /* Conformance verdict. */
-enum { VERDICT_NONE = 0, VERDICT_CONFORMANT = 1, VERDICT_VIOLATED = 2 };
+enum { NOTHING_BEFORE = -1, VERDICT_NONE = 0, VERDICT_CONFORMANT = 1, VERDICT_VIOLATED = 2 };
+
+/* A law on tape: its steps, where its constants begin among all, and its parameters, which these begin with, among the unit's. */
+typedef struct {
+    const int32_t *steps;
+    int32_t length, numbers, parameters, parameter;
+} StopsetTape;
+
+/* Whose torque a tape gives, see StopsetLaw; a state that its effect remembers, whose rate a tape gives, and all it can be. */
+typedef struct {
+    int32_t joint, other, memory, memories, tape;
+} StopsetPlace;
+typedef struct {
+    int32_t law, tape;
+    double whole[2];
+} StopsetMemory;
 
 /* The model as identified, in SI units; same names as the model file. */
 typedef struct {
     double Minv[NJ][NJ];                           /* inverse inertia, incl. rotors [1/(kg m^2)] */
     double X0_lo[NX], X0_hi[NX], V_lo[NX], V_hi[NX]; /* start and reading uncertainty over (q, dq) */
-    double U_lo[NJ], U_hi[NJ];                     /* additive torque [N m] */
+    double U_lo[N_TORQUES], U_hi[N_TORQUES];       /* additive torque [N m], along the directions .across */
+    double across[NJ][N_TORQUES];
     double dt, horizon;                            /* grid and longest age of the prediction [s] */
-    double q_lo[NJ], q_hi[NJ], dq_lo[NJ], dq_hi[NJ], u_lo[NJ], u_hi[NJ]; /* domain of validity */
-    double temp_lo[NJ], temp_hi[NJ], payload_lo, payload_hi;
-    double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10], tip[3]; /* rigid body, see stopset.robot */
-    double standstill[NJ];                         /* speed below which a joint counts as still [rad/s] */
+    double lo[4 * NJ], hi[4 * NJ];                 /* domain of validity: q, dq, u, temp */
+    double payload_lo, payload_hi;
+    double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10]; /* rigid body, see stopset.robot */
+    double gain[NJ], standstill[NJ];               /* recorded per true torque; speed below which a joint counts as still [rad/s] */
     /* stops: where the model speaks of a measured state, what a stop starts from less that state, errors of a reading */
     double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], noise_lo[NX], noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
-    int decoupled, signed_response, position_only, motor_torque, swift, has_domain_temp, has_brakes;
+    double reference_temperature;                  /* [degC] */
+    int needs;                                     /* what laws look at of the rigid body */
+    int decoupled, generators, position_only, motor_torque, swift, plain, sliding, timed, has_domain_temp, has_brakes;
+    StopsetPlace place[NL];
+    StopsetMemory memory[NM];
+    double numbers[NN];                            /* constants of all tapes */
     double start_real[N_REAL];
     int32_t start_int[N_INT];
     uint8_t start_bool[N_BOOL];
@@ -44,15 +67,43 @@ typedef struct {
     const char *name[N_REAL + N_INT + N_BOOL];
 } StopsetModel;
 
+extern const StopsetTape stopset_tapes[];
 extern const StopsetModel stopset_model;
 extern const char stopset_token[];
 extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
 extern const StopsetStops stopset_stops; /* what bounds a stop; empty where none is bounded */
 
-/* phi functions of one step h: e^{Ah}, its integral, and the integral of that (velocity part of the linear model). */
+/* One step's matrices, and with them those of its responses. */
+enum { STEP_ROOM = 2 * NX * NX + 2 * NX * N_TORQUES, RESPONSE_ROOM = N_TORQUES * 7 * NX + NX * NX };
+
+/* What follows from the parameters, and room to compute in: nothing in it outlives another choice of parameters. */
 typedef struct {
-    double h, F[NJ][NJ], G[NJ][NJ], H[NJ][NJ];
-} StopsetStep;
+    double key[N_KEY];                             /* the parameters it was made of */
+    int made;
+    double pi[NJ][10], offset[NJ], numbers[NN];    /* links with the payload; [N m]; constants of all tapes */
+    double Minv[NJ][NJ], M[NJ][NJ], Av[NJ][NJ];
+    StopsetLaw law[NL];
+    StopsetCarried carried[NM];
+    StopsetInputs map;
+    StopsetMonitor monitor;
+    StopsetLinear linear;
+    StopsetSets sets;
+    double grid[STEP_ROOM], piece[STEP_ROOM], h;   /* the model's own step, another one and its length */
+    double lo[AGES][NX], hi[AGES][NX];             /* the deviation tube, and that of the monitor's cycle */
+    double watch_lo[AGES][NX], watch_hi[AGES][NX];
+    int64_t age;                                   /* steps until the responses below */
+    double E[NX * NX], plus[NX * N_TORQUES], minus[NX * N_TORQUES], response[RESPONSE_ROOM];
+    StopsetRigid rigid;
+    double since;                                  /* [s] the start, of the sample in hand */
+    double *proof;                                 /* stopset_stop_room(NJ) numbers where stops are bounded */
+} StopsetWork;
+
+/* Predictions from past samples, as the monitor has them. */
+typedef struct {
+    double e[PREDICTIONS][NX], w[PREDICTIONS][NX], ends[NM][2], x[NX], u[NJ], du[NJ];
+    int64_t age[PREDICTIONS], next, since;
+    uint8_t foreign[PREDICTIONS], known;
+} StopsetWatch;
 
 /* A stop bound and the box of states that it holds for; `steps` since it was made. */
 typedef struct {
@@ -66,18 +117,13 @@ typedef struct {
     double r[N_REAL];
     int32_t i[N_INT];
     uint8_t b[N_BOOL];
-    double Minv[NJ][NJ], M[NJ][NJ], Av[NJ][NJ]; /* with payload and parameters as set */
     double start_time, tube_start, stop_start;
-    StopsetStep step;                /* of the last communication step */
-    StopsetStep grid;                /* of the tube's grid */
-    double growth_q[NJ][NJ], growth_v[NJ][NJ];
-    int64_t tube_k;                  /* grid age of what follows */
-    double tube_F[NJ][NJ], tube_G[NJ][NJ], plus[NX][NJ], minus[NX][NJ];
     double h_try;                    /* step size that the nonlinear integrator takes up again */
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
     double length;                   /* of the last communication step [s], the model's own before */
     double stop_q[NJ], stop_dq[NJ], stop_lo[NX], stop_hi[NX]; /* of the moment a stop was asked for */
     StopsetCertificate certificate;
+    StopsetWatch watch;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
     uint8_t as_identified, violated, outputs_ready;
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1; stays until reset */
@@ -87,49 +133,41 @@ typedef struct {
 
 void stopset_defaults(StopsetState *s);
 /* Take over start values and parameters at time t0; returns 0 or a sentence what is wrong. */
-const char *stopset_setup(StopsetState *s, double t0);
-/* Begin a stop that is asked for; returns 0 or a sentence. `work`: what the stop proofs need, stopset_stop_room(NJ) numbers. */
-const char *stopset_trigger(StopsetState *s, double *work);
+const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0);
+/* Begin a stop that is asked for; returns 0 or a sentence. */
+const char *stopset_trigger(StopsetState *s, StopsetWork *w);
 /* Advance by h with the inputs held; returns 0 or a sentence. */
-const char *stopset_step(StopsetState *s, double h, double *work);
+const char *stopset_step(StopsetState *s, StopsetWork *w, double h);
 /* Bounds, flags and accelerations at the present time and state, without the stop bounds. */
-void stopset_outputs(StopsetState *s);
+void stopset_outputs(StopsetState *s, StopsetWork *w);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
-void stopset_check(StopsetState *s);
+void stopset_check(StopsetState *s, StopsetWork *w);
 /* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
 int stopset_restart(StopsetState *s, double ahead);
-/* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
-void stopset_accelerations(const StopsetState *s, double ddq[NJ], double *rate);
 
-/* linear.c */
-void stopset_phi(double Av[NJ][NJ], double h, StopsetStep *out);
-int stopset_invert(double X[NJ][NJ], double out[NJ][NJ]);
-/* tube.c */
-void stopset_tube_reset(StopsetState *s);
-void stopset_tube(StopsetState *s, double age, double lo[NX], double hi[NX]);
+/* prepare.c: what follows from the parameters of s, made anew where they are others; 0 or a sentence. Nothing else has pointers. */
+const char *stopset_prepare(const StopsetState *s, StopsetWork *w);
+int stopset_invert(double X[NJ][NJ], double out[NJ][NJ]); /* 0 if singular */
+void stopset_torque_part(const double step[STEP_ROOM], double Bd[NX * NJ]); /* its input matrix */
+void stopset_grow(StopsetWork *w, int64_t k); /* the responses at the age of k steps */
+/* sample.c */
+void stopset_forget(StopsetState *s);
+/* A measured sample as the monitor takes it: a verdict, with the joint if it is a violation, or that it follows no other. */
+int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint);
 /* motion.c */
 int stopset_exact(const StopsetState *s); /* whether the next step has a closed form */
-void stopset_input(const StopsetState *s, double u[NJ]);
-void stopset_memory_step(StopsetState *s, double h); /* at the measured state, held */
+void stopset_input(const StopsetState *s, StopsetWork *w, double u[NJ]);
+void stopset_memory_step(StopsetState *s, StopsetWork *w, double h); /* at the measured state, held */
 void stopset_motion_reset(StopsetState *s);
 /* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
-int stopset_update_modes(StopsetState *s, double slack);
-void stopset_indicators(const StopsetState *s, double z[NJ]);
-const char *stopset_integrate(StopsetState *s, double h);
+int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack);
+void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]);
+const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h);
 void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
+/* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
+void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ], double *rate);
 /* stops.c: the stop outputs; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */
-void stopset_stop_bounds(StopsetState *s, int exact, double *work);
-void stopset_stop_request(StopsetState *s, double *work);
-/* model_data.c: torque of the model's effects beyond the viscous polynomial [N m], and the flow of what they remember */
-void stopset_effects(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
-                     const double load[NJ], const double *memory, double tau[NJ]);
-void stopset_memory_rates(const StopsetState *s, const double q[NJ], const double dq[NJ], const double way[NJ],
-                          const double load[NJ], const double *memory, double *rate);
-/* body.c */
-void stopset_loaded_links(const StopsetState *s, double pi[NJ][10]); /* standard parameters with the payload */
-void stopset_bias_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], const double dq[NJ], double tau[NJ]);
-void stopset_stiffness(double pi[NJ][10], const double q[NJ], double stiff[NJ]);
-void stopset_gravity_torque(double pi[NJ][10], const double gravity[3], const double q[NJ], double tau[NJ]);
-void stopset_point_mass(double mass, const double com[3], const double q[NJ], double M[NJ][NJ]);
+void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int exact);
+void stopset_stop_request(StopsetState *s, StopsetWork *w);
 
 #endif

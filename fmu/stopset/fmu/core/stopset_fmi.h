@@ -19,7 +19,8 @@ typedef struct {
 typedef struct Instance Instance;
 struct Instance {
     Saved now;
-    double *work; /* of the stop proofs: nothing in it outlives a call */
+    StopsetWork *work; /* what follows from the parameters; nothing in it is part of the state */
+    Saved *spare;      /* three states, for derivatives */
     int co_simulation, logging;
     void *environment;
     void (*write)(Instance *, Level, const char *message);

@@ -214,6 +214,44 @@ STOPSET_API int stopset_widen_decoupled(const StopsetEnvelope *envelope, int n, 
 STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, const double *Ad, int k, const double *across, int64_t N,
                                       const double *residual, int64_t starts, double *work);
 
+/* ---- linear.c: the linear model's exact step and its reachable set */
+
+/* Ad (2n, 2n), Bd (2n, n): a step of h [s] of q' = v, v' = Av v + Minv u, (n, n) each, the input held. */
+STOPSET_API int stopset_discretise(int n, const double *Av, const double *Minv, double h, double *Ad, double *Bd);
+/* out (2n,) = Ad x + Bd u; the same for N rows of u (N, n), from the first row of x (N, 2n). */
+STOPSET_API void stopset_stride(int n, const double *Ad, const double *Bd, const double *x, const double *u, double *out);
+STOPSET_API void stopset_predict(int n, const double *Ad, const double *Bd, int64_t N, const double *u, double *x);
+
+typedef struct {
+    int32_t n, rows, inputs;  /* joints; what is looked at; directions of torque */
+    const double *Av, *Minv;  /* (n, n) */
+    const double *across;     /* (n, inputs) those directions; 0: the joints' own, inputs = n */
+    const double *look;       /* (rows, 2n) combinations of states; 0: every state, rows = 2n */
+    int32_t keeps_sign;       /* the response to a torque is known to keep its sign */
+} StopsetLinear;
+
+/* Numbers that a step and the work below have to hold. */
+STOPSET_API int64_t stopset_step_room(const StopsetLinear *linear);
+STOPSET_API int64_t stopset_response_room(const StopsetLinear *linear);
+STOPSET_API int stopset_linear_step(const StopsetLinear *linear, double h, double *step);
+/* One step on: E (2n, 2n) = e^{At}; plus, minus (rows, inputs): no less than the integral of max(K, 0), no more than that of min(K, 0). */
+STOPSET_API void stopset_respond(const StopsetLinear *linear, double h, const double *step, double *E, double *plus, double *minus,
+                                 double *work);
+/* The same for ages 0, dt, .. steps dt, of what is looked at: E1 (steps + 1, rows, 2n), plus, minus (steps + 1, rows, inputs). */
+STOPSET_API int stopset_responses(const StopsetLinear *linear, double dt, int64_t steps, double *step, double *work, double *E1,
+                                  double *plus, double *minus);
+
+typedef struct {
+    const double *X0_lo, *X0_hi, *U_lo, *U_hi, *V_lo, *V_hi; /* (states,), (inputs,), (states,) */
+    int32_t position_only;                                   /* no speed was promised */
+} StopsetSets;
+
+/* Bounds (ages, rows) of E1 X0 + the response to U; with a reading's noise V on top, rounded outward, `look` (rows, states) or 0. */
+STOPSET_API void stopset_hulls(int64_t ages, int rows, int states, int inputs, const double *E1, const double *plus, const double *minus,
+                               const StopsetSets *sets, double *lo, double *hi);
+STOPSET_API void stopset_tubes(int64_t ages, int rows, int states, int inputs, const double *look, const double *E1, const double *plus,
+                               const double *minus, const StopsetSets *sets, double *lo, double *hi);
+
 /* ---- predict.c: nominal predictions and their sets */
 
 /* x(k+1) <- Ad x(k) + x(k+1) for rows (N, m) that hold the start, then what drives each step. */
@@ -430,9 +468,9 @@ STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const
 STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way,
                                       const double *way_ball, const double *pace, const double *pace_ball, double *far, double *fast,
                                       double *box);
-/* Capsules (S, n, 7) that contain every link's axis: both ends [m], radius [m]. */
+/* Capsules (S, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
 STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
-                                       const double *d_hi, const double *tip, double *out);
+                                       const double *d_hi, const double *capsules, double *out);
 /* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
  * Returns how many. */
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,

@@ -272,7 +272,7 @@ class StopBounds:
             box[:, 0], box[:, 1] = np.minimum(box[:, 0], hull[:, 0]), np.maximum(box[:, 1], hull[:, 1])
             links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[:2] for i in range(n)])
             sets.append(point_sets(chain, q, q_radius, cut, n - 1, tool))
-            swept.append(swept_capsules(chain, q, q_radius, tube, robot.tip, SWEEPS))
+            swept.append(swept_capsules(chain, q, q_radius, tube, robot.arm.capsules, SWEEPS))
         by_energy = any(t.energetic for t in tubes)
         R, o = link_frames(chain, q)
         layer = "ramp" if category in ("1", "2") else "energy" if by_energy else "pieces" if len(tubes) > 1 else "tube"

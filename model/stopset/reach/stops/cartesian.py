@@ -77,18 +77,18 @@ def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: i
     return far[0], fast[0], box
 
 
-def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, tip: Array, pieces: int = 4) -> Array:
-    """Capsules that contain every link's axis during the stop: (pieces, n, 7): both ends [m], radius [m]; add the link's own.
+def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, capsules: Array, pieces: int = 4) -> Array:
+    """Capsules that contain what the links sweep during the stop: (pieces, n, 7): both ends [m], radius [m].
 
-    Each point of a link's axis is the same mixture of its two ends at all times, so it stays within the mixture of the
-    ends' balls around their middle positions.
+    ``capsules``: (n, 7) [m] around each link, in its frame.  Each point of a capsule's axis is the same mixture of its two ends at
+    all times, so it stays within the mixture of the ends' balls around their middle positions; the link's own radius comes on top.
     """
     cut = slices(tube, pieces)
     S, n = cut.d_lo.shape
-    if q.shape != (n,) or q_radius.shape != (n,) or tip.shape != (3,):
-        raise ValueError(f"a pose {q.shape} +- {q_radius.shape}, tip {tip.shape} for {n} joints")
+    if q.shape != (n,) or q_radius.shape != (n,) or capsules.shape != (n, 7):
+        raise ValueError(f"a pose {q.shape} +- {q_radius.shape}, capsules {capsules.shape} for {n} joints")
     out = np.empty((S, n, 7))
-    held = [given(x) for x in (q, q_radius, cut.d_lo, cut.d_hi, tip)]
-    pose, radius, lo, hi, end = (view(x) for x in held)
-    check(lib.stopset_swept_capsules(arm_struct(chain, None), pose, radius, S, lo, hi, end, view(out)))
+    held = [given(x) for x in (q, q_radius, cut.d_lo, cut.d_hi, capsules)]
+    pose, radius, lo, hi, own = (view(x) for x in held)
+    check(lib.stopset_swept_capsules(arm_struct(chain, None), pose, radius, S, lo, hi, own, view(out)))
     return out

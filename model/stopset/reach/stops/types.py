@@ -32,7 +32,7 @@ class StopBound:
     ``fallback``: STOP 2: what a STOP 0 adds if the standstill window is left, (rad, s), None where that is not proved;
     ``extrapolated``: where filled, the numbers hold for a state or payload that identification has not seen, as it says, and the
     bound is not certified; ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction;
-    ``capsules``: (P, n, 7) [m] what each link's axis sweeps, see `stopset.reach.stops.cartesian.swept_capsules`.
+    ``capsules``: (P, n, 7) [m] what each link sweeps (its axis, where its shape is not known), see `stopset.reach.stops.cartesian.swept_capsules`.
     """
 
     category: Category

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,21 +35,33 @@ def friction_polynomial(joints: Sequence[str], effects: Sequence[Fitted]) -> Arr
     return v if np.any(v[:, 1:]) else v[:, :1]
 
 
-def abstract(
-    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, order: int, poses: Array, standstill: Array | None = None
-) -> Abstraction:
+@dataclass(frozen=True, slots=True)
+class IdentifiedArm:
+    """An arm with its identified numbers, and where it was recorded.
+
+    ``rotor``: (n,) [kg m^2]; ``poses``: (N, n) [rad]; ``standstill``: (n,) speed below which a joint counts as still [rad/s].
+    """
+
+    robot: Robot
+    rotor: Array
+    effects: Sequence[Fitted]
+    poses: Array
+    standstill: Array | None = None
+
+
+def abstract(arm: IdentifiedArm, kind: int, order: int) -> Abstraction:
     """The abstraction of ``kind`` and ``order`` for an identified arm.
 
-    ``poses``: (N, n) [rad] recorded; their mean is the expansion point, and models 1 and 2 take the mean of the mass
-    matrix over them in place of that at one pose. ``standstill``: (n,) speed below which a joint counts as still
-    [rad/s].
+    The mean of its poses is the expansion point, and models 1 and 2 take the mean of the mass matrix over them in place of
+    that at one pose.
     """
+    robot, poses = arm.robot, arm.poses
     q_a = np.asarray(poses).mean(axis=0)
-    model = build(kind, order, robot, rotor, friction_polynomial(robot.joints, effects), q_a=q_a)
+    model = build(kind, order, robot, arm.rotor, friction_polynomial(robot.joints, arm.effects), q_a=q_a)
     if kind != 3:
-        M = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)
+        M = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(arm.rotor)
         model = replace(model, Minv=np.linalg.inv(M))
-    return model if standstill is None else replace(model, standstill=standstill)
+    return model if arm.standstill is None else replace(model, standstill=arm.standstill)
 
 
 class Chosen(NamedTuple):
@@ -66,15 +78,14 @@ def candidates(robot: Robot, effects: Sequence[Fitted], kind: int) -> tuple[int,
 
 
 def best_order(
-    robot: Robot, rotor: Array, effects: Sequence[Fitted], kind: int, orders: Sequence[int], poses: Array,
-    seen: Callable[[Abstraction], Sequence[tuple[Array, Array]]], dt: float, standstill: Array | None = None,
-) -> Chosen:  # fmt: skip
+    arm: IdentifiedArm, kind: int, orders: Sequence[int], seen: Callable[[Abstraction], Sequence[tuple[Array, Array]]], dt: float
+) -> Chosen:
     """The abstraction of ``kind`` and that of ``orders`` which predicts ``seen`` trials best.
 
     ``seen``: for an abstraction, states (N, 2n) and its inputs (N, n) every ``dt`` [s]: what a model holds itself, its input
     must not be freed from (cubic friction is part of order 3 and taken off the input of order 1).
     """
-    models = [abstract(robot, rotor, effects, kind, p, poses, standstill) for p in orders]
+    models = [abstract(arm, kind, p) for p in orders]
     if len(models) == 1:
         return Chosen(models[0], f"model {kind} of order {models[0].order}")
     found = best_first([Candidate(m, prediction_error(m, seen(m), dt, HORIZON)) for m in models], HORIZON)

@@ -10,27 +10,25 @@ import numpy as np
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
-from stopset.offline.abstraction.identified import Chosen, best_order, candidates
-from stopset.offline.campaign.survey import Source, Survey
+from stopset.offline.abstraction.identified import Chosen, IdentifiedArm, best_order, candidates
+from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.survey import Survey
 from stopset.offline.conform.nonlinear import GRID, coarser
-from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart, fit_nominal, pairs_of
-from stopset.recording import Meta, Recording
-from stopset.robot import Robot
+from stopset.recording import Recording
 from stopset.types import Array
 
 Held = Callable[[Recording], bool]
 
 
-def abstracted(
-    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...], nominal: NominalPart
-) -> NominalPart:
-    """``nominal`` with the abstraction that ``settings`` ask for; ``source``: the trials it was fitted to.
+def abstracted(run: Run, known: tuple[Fitted, ...], nominal: NominalPart) -> NominalPart:
+    """``nominal`` with the abstraction that the settings ask for; ``run``: of the trials it was fitted to.
 
     Without an order, each candidate is built from a nominal model of one half of the motions and predicts the other half.
     Raises `RecordingError` for a model that compensated torque cannot give.
     """
-    kind, order = settings.model, settings.order
+    robot, meta, found = run.robot, run.meta, run.survey
+    kind, order = run.settings.model, run.settings.order
     compensated = meta.effort == "compensated_torque"  # one lag per joint is all it shows
     orders = (order,) if order is not None else candidates(robot, nominal.effects, kind)
     if kind == 1 and (orders == (1,) or (order is None and compensated)):
@@ -49,7 +47,7 @@ def abstracted(
         note = f"{judged.note}; one trial has nothing held out, so this is the error on the trial it was fitted to"
     else:
         rest = replace(found, sample=tuple(r for r in found.sample if not held(r)))
-        half = fit_nominal(robot, meta, lambda: (r for r in source() if not held(r)), rest, settings, known)
+        half = fit_nominal(robot, meta, lambda: (r for r in run.trials() if not held(r)), rest, run.settings, known)
         judged = _best(half, found, tuple(r for r in found.sample if held(r)), meta.effort, kind, orders)
         note = f"{judged.note} on trials held out of the fit"
     chosen = _best(nominal, found, found.sample, meta.effort, kind, (judged.abstraction.order,))
@@ -78,7 +76,5 @@ def _best(
         return coarser([(np.hstack([r.q, r.dq]), u) for _, r, u in pairs()], every)
 
     standstill = nominal.abstraction.standstill
-    return best_order(
-        nominal.robot, nominal.rotor, nominal.effects, kind, orders, poses, seen, every * found.dt,
-        standstill if standstill.size else None,
-    )  # fmt: skip
+    arm = IdentifiedArm(nominal.robot, nominal.rotor, nominal.effects, poses, standstill if standstill.size else None)
+    return best_order(arm, kind, orders, seen, every * found.dt)

@@ -14,6 +14,7 @@ from typing import Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
 from stopset.offline.campaign.survey import Source
+from stopset.progress import Tell, silent
 from stopset.recording import Recording
 
 Range = tuple[int, int]  # trials by place in the campaign: first, one past the last
@@ -28,7 +29,6 @@ class Mergeable(Protocol):
     def merge(self, other: Self, /) -> Self: ...
 
 
-Tell = Callable[[str], None]
 A = TypeVar("A", bound=Mergeable)
 B = TypeVar("B", bound=Mergeable)
 
@@ -45,7 +45,7 @@ class Progress:
         with self._lock:
             before, self._done = self._done, self._done + 1
             if 10 * self._done // self._trials > 10 * before // self._trials:
-                self.tell(f"{self._done} of {self._trials} trials")
+                self.tell(f"{self._done} of {self._trials} trials", min(1.0, self._done / self._trials))
 
 
 def within(source: Source, trials: Range) -> Source:
@@ -67,9 +67,7 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def in_parts(
-    work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = lambda _: None
-) -> tuple[A, B]:
+def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = silent) -> tuple[A, B]:
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
@@ -106,5 +104,5 @@ def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: st
             )
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
         for done, _ in enumerate(as_completed(jobs, loop=client.loop), 1):
-            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers")
+            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers", done / len(jobs))
         return list(client.gather(jobs))

@@ -19,6 +19,7 @@ from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.nominal.model import roller
+from stopset.progress import Tell, silent
 from stopset.reach.flowpipe import Tube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, read_meta, stream_recordings
@@ -95,8 +96,10 @@ def _on_grid(paths: Sequence[str | Path], model: Model, found: Survey, dt: float
             yield g
 
 
-def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
+def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> Comparison:
     """Hold the recordings against the model over all window starts and ages; one trial in memory at a time.
+
+    ``tell`` is told every trial, and how many leave the sets so far.
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
@@ -105,8 +108,11 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
     dt = model.powered.dt
     judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
     figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
-    rows, left = [], []
+    rows: list[Row] = []
+    left, out = [], 0
     for motion, r, u in inputs(model, paths, found, dt):
+        share = min(1.0, len(rows) / max(found.trials, 1))
+        tell(f"{len(rows)} of {found.trials} trials compared, {out} leave the sets so far", share)
         figures.add(r, u)
         if model.effort != "compensated_torque":
             left.append(left_over(model, r, u, float(np.median(np.diff(r.t)))))
@@ -114,6 +120,7 @@ def compare(model: Model, paths: Sequence[str | Path]) -> Comparison:
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
+        out += rows[-1].violation is not None
     by_joint = figures.result(model.joints)
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):

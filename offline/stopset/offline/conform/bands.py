@@ -17,10 +17,9 @@ from stopset.artifact import Abstraction, Model, TemperatureBand, UncertaintySet
 from stopset.errors import RecordingError
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.conform.linear_sets import Gathered, Options, divided, enclosing, seen_by
+from stopset.offline.conform.linear_sets import Gathered, divided, enclosing
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import age_weights
-from stopset.offline.conform.reading_error import ReadingError
-from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Recording
 from stopset.sets import Box
@@ -79,26 +78,25 @@ def cut(means: Array | None, temp: Box | None, number: int) -> Bands:
 
 
 def band_sets(
-    found: Gathered, bands: Bands, seen: Box, factors: Array, abstraction: Abstraction, joints: tuple[str, ...],
-    readings: ReadingError, dt: float, horizon: float, options: Options, learnt: Collection[int] = (), template: Template | None = None,
-) -> dict[str, UncertaintySets]:  # fmt: skip
+    found: Gathered, bands: Bands, seen: Box, factors: Array, problem: SetProblem, learnt: Collection[int] = ()
+) -> dict[str, UncertaintySets]:
     """Sets of every band by name; ``factors`` (n,): margin of the whole; ``seen``: hull of temperatures (n,) [degC].
 
     Motions held out from the whole are held out here too, then enclosed.
     """
-    R = seen_by(abstraction, dt, round(horizon / dt), template)
+    R = problem.responses()
     used = divided(found.parts, learnt).used
     out = {}
     for k, parts in sorted(found.bands.items()):
         everything = g.union(list(parts.values()))
         fitted = g.union([parts[m] for m in parts if m in used] or list(parts.values()))
-        fit = fit_sets(fitted, R, readings, abstraction, joints, "all", template=template)
-        if options.conform == "position":
-            fit = fit_sets(fitted, R, ReadingError.exact(fit.V), abstraction, joints, "position", template=template)
-        final = enclosing(fit.inflated(factors), R, everything, abstraction.decoupled)
+        fit = fit_sets(fitted, R, problem.asking("all"))
+        if problem.options.conform == "position":
+            fit = fit_sets(fitted, R, problem.reading(fit.V))
+        final = enclosing(fit.inflated(factors), R, everything, problem.abstraction.decoupled)
         out[name(k)] = UncertaintySets(
-            X0=final.X0, U=final.U, V=final.V, dt=dt, horizon=everything.steps * dt, conform=final.conform,
-            windows=options.windows, margin=float(factors.max()), active=final.active, temp=bands.band(k, seen),
+            X0=final.X0, U=final.U, V=final.V, dt=problem.dt, horizon=everything.steps * problem.dt, conform=final.conform,
+            windows=problem.options.windows, margin=float(factors.max()), active=final.active, temp=bands.band(k, seen),
             zonotope=final.zonotope,
         )  # fmt: skip
     return out

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import RecordingError
-from stopset.offline.conform.windows import update, update_decoupled
+from stopset.offline.conform.windows import Outermost, update, update_decoupled
 from stopset.reach.flowpipe import discretise
 from stopset.recording import Recording
 from stopset.types import Array
@@ -133,11 +133,11 @@ class Deviations:
         starts = len(residual) if self.windows == "sliding" else 1
         trial = len(env.labels)
         env.labels.append(r.label)
-        where = (env.hi, env.lo, env.hi_at, env.lo_at)
+        worst = Outermost(env.hi, env.lo, env.hi_at, env.lo_at)
         if self._blocks is not None:
-            update_decoupled(self._blocks, residual, starts, trial, *where)
+            update_decoupled(self._blocks, residual, starts, trial, worst)
         else:
-            update(self._Ad, self.across, residual, starts, trial, *where)
+            update(self._Ad, self.across, residual, starts, trial, worst)
         reach = min(self.steps, len(residual))
         ages = np.arange(1, reach + 1)
         env.count[1 : reach + 1] += np.minimum(starts, len(residual) - ages + 1)

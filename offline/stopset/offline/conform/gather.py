@@ -7,16 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stopset.artifact import Abstraction
 from stopset.offline.campaign.map_reduce import Progress, Range, in_parts, within
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import Session
-from stopset.offline.campaign.survey import Source, Survey, Tally
+from stopset.offline.campaign.survey import Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
+from stopset.offline.conform.problem import Options, SetProblem
 from stopset.offline.conform.zonotopes import Template, template
-from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart, pairs_of, roller
+from stopset.progress import silent
 from stopset.recording import Meta, Recording, SuiteKey
 from stopset.types import Array
 
@@ -34,6 +37,14 @@ class Sums:
 
 
 @dataclass(frozen=True, slots=True)
+class SetForm:
+    """What sets there are to be beside boxes for all temperatures: cut into temperature bands, or as zonotopes."""
+
+    bands: Bands | None = None
+    template: Template | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Kept:
     """All that an update needs of recordings that are read no more, for one nominal model."""
 
@@ -44,29 +55,37 @@ class Kept:
     learnt: frozenset[SuiteKey]  # suites the nominal model was fitted to
     session: Session  # what it counts warming in
     dt: float  # [s] the sets' grid
-    bands: Bands | None
-    template: Template | None  # of zonotopes
+    form: SetForm
     motion: dict[SuiteKey, int]
     fitted_files: int  # how many of the files the nominal model was fitted to
     stops: tuple[Recording, ...] = ()  # brakes and ramps do not fold: their recordings, which are short, are kept whole
 
 
-def template_of(found: Survey, nominal: NominalPart, effort: str) -> Template:
+def template_of(run: Run, nominal: NominalPart) -> Template:
     """What a zonotope is made of, from the trials in memory that judge nothing."""
+    found = run.survey
     sample = [r for r in found.sample if r.suite_key not in found.held_out]
-    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: sample, found, nominal, effort)()]
+    trials = [(np.hstack([r.q, r.dq]), u) for _, r, u in pairs_of(lambda: sample, found, nominal, run.meta.effort)()]
     return template(trials, nominal.abstraction, nominal.robot, found.dt)
 
 
-def sums_of(
-    source: Source, found: Survey, nominal: NominalPart, effort: str, settings: Settings, bands: Bands | None,
-    zonotope: Template | None, keep: bool, scheduler: str | None = None, progress: Progress | None = None,
-) -> Sums:  # fmt: skip
-    """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
-    found = replace(found, sample=())  # what a part needs, without the trials kept in memory
-    horizon = settings.horizon if keep else found.within(settings.horizon)
-    halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
+def set_problem(run: Run, abstraction: Abstraction, template: Template | None = None) -> SetProblem:
+    """What is asked of the sets of a run's model."""
+    options = Options(run.settings.conform, run.settings.windows, run.settings.margin)
+    return SetProblem(abstraction, run.robot.joints, run.survey.readings, run.survey.dt, run.horizon, options, template)
 
+
+def sums_of(
+    run: Run, nominal: NominalPart, form: SetForm, *, keep: bool, scheduler: str | None = None, progress: Progress | None = None
+) -> Sums:
+    """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
+    problem = set_problem(run, nominal.abstraction, form.template)
+    if keep:
+        problem = replace(problem, horizon=run.settings.horizon)
+    found = replace(run.survey, sample=())  # what a part needs, without the trials kept in memory
+    source, effort = run.trials, run.meta.effort
+    halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
+    in_bands = None if form.bands is None else form.bands.of
     here = progress if scheduler is None else None  # a cluster's parts come back whole
 
     def part(trials: Range) -> tuple[Gathered, Figures]:
@@ -79,7 +98,6 @@ def sums_of(
                 if here is not None:
                     here.step()
 
-        in_bands = None if bands is None else bands.of
-        return gather(pairs, nominal.abstraction, found.dt, horizon, settings.windows, halves, in_bands, zonotope), figures
+        return gather(pairs, problem, halves=halves, bands=in_bands), figures
 
-    return Sums(*in_parts(part, found.places, scheduler, (lambda _: None) if progress is None else progress.tell))
+    return Sums(*in_parts(part, found.places, scheduler, silent if progress is None else progress.tell))

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.artifact import Abstraction, ActiveBound, TorqueZonotope
+from stopset.artifact import ActiveBound, TorqueZonotope
 from stopset.offline.conform.envelope import Envelope, state_names
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
@@ -111,31 +111,28 @@ def _block(env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: li
     )
 
 
-def fit_sets(
-    env: Envelope, R: Responses, readings: ReadingError, abstraction: Abstraction, joints: tuple[str, ...], conform: str = "all",
-    capped: bool = True, template: Template | None = None,
-) -> Fit:  # fmt: skip
+def fit_sets(env: Envelope, R: Responses, problem: SetProblem, *, capped: bool = True) -> Fit:
     """Smallest sets ``X0`` (2n,), ``U`` (n,), ``V`` (2n,) whose tube encloses the envelope at every age.
 
-    ``readings`` (2n,): what ``V`` holds at least and at most; ``conform``: ``"all"`` states or ``"position"`` only (positions
-    alone say nothing of velocity readings: give an exact one); ``capped=False`` is the paper's program: ``X0`` is free, so
-    stiction may hide in it, and every edge at every age costs the same (eq. 21).
-    ``template``: ``U`` as a zonotope; ``R`` and ``env`` are then those of its directions, and ages between those of the
-    program are left to the caller's check.  Raises `NotConformant` when no such sets exist.
+    ``R``: the problem's responses.  Positions alone say nothing of velocity readings: give those exactly.
+    ``capped=False`` is the paper's program: ``X0`` is free, so stiction may hide in it, and every edge at every age costs the
+    same (eq. 21).  With a template, ages between those of the program are left to the caller's check.
+    Raises `NotConformant` when no such sets exist.
     """
-    n = abstraction.n
+    joints, template, conform = problem.joints, problem.template, problem.options.conform
+    n = problem.abstraction.n
     rows = R.E1.shape[1]
     names = state_names(joints, rows // 2)
     wanted = list(range(rows if conform == "all" else rows // 2))
     inputs = n if template is None else n + template.generators.shape[1]
-    alone = abstraction.decoupled and template is None
+    alone = problem.abstraction.decoupled and template is None
     blocks = [([j], [j, n + j]) for j in range(n)] if alone else [(list(range(inputs)), list(range(2 * n)))]
     lo = {name: np.zeros(inputs if name == "U" else 2 * n) for name in ("X0", "V", "U")}
     hi = {name: np.zeros_like(x) for name, x in lo.items()}
     cost = 0.0
     active: list[ActiveBound] = []
     for us, xs in blocks:
-        bounds = Bounds(readings.take(xs), len(us), capped, None if template is None else n)
+        bounds = Bounds(problem.readings.take(xs), len(us), capped, None if template is None else n)
         mine = [i for i in wanted if i in xs] if alone else wanted
         block = _block(env, R, mine, xs, us, bounds, template is None)
         who = "joint " + ", ".join(joints[j] for j in us if j < n)

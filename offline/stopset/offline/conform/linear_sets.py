@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from stopset.artifact import Abstraction, Guarantee, UncertaintySets
+from stopset.artifact import Guarantee, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import Fit, fit_sets
-from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.zonotopes import Template
-from stopset.reach.flowpipe import Responses, responses
+from stopset.reach.flowpipe import Responses
 from stopset.recording import Recording
 from stopset.sets import Box
 from stopset.types import Array
@@ -29,15 +29,6 @@ Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (motion, trial o
 
 
 BOX = "box, same directions"  # beside a zonotope: the narrowest box where the zonotope is the narrowest
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How the sets are asked for. ``margin`` None: calibrated; else the factor itself."""
-
-    conform: str = "all"
-    windows: str = "sliding"
-    margin: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,49 +98,52 @@ def divided(motions: Iterable[int], learnt: Collection[int]) -> g.Split:
 
 
 def gather(
-    pairs: Pairs, abstraction: Abstraction, dt: float, horizon: float, windows: str, few_motions: bool,
-    bands: Callable[[Recording], Iterable[int]] | None = None, template: Template | None = None,
-) -> Gathered:  # fmt: skip
-    """One pass over ``pairs``: running envelopes in constant memory; ``bands``: temperature bands a trial belongs to."""
-    steps = round(horizon / dt)
-    main = Deviations(abstraction, dt, steps, windows, None if template is None else template.directions)
-    from_start = Deviations(abstraction, dt, steps, "start")
+    pairs: Pairs, problem: SetProblem, *, halves: bool, bands: Callable[[Recording], Iterable[int]] | None = None
+) -> Gathered:
+    """One pass over ``pairs``: running envelopes in constant memory.
+
+    ``halves``: even and odd repetitions too; ``bands``: temperature bands a trial belongs to.
+    """
+    template = problem.template
+    main = Deviations(
+        problem.abstraction, problem.dt, problem.steps, problem.options.windows, None if template is None else template.directions
+    )
+    from_start = Deviations(problem.abstraction, problem.dt, problem.steps, "start")
     out = Gathered({}, from_start.empty(), (main.empty(), main.empty()))
     for motion, r, u in pairs():
         from_start.add(out.start, r, u)
-        into = [out.halves[r.repetition % 2]] if few_motions else []
+        into = [out.halves[r.repetition % 2]] if halves else []
         for parts in (out.parts, *(out.bands.setdefault(k, {}) for k in (() if bands is None else bands(r)))):
             into.append(parts.setdefault(motion, main.empty()))
         main.add_to(into, r, u)
     return out.mapped(lambda env: env)
 
 
-def conform(
-    found: Gathered, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, dt: float, horizon: float,
-    options: Options, trials: int, learnt: Collection[int] = (), template: Template | None = None,
-) -> Conformance:  # fmt: skip
-    """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to ``horizon`` [s].
+def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collection[int] = ()) -> Conformance:
+    """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to the horizon.
 
-    ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted to them; ``template``: the
-    torque set as a zonotope.
+    ``trials``: how many were; ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted
+    to them.
     """
-    R = seen_by(abstraction, dt, round(horizon / dt), template)
+    options, alone = problem.options, problem.abstraction.decoupled
+    R = problem.responses()
     parts = found.parts
     division = divided(parts, learnt)
     used = {m: parts[m] for m in division.used}
     everything = g.union(list(parts.values()))
-    V = fit_sets(g.union(list(used.values())), R, readings, abstraction, joints, "all", template=template).V
+    together = g.union(list(used.values()))
+    whole = problem.asking("all")
+    V = fit_sets(together, R, whole).V
+    cases = {"all": whole, "position": problem.asking("position").reading(V)}  # positions alone say nothing of velocity readings
 
     def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> Fit:
-        base = ReadingError.exact(V) if case == "position" else readings
         env = g.union(list(envelopes))
-        fit = fit_sets(env, R, base, abstraction, joints, case, template=template)
-        return fit if template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
+        fit = fit_sets(env, R, cases[case])
+        return fit if problem.template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
 
-    alone = abstraction.decoupled
     fit = fitted(list(used.values()))
-    factors, how, notes = _margin(found.halves, abstraction, options, used, fitted, R)
-    chosen = np.full(len(joints), options.margin) if options.margin is not None else factors
+    factors, how, notes = _margin(found.halves, problem, used, fitted, R)
+    chosen = np.full(len(problem.joints), options.margin) if options.margin is not None else factors
     grown = fit.inflated(chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
     final = enclosing(grown, R, everything, alone)
@@ -164,43 +158,28 @@ def conform(
     )  # fmt: skip
     what = "in position and velocity" if options.conform == "all" else "in position"
     where = "every sample" if options.windows == "sliding" else "each trial's start only"
-    scope = f"{what} up to {everything.steps * dt:.2f} s ahead of {where}"
+    scope = f"{what} up to {everything.steps * problem.dt:.2f} s ahead of {where}"
     promise = replace(promise, text=g.words(promise, trials, len(parts), float(chosen.max()), how, scope))
 
     def packed(f: Fit) -> UncertaintySets:
         return UncertaintySets(
-            X0=f.X0, U=f.U, V=f.V, dt=dt, horizon=everything.steps * dt, conform=f.conform, windows=options.windows,
-            margin=float(chosen.max()), active=f.active, zonotope=f.zonotope,
+            X0=f.X0, U=f.U, V=f.V, dt=problem.dt, horizon=everything.steps * problem.dt, conform=f.conform,
+            windows=options.windows, margin=float(chosen.max()), active=f.active, zonotope=f.zonotope,
         )  # fmt: skip
 
     other = "position" if options.conform == "all" else "all"
     second = fitted(list(used.values()), other)
-    table = {options.conform: fit, other: second}
-    by_state = R if template is None else responses(abstraction, dt, round(horizon / dt))
-    table |= _variants(found.start, abstraction, joints, readings, by_state)
-    if template is not None:
-        box = Template(np.eye(abstraction.n), template.directions)
-        in_them = seen_by(abstraction, dt, round(horizon / dt), box)
-        everyone = g.union(list(used.values()))
-        base = ReadingError.exact(V) if options.conform == "position" else readings
-        same = fit_sets(everyone, in_them, base, abstraction, joints, options.conform, template=box)
-        table[BOX] = enclosing(same, in_them, everyone, alone)
+    table = {options.conform: fit, other: second} | _variants(found.start, problem, R)
+    if problem.template is not None:
+        table[BOX] = _in_a_box(together, cases[options.conform])
         notes.append(
             "the torque set is a zonotope: comparison and monitor use its own tube; stops and FMU take the box around it, "
             "which is never narrower"
         )
-    grown = second.inflated(chosen)
-    companion = packed(enclosing(grown, R, everything, alone))
+    companion = packed(enclosing(second.inflated(chosen), R, everything, alone))
     return Conformance(
         packed(final), companion, promise, factors, table, influence(used, fitted, fit, fixing), fit.cost, tuple(notes)
     )
-
-
-def seen_by(abstraction: Abstraction, dt: float, steps: int, template: Template | None) -> Responses:
-    """Responses to the inputs and in the directions of a zonotope's template, or to each joint's torque in each state."""
-    if template is None:
-        return responses(abstraction, dt, steps)
-    return responses(abstraction, dt, steps, template.torques, template.rows)
 
 
 def few_motions(used: int) -> bool:
@@ -228,20 +207,20 @@ def enclosing(fit: Fit, R: Responses, env: Envelope, decoupled: bool) -> Fit:
 
 
 def _margin(
-    halves: tuple[Envelope, Envelope], abstraction: Abstraction, options: Options, used: dict[int, Envelope],
+    halves: tuple[Envelope, Envelope], problem: SetProblem, used: dict[int, Envelope],
     fitted: Callable[[Sequence[Envelope]], Fit], R: Responses,
 ) -> tuple[Array, str, list[str]]:  # fmt: skip
     """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts.
 
     And how it came about, in the guarantee's words, and notes.
     """
-    alone = abstraction.decoupled
+    options, n, alone = problem.options, problem.abstraction.n, problem.abstraction.decoupled
     if options.margin is not None:
-        return np.full(abstraction.n, options.margin), g.GIVEN, []
+        return np.full(n, options.margin), g.GIVEN, []
     if not few_motions(len(used)):
         keys = sorted(used)
         folds = [keys[k :: g.FOLDS] for k in range(g.FOLDS)]
-        factors = np.ones(abstraction.n)
+        factors = np.ones(n)
         for fold in folds:
             rest = [used[m] for m in keys if m not in fold]
             unseen = g.union([used[m] for m in fold])
@@ -249,7 +228,7 @@ def _margin(
         return factors, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     if not all(h.labels for h in halves):
         return (
-            np.ones(abstraction.n),
+            np.ones(n),
             g.NO_REPETITION,
             ["no repetition to calibrate a margin on: the sets are those of these trials alone"],
         )
@@ -263,16 +242,26 @@ def _range(factors: Array) -> str:
     return f"{factors.min():.2f} to {factors.max():.2f} by joint" if np.ptp(factors) > 0.005 else f"{factors.max():.2f}"
 
 
-def _variants(
-    start: Envelope, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, R: Responses
-) -> dict[str, Fit]:
+def _variants(start: Envelope, problem: SetProblem, R: Responses) -> dict[str, Fit]:
     """What the paper's own definition gives on the same data: from the trial's start, with and without the noise set."""
-    none = ReadingError.exact(Box.symmetric(np.zeros(readings.dim)))
+    if problem.template is not None:
+        problem = replace(problem, template=None)
+        R = problem.responses()
+    whole = problem.asking("all")
+    none = whole.reading(Box.symmetric(np.zeros(problem.readings.dim)))
     return {
-        "start, all": fit_sets(start, R, readings, abstraction, joints, "all"),
-        "start, all, no noise set": fit_sets(start, R, none, abstraction, joints, "all", capped=False),
-        "start, position, no noise set": fit_sets(start, R, none, abstraction, joints, "position", capped=False),
+        "start, all": fit_sets(start, R, whole),
+        "start, all, no noise set": fit_sets(start, R, none, capped=False),
+        "start, position, no noise set": fit_sets(start, R, none.asking("position"), capped=False),
     }
+
+
+def _in_a_box(env: Envelope, problem: SetProblem) -> Fit:
+    """The narrowest box in the directions in which a zonotope is the narrowest."""
+    assert problem.template is not None
+    box = replace(problem, template=Template(np.eye(problem.abstraction.n), problem.template.directions))
+    R = box.responses()
+    return enclosing(fit_sets(env, R, box), R, env, problem.abstraction.decoupled)
 
 
 def influence(

@@ -4,25 +4,24 @@ The upper corner of ``X0`` and ``U`` alone decides the upper side of the tube, t
 sets of least cost are found by cutting planes: simulate both corners for many window starts, linearise the worst ages
 along the corner solution, solve the small linear program, repeat.  Then every window start is simulated, and one common
 scaling about the sets' centres, found by bisection, encloses what is still outside: growing is monotone, so that is
-sound. The paper's binary search per dimension depends on the order of the dimensions (trap P19) and is kept for
-comparison.
+sound. The paper's binary search per dimension depends on the order of the dimensions (trap P19).
 
 Source: Liu & Althoff (2018), Sec. IV-C.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from stopset.artifact import Abstraction, ActiveBound
+from stopset.artifact import ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
 from stopset.offline.conform.linear_program import Fit
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, age_weights, solved
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
 from stopset.sets import Box
@@ -112,13 +111,11 @@ def verified(problem: JointProblem, z: Array) -> tuple[Array, float]:
     return out, high
 
 
-def problems(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
-    conform: str = "all", windows: str = "sliding",
-) -> list[JointProblem]:  # fmt: skip
+def problems(trials: Sequence[Trial], asked: SetProblem) -> list[JointProblem]:
     """One problem per joint; a torque's and a start's price are those of the model linearised at rest."""
+    abstraction, readings, dt, every = asked.abstraction, asked.readings, asked.dt, asked.options.conform == "all"
     n = abstraction.n
-    horizon = min(horizon, max(len(x) for x, _ in trials) - 1)
+    horizon = min(asked.steps, max(len(x) for x, _ in trials) - 1)
     linear = replace(abstraction, order=1, viscous=np.maximum(abstraction.viscous[:, :1], 0.0))
     R = responses(linear, dt, horizon)
     importance = age_weights(horizon, dt)
@@ -126,42 +123,39 @@ def problems(
     out = []
     for j in range(n):
         cost = np.zeros(8)
-        for i, weight in ((j, 1.0), (n + j, STOP_TIME if conform == "all" else 0.0)):
+        for i, weight in ((j, 1.0), (n + j, STOP_TIME if every else 0.0)):
             q, v = importance @ np.abs(R.E1[1:, i, j]), importance @ np.abs(R.E1[1:, i, n + j])
             torque = importance @ (R.plus[1:, i, j] - R.minus[1:, i, j])
             own = float(i == n + j)
             cost += weight * np.array([-q, -v, q, v, -own, own, -torque, torque])
         out.append(
             JointProblem(
-                joints[j], [np.ascontiguousarray(x[:, [j, n + j]]) for x, _ in trials],
+                asked.joints[j], [np.ascontiguousarray(x[:, [j, n + j]]) for x, _ in trials],
                 [np.ascontiguousarray(u[:, j]) for _, u in trials], float(abstraction.Minv[j, j]), abstraction.viscous[j].copy(),
-                dt, horizon, parts(abstraction, dt, speed), windows == "sliding", readings.least.hi[[j, n + j]],
-                float(readings.most.hi[n + j]), conform == "all", cost,
+                dt, horizon, parts(abstraction, dt, speed), asked.options.windows == "sliding", readings.least.hi[[j, n + j]],
+                float(readings.most.hi[n + j]), every, cost,
             )
         )  # fmt: skip
     return out
 
 
-def fit_cooperative(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
-    conform: str = "all", windows: str = "sliding", labels: Sequence[str] = (),
-) -> tuple[Fit, Array]:  # fmt: skip
+def fit_cooperative(trials: Sequence[Trial], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[Fit, Array]:
     """Sets of a decoupled model 1 with any friction curve, and the scaling each joint needed in the final check (n,).
 
-    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``readings`` (2n,): error of a reading; ``horizon`` in steps;
-    ``labels`` of the trials: to say what fixes each bound.  Raises `NotConformant`.
+    ``trials``: states (N, 2n) and inputs (N, n) on the grid; ``labels`` of the trials: to say what fixes each bound.
+    Raises `NotConformant`.
     """
-    n = abstraction.n
+    n = asked.abstraction.n
     z = np.empty((n, 8))
     factor = np.ones(n)
     active: list[ActiveBound] = []
     cost = 0.0
-    for j, problem in enumerate(problems(trials, abstraction, joints, readings, dt, horizon, conform, windows)):
+    for j, problem in enumerate(problems(trials, asked)):
         z[j], factor[j] = verified(problem, search(problem))
         cost += float(problem.cost @ z[j]) + 2.0 * float(problem.noise[0])
         if labels:
             active += touched(problem, z[j], labels)
-    return replace(packed(z, readings.least.hi[:n], cost, conform), active=tuple(active)), factor
+    return replace(packed(z, asked.readings.least.hi[:n], cost, asked.options.conform), active=tuple(active)), factor
 
 
 def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[ActiveBound]:
@@ -178,13 +172,10 @@ def touched(problem: JointProblem, z: Array, labels: Sequence[str]) -> list[Acti
     return out
 
 
-def needed_factor(
-    fit: Fit, trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float, horizon: int,
-    windows: str = "sliding",
-) -> float:  # fmt: skip
+def needed_factor(fit: Fit, trials: Sequence[Trial], asked: SetProblem) -> float:
     """Smallest factor (>= 1, to 1e-4) about the sets' centres that encloses ``trials``, worst joint."""
-    n, worst = abstraction.n, 1.0
-    for j, problem in enumerate(problems(trials, abstraction, joints, readings, dt, horizon, fit.conform, windows)):
+    n, worst = asked.abstraction.n, 1.0
+    for j, problem in enumerate(problems(trials, asked.asking(fit.conform))):
         z = np.empty(8)
         z[[Q_LO, V_LO, Q_HI, V_HI]] = fit.X0.lo[j], fit.X0.lo[n + j], fit.X0.hi[j], fit.X0.hi[n + j]
         z[[NOISE_LO, NOISE_HI, U_LO, U_HI]] = fit.V.lo[n + j], fit.V.hi[n + j], fit.U.lo[j], fit.U.hi[j]
@@ -198,21 +189,3 @@ def packed(z: Array, half: Array, cost: float, conform: str) -> Fit:
     X0 = Box(np.concatenate([z[:, Q_LO], z[:, V_LO]]), np.concatenate([z[:, Q_HI], z[:, V_HI]]))
     V = Box(np.concatenate([-half, z[:, NOISE_LO]]), np.concatenate([half, z[:, NOISE_HI]]))
     return Fit(X0, Box(z[:, U_LO].copy(), z[:, U_HI].copy()), V, cost, (), conform)
-
-
-def binary_search(z: Array, conformant: Callable[[Array], bool], order: Sequence[int], rounds: int = 30) -> Array:
-    """The paper's way, for comparison: shrink one bound after the other towards 0 as far as the data allow.
-
-    ``z``: sets that enclose the data.  The answer depends on ``order`` (trap P19): whichever bound comes first gives
-    way most.
-    """
-    out = z.copy()
-    for k in order:
-        low, high = 0.0, 1.0
-        for _ in range(rounds):
-            middle = 0.5 * (low + high)
-            trial = out.copy()
-            trial[k] = middle * out[k]
-            low, high = (low, middle) if conformant(trial) else (middle, high)
-        out[k] *= high
-    return out

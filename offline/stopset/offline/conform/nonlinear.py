@@ -24,7 +24,7 @@ from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.linear_program import Fit
-from stopset.offline.conform.monotone_sets import fit_cooperative
+from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.reach.flowpipe import Responses
@@ -77,10 +77,9 @@ def starts_in(place: int, samples: int, windows: str, stride: int) -> range:
     return range((place * 7) % max(1, min(stride, samples - 1)), samples - 1, stride)
 
 
-def windows_of(
-    trials: Sequence[Trial], abstraction: Abstraction, where: Sequence[tuple[int, int]], dt: float, horizon: int
-) -> Iterator[Window]:
+def windows_of(trials: Sequence[Trial], asked: SetProblem, where: Sequence[tuple[int, int]]) -> Iterator[Window]:
     """The windows at ``where``, one after the other."""
+    abstraction, dt, horizon = asked.abstraction, asked.dt, asked.steps
     for first in range(0, len(where), BATCH):
         batch = where[first : first + BATCH]
         last = [min(horizon, len(trials[k][0]) - 1 - s) for k, s in batch]
@@ -129,19 +128,16 @@ def needed(w: Window, fit: Fit) -> float:
     return float(max(above.max(initial=0.0), below.max(initial=0.0)))
 
 
-def fit_windows(
-    seen: Sequence[Window], readings: ReadingError, dt: float, conform: str = "all", every: int = 2, names: Sequence[str] = (),
-    labels: Sequence[str] = (),
-) -> tuple[Fit, float]:  # fmt: skip
+def fit_windows(seen: Sequence[Window], asked: SetProblem, labels: Sequence[str] = ()) -> tuple[Fit, float]:
     """Cheapest sets that enclose these windows, and the common scaling that the final check over all of them asked for.
 
-    ``every``: the program itself sees one window in so many; ``names`` of the joints and ``labels`` of the trials: to say
-    what fixes each bound.  Raises `NotConformant`.
+    ``labels`` of the trials: to say what fixes each bound.  Raises `NotConformant`.
     """
+    readings, dt, conform = asked.readings, asked.dt, asked.options.conform
     m = readings.dim
     n = m // 2
     states = m if conform == "all" else n
-    chosen = seen[::every]
+    chosen = seen[:: 2 if asked.options.windows == "sliding" else 1]  # the program sees every other one
     ages = [np.unique(np.geomspace(1, len(w.d) - 1, AGES).astype(int)) for w in chosen]
     pairs = [_rows(w, a, states) for w, a in zip(chosen, ages, strict=True)]
     cost = np.sum([_cost(w, dt, states, n) for w in chosen], axis=0)
@@ -150,10 +146,10 @@ def fit_windows(
     z = bounds.tidy(cheapest(G, h, cost / len(chosen), bounds, "this model"))
     x_lo, x_hi, v_lo, v_hi, u_lo, u_hi = bounds.split(z)
     active = []
-    if names:
+    if labels:
         origin = [(w, int(age), i) for w, a in zip(chosen, ages, strict=True) for _ in "hl" for age in a for i in range(states)]
-        title = [f"{x}_{j}" for x in ("q", "dq") for j in names]
-        inputs = [f"V[{x}]" for x in title] * 2 + [f"U[{j}]" for j in names] * 2
+        title = [f"{x}_{j}" for x in ("q", "dq") for j in asked.joints]
+        inputs = [f"V[{x}]" for x in title] * 2 + [f"U[{j}]" for j in asked.joints] * 2
         side = ["lo"] * m + ["hi"] * m + ["lo"] * n + ["hi"] * n
         for v, r in tight(G, h, z, bounds).items():
             w, age, i = origin[r]
@@ -165,38 +161,6 @@ def fit_windows(
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")
     # the last rounding of the division, outward
     return (fit.inflated(factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
-
-
-def fit_along(
-    trials: Sequence[Trial], abstraction: Abstraction, readings: ReadingError, dt: float, horizon: int, conform: str = "all",
-    windows: str = "sliding",
-) -> tuple[Fit, float]:  # fmt: skip
-    """Sets of any abstraction on the hull along the nominal solution, and the common scaling of the final check.
-
-    ``trials``: states (N, 2n) and inputs (N, n) every ``dt`` [s]; ``horizon`` in steps.  Raises `NotConformant`.
-    """
-    seen = list(windows_of(trials, abstraction, starts(trials, windows, WINDOWS), dt, horizon))
-    return fit_windows(seen, readings, dt, conform, 2 if windows == "sliding" else 1)
-
-
-def fit_nonlinear(
-    trials: Sequence[Trial], abstraction: Abstraction, joints: Sequence[str], readings: ReadingError, dt: float,
-    horizon: float, conform: str = "all", windows: str = "sliding",
-) -> UncertaintySets:  # fmt: skip
-    """Uncertainty sets of any abstraction from open-loop trials, for ``horizon`` [s] ahead.
-
-    ``trials``: states (N, 2n) over (q, dq) and inputs ``u`` (N, n) every ``dt`` [s]; ``readings`` (2n,): their error.
-    The sets' own ``dt`` is a multiple of it where the hull is the linearised one.  Raises `NotConformant`.
-    """
-    if abstraction.decoupled:
-        steps = min(round(horizon / dt), max(len(x) for x, _ in trials) - 1)
-        fit, factors = fit_cooperative(trials, abstraction, joints, readings, dt, steps, conform, windows)
-        return UncertaintySets(fit.X0, fit.U, fit.V, dt, steps * dt, conform, windows, float(factors.max()))
-    every = max(1, round(GRID / dt))
-    coarse = coarser(trials, every)
-    steps = min(round(horizon / (dt * every)), max(len(x) for x, _ in coarse) - 1)
-    fit, factor = fit_along(coarse, abstraction, readings, dt * every, steps, conform, windows)
-    return UncertaintySets(fit.X0, fit.U, fit.V, dt * every, steps * dt * every, conform, windows, factor)
 
 
 def leak(abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array, samples: int = 64, seed: int = 0) -> float:

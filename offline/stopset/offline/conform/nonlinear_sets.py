@@ -19,9 +19,9 @@ from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
 from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.linear_program import Fit
-from stopset.offline.conform.linear_sets import Conformance, Options, Pairs, few_motions, influence
+from stopset.offline.conform.linear_sets import Conformance, Pairs, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
-from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.conform.problem import Options, SetProblem
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.types import Array
@@ -37,36 +37,30 @@ TOLERANCE = 1e-3
 class Algorithm:
     """How one abstraction's sets are found and checked, on trials already on the sets' grid of ``dt`` [s]."""
 
-    abstraction: Abstraction
-    joints: tuple[str, ...]
-    readings: ReadingError
-    dt: float
-    steps: int
-    windows: str
+    problem: SetProblem
     labels: dict[int, str]  # of the trials by the identity of their states
     remembered: dict[tuple[int, ...], list[along.Window]] = field(default_factory=dict)
 
     def fit(self, trials: Sequence[Trial], conform: str) -> Fit:
         """Cheapest sets that enclose these trials, with what fixes them."""
         titles = [self.labels[id(x)] for x, _ in trials]
-        if self.abstraction.decoupled:
-            known = (self.abstraction, self.joints, self.readings, self.dt, self.steps)
-            return fit_cooperative(trials, *known, conform, self.windows, titles)[0]
-        every = 2 if self.windows == "sliding" else 1
-        return along.fit_windows(self._windows(trials), self.readings, self.dt, conform, every, self.joints, titles)[0]
+        asked = self.problem.asking(conform)
+        if asked.abstraction.decoupled:
+            return fit_cooperative(trials, asked, titles)[0]
+        return along.fit_windows(self._windows(trials), asked, titles)[0]
 
     def needed(self, fit: Fit, trials: Sequence[Trial]) -> float:
         """Smallest factor (>= 1) about the sets' centres that encloses these trials."""
-        if self.abstraction.decoupled:
-            return needed_factor(fit, trials, self.abstraction, self.joints, self.readings, self.dt, self.steps, self.windows)
+        if self.problem.abstraction.decoupled:
+            return needed_factor(fit, trials, self.problem)
         return max(1.0, *(along.needed(w, fit) for w in self._windows(trials)))
 
     def checked(self, fits: Sequence[Fit], trials: Sequence[Trial], where: Sequence[tuple[int, int]]) -> Array:
         """The same of several sets at once, in constant memory, from the starts ``where`` (all of them for decoupled joints)."""
-        if self.abstraction.decoupled:
+        if self.problem.abstraction.decoupled:
             return np.array([self.needed(fit, trials) for fit in fits])
         worst = np.ones(len(fits))
-        for w in along.windows_of(trials, self.abstraction, where, self.dt, self.steps):
+        for w in along.windows_of(trials, self.problem, where):
             worst = np.maximum(worst, [along.needed(w, fit) for fit in fits])
         return worst
 
@@ -74,29 +68,27 @@ class Algorithm:
         """Windows of these trials; the latest two sets of trials are remembered, for they are asked for again and again."""
         key = tuple(id(x) for x, _ in trials)
         if key not in self.remembered:
-            where = along.starts(trials, self.windows, along.WINDOWS)
+            where = along.starts(trials, self.problem.options.windows, along.WINDOWS)
             if len(self.remembered) >= 2:
                 del self.remembered[next(iter(self.remembered))]
-            self.remembered[key] = list(along.windows_of(trials, self.abstraction, where, self.dt, self.steps))
+            self.remembered[key] = list(along.windows_of(trials, self.problem, where))
         return self.remembered[key]
 
 
-def conform_nonlinear(
-    pairs: Pairs, abstraction: Abstraction, joints: tuple[str, ...], readings: ReadingError, dt: float, horizon: float,
-    options: Options, trials: int,
-) -> Conformance:  # fmt: skip
-    """Identify ``X0``, ``U``, ``V`` of any abstraction from the trials of ``pairs``; the sets' grid may be coarser than
-    ``dt``.
+def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int) -> Conformance:
+    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``.
 
-    Raises `NotConformant`.
+    The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
     """
+    abstraction, options, dt = problem.abstraction, problem.options, problem.dt
     kept, lengths = _kept(pairs, trials)
     every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
     data = {m: along.coarser([t for t, _ in rows], every) for m, rows in kept.items()}
     labels = {id(x): name for m, rows in kept.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
     longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
-    steps = min(round(horizon / (dt * every)), longest)
-    algorithm = Algorithm(abstraction, joints, readings, dt * every, steps, options.windows, labels)
+    grid = dt * every
+    steps = min(round(problem.horizon / grid), longest)
+    algorithm = Algorithm(replace(problem, dt=grid, horizon=steps * grid), labels)
     division = g.split(list(data))
     used = [t for m in division.used for t in data[m]]
     other = "position" if options.conform == "all" else "all"
@@ -122,11 +114,10 @@ def conform_nonlinear(
         confidence=g.CONFIDENCE, text="", calibration_motions=len(division.used), scenario_bound=None,
     )  # fmt: skip
     what = "in position and velocity" if options.conform == "all" else "in position"
-    scope = f"{what} up to {steps * dt * every:.2f} s ahead of {_scope(abstraction, options, starts)}"
+    scope = f"{what} up to {steps * grid:.2f} s ahead of {_scope(abstraction, options, starts)}"
     promise = replace(promise, text=g.words(promise, seen, len(data), float(chosen), how, scope))
 
     def packed(f: Fit) -> UncertaintySets:
-        grid = dt * every
         return UncertaintySets(f.X0, f.U, f.V, grid, steps * grid, f.conform, options.windows, float(chosen), f.active)
 
     def refitted(rest: list[list[Trial]]) -> Fit:
@@ -134,7 +125,7 @@ def conform_nonlinear(
 
     alone = influence({m: data[m] for m in division.used}, refitted, fit, most=MOST_LEFT_OUT)
     return Conformance(
-        packed(final), packed(companion.inflated(float(more) * (1.0 + 1e-9))), promise, np.full(len(joints), margin),
+        packed(final), packed(companion.inflated(float(more) * (1.0 + 1e-9))), promise, np.full(abstraction.n, margin),
         {options.conform: fit, other: second}, alone, fit.cost, tuple(notes),
     )  # fmt: skip
 
@@ -157,10 +148,10 @@ def _left(
             where = [
                 (k, s)
                 for k, ((place, _), (x, _)) in enumerate(zip(rows, data, strict=True))
-                for s in along.starts_in(place, len(x), algorithm.windows, stride)
+                for s in along.starts_in(place, len(x), algorithm.problem.options.windows, stride)
             ]
             if m in held:
-                where = sorted({*where, *along.starts(data, algorithm.windows, along.WINDOWS)})
+                where = sorted({*where, *along.starts(data, algorithm.problem.options.windows, along.WINDOWS)})
             out[m] = np.maximum(out.get(m, 1.0), algorithm.checked(fits, data, where))
             count += len(where)
         waiting.clear()

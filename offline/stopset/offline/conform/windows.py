@@ -5,7 +5,7 @@ They release the interpreter.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,15 @@ from stopset.types import Array
 Index = NDArray[np.int64]
 
 
+class Outermost(NamedTuple):
+    """The widest deviations found so far, upward and downward (ages, states), and (trial, start) of each (ages, states, 2)."""
+
+    hi: Array
+    lo: Array
+    hi_at: Index
+    lo_at: Index
+
+
 def extremes(x: Array) -> tuple[float, float]:
     """Largest and smallest of ``x``, which holds at least one number and no NaN."""
     top, bottom = ffi.new("double *"), ffi.new("double *")
@@ -23,7 +32,8 @@ def extremes(x: Array) -> tuple[float, float]:
     return top[0], bottom[0]
 
 
-def _envelope(trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index) -> Any:
+def _envelope(trial: int, worst: Outermost) -> Any:
+    hi, lo, hi_at, lo_at = worst
     ages, columns = hi.shape
     if lo.shape != hi.shape or hi_at.shape != (ages, columns, 2) or lo_at.shape != hi_at.shape:
         raise ValueError(
@@ -40,29 +50,25 @@ def _columns(residual: Array, starts: int, states: int) -> Array:
     return np.ascontiguousarray(residual.T)
 
 
-def update_decoupled(
-    a: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
-) -> None:
+def update_decoupled(a: Array, residual: Array, starts: int, trial: int, worst: Outermost) -> None:
     """`update` of joints on their own, each in one pass over its windows: ``a`` (n, 2, 2), ``residual`` (N-1, 2n)."""
     n, r, work = len(a), _columns(residual, starts, 2 * len(a)), np.empty((2, starts))
-    if hi.shape[1] != 2 * n or a.shape != (n, 2, 2):
-        raise ValueError(f"steps {a.shape} into an envelope of {hi.shape[1]} columns")
-    envelope = _envelope(trial, hi, lo, hi_at, lo_at)
+    if worst.hi.shape[1] != 2 * n or a.shape != (n, 2, 2):
+        raise ValueError(f"steps {a.shape} into an envelope of {worst.hi.shape[1]} columns")
+    envelope = _envelope(trial, worst)
     check(lib.stopset_widen_decoupled(envelope, n, view(given(a)), r.shape[1], view(r), starts, view(work)))
 
 
-def update(
-    Ad: Array, across: Array, residual: Array, starts: int, trial: int, hi: Array, lo: Array, hi_at: Index, lo_at: Index
-) -> None:
+def update(Ad: Array, across: Array, residual: Array, starts: int, trial: int, worst: Outermost) -> None:
     """``e(h+1) = Ad e(h) + r`` of all windows side by side, looked at along ``across`` (k, n), positions, then speeds.
 
     Zeros of ``Ad`` and ``across`` cost nothing.
     """
     k, n = across.shape
     r, work = _columns(residual, starts, 2 * n), np.empty((4 * n + 1, starts))
-    if hi.shape[1] != 2 * k or Ad.shape != (2 * n, 2 * n):
-        raise ValueError(f"steps {Ad.shape} along {across.shape} into an envelope of {hi.shape[1]} columns")
-    envelope = _envelope(trial, hi, lo, hi_at, lo_at)
+    if worst.hi.shape[1] != 2 * k or Ad.shape != (2 * n, 2 * n):
+        raise ValueError(f"steps {Ad.shape} along {across.shape} into an envelope of {worst.hi.shape[1]} columns")
+    envelope = _envelope(trial, worst)
     check(
         lib.stopset_widen_coupled(
             envelope, n, view(given(Ad)), k, view(given(across)), r.shape[1], view(r), starts, view(work)

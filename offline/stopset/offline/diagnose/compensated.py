@@ -26,6 +26,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
+from stopset.progress import Tell, silent
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
 
@@ -45,7 +46,9 @@ class _Trial:
     p: Array
 
 
-def diagnose_open_loop(model: Model, recordings: Recordings, names: Sequence[str] | None = None) -> Diagnosis:
+def diagnose_open_loop(
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
+) -> Diagnosis:
     """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
     found = survey(lambda: recordings.trials)
     trials = [r for r in recordings if r.phase == found.phase and len(r.t) >= 3]
@@ -65,7 +68,10 @@ def diagnose_open_loop(model: Model, recordings: Recordings, names: Sequence[str
 
     ranked: list[tuple[Ranked, tuple[str, ...]]] = []
     trained = batches(even)
-    for joint, train, held in zip(model.joints, trained, batches(odd), strict=True):
+    for k, (joint, train, held) in enumerate(zip(model.joints, trained, batches(odd), strict=True)):
+        tell(
+            f"simulating {joint} with every effect: joint {k} of {model.n} done, {len(ranked)} effects found so far", k / model.n
+        )
         mine = [f for f in compensated(model.effects, model.abstraction) if f.joint in (joint, None)]
         ranked += _joint(joint, train, held, [_term(f) for f in mine], candidates(train, names))
     ranked.sort(key=lambda r: -r[0].score)

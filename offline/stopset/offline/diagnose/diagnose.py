@@ -19,9 +19,10 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
-from stopset.offline.diagnose.search.search import Claim, Progress
+from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
+from stopset.progress import Tell, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -88,24 +89,24 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 
 def diagnose_model(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = lambda _: None
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
-    ``progress`` is told each step.
+    ``tell`` is told each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
-        return diagnose_open_loop(model, recordings, names), "open-loop simulation from each trial's start"
+        return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
     base = baseline(model, recordings)
     # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
     fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
-    found = answered(examine(base.robot, recordings, fitted, known=base.known, progress=progress), names)
+    found = answered(examine(base.robot, recordings, fitted, known=base.known, tell=tell), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
@@ -116,7 +117,7 @@ def diagnose_model(
         found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
     if base.known is None or names is not None:
         return found, base.against
-    progress("what changed since identification")
+    tell("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
 
 

@@ -69,14 +69,14 @@ from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windo
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
-from stopset.robot import arm, generic
+from stopset.robot import drives, generic
 
 SCHEMA = 2  # of the hash: counted up when a name changes or the way values are written
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
-    ("robot", arm, "STANDARD_GRAVITY"),
+    ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),
     ("effects", base, "REFERENCE_TEMPERATURE"),
@@ -101,7 +101,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
     ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
-    ("physical", physical, "MARGIN"),
+    ("physical", physical, "MARGIN SMALL"),
     ("prior", prior, "IDENTIFICATION CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("scale", scale, "SHARE"),

@@ -10,28 +10,26 @@ from typing import Any
 from stopset.artifact import Domain, Model, Revision, UncertaintySets
 from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.brakes.data_sheet import assumed_brakes
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import Survey, Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.compare.tightness import Tightness, of_tube
-from stopset.offline.conform.bands import Bands, band_sets
-from stopset.offline.conform.gather import Kept, Sums
+from stopset.offline.conform.bands import band_sets
+from stopset.offline.conform.gather import Kept, SetForm, Sums, set_problem
 from stopset.offline.conform.guarantee import union
-from stopset.offline.conform.linear_sets import Conformance, Options, conform, few_motions
+from stopset.offline.conform.linear_sets import Conformance, conform, few_motions
 from stopset.offline.conform.program import STOP_TIME
-from stopset.offline.conform.zonotopes import Template
+from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
-from stopset.offline.identify.second_reading import read_again
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.parameter_uncertainty import notes as doubts
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.offline.update.signals_file import Signals
+from stopset.progress import Tell
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording
-from stopset.robot import Robot
-
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,42 +45,39 @@ class Identification:
     kept: Kept | Signals | None = None  # what later recordings can be added to, where that was asked for
 
 
-def concluded(
-    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, bands: Bands | None,
-    zonotope: Template | None, sums: Sums, tally: Tally | None = None,
-) -> Identification:  # fmt: skip
+def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: Tally | None = None) -> Identification:
     """Sets, guarantee and model file of a linear model from the sums of all its recordings; ``tally``: kept with them."""
-    options = Options(settings.conform, settings.windows, settings.margin)
-    horizon = found.within(settings.horizon)
-    steps = round(horizon / found.dt)
-    gathered = sums.gathered.mapped(lambda env: env.upto(steps))
-    shared = (nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options)
+    robot, meta, found = run.robot, run.meta, run.survey
+    problem = set_problem(run, nominal.abstraction, form.template)
+    gathered = sums.gathered.mapped(lambda env: env.upto(problem.steps))
     learnt = found.learnt_motions
-    result = conform(gathered, *shared, found.trials, learnt, zonotope)
+    result = conform(gathered, problem, found.trials, learnt)
     by_band = {}
-    if bands is not None and found.temp is not None:
-        by_band = band_sets(gathered, bands, found.temp, result.margins, *shared, learnt, zonotope)
+    if form.bands is not None and found.temp is not None:
+        by_band = band_sets(gathered, form.bands, found.temp, result.margins, problem, learnt)
     everything = union(list(gathered.parts.values()))
-    across = None if zonotope is None else zonotope.directions
+    across = None if form.template is None else form.template.directions
 
     def tight(sets: UncertaintySets) -> Tightness:
         return of_tube(deviation_tube(nominal.abstraction, sets, across), everything.hi, everything.lo, robot.n)
 
-    out = packed(robot, meta, found, nominal, settings, sums.figures, result, by_band, tight)
+    out = packed(run, nominal, sums.figures, result, by_band, tight)
     if tally is None:
         return out
     # what may judge the model later must stay what it was when the nominal model was fitted
     fitted = found.learnt or frozenset(found.motion) - found.held_out
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, bands, zonotope, found.motion, files)
+    kept = Kept(tally, sums, nominal, meta, fitted, found.session, found.dt, form, found.motion, files)
     return replace(out, kept=kept)
 
 
 def packed(
-    robot: Robot, meta: Meta, found: Survey, nominal: NominalPart, settings: Settings, figures: Figures, result: Conformance,
-    by_band: dict[str, UncertaintySets], tight: Callable[[UncertaintySets], Tightness],
+    run: Run, nominal: NominalPart, figures: Figures, result: Conformance, by_band: dict[str, UncertaintySets],
+    tight: Callable[[UncertaintySets], Tightness],
 ) -> Identification:  # fmt: skip
+    """The model file's content from the sets and what was found on the way; ``tight`` judges the sets that go out."""
+    robot, meta, found = run.robot, run.meta, run.survey
     errors, u_hull = figures.result(robot.joints), figures.u
     assert u_hull is not None
     seen = result.sets
@@ -108,10 +103,10 @@ def packed(
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
-        provenance=_provenance(robot, meta, found, settings, nominal), revisions=(Revision(0, "", {}, total),),
+        provenance=_provenance(run, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
-    return Identification(model, result, found, settings, tightness, tuple(x for x in odd if x.startswith("absurd")))
+    return Identification(model, result, found, run.settings, tightness, tuple(x for x in odd if x.startswith("absurd")))
 
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
@@ -137,7 +132,8 @@ def _sources(meta: Meta) -> dict[str, str]:
     return out
 
 
-def _provenance(robot: Robot, meta: Meta, found: Survey, settings: Settings, nominal: NominalPart) -> dict[str, Any]:
+def _provenance(run: Run, nominal: NominalPart) -> dict[str, Any]:
+    robot, meta, found, settings = run.robot, run.meta, run.survey, run.settings
     return {
         "tool": f"stopset {version('stopset')}",
         "settings": asdict(settings),
@@ -148,11 +144,11 @@ def _provenance(robot: Robot, meta: Meta, found: Survey, settings: Settings, nom
         "phase": found.phase,
         "trials": found.trials,
         "samples": found.samples,
-        "motions": len(set(found.motion.values())),
+        "motions": run.motions,
         "session_trials": found.places,
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
         "taken_out": list(nominal.taken_out),
-        "description_read_again": None if (again := read_again(robot)) is None else asdict(again),
+        "description_read_again": asdict(held_to_pinocchio(robot)),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

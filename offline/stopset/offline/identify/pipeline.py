@@ -14,27 +14,29 @@ from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.abstraction.swift import swift
-from stopset.offline.campaign.conditions import one_condition, tagged
+from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign, campaign_of
-from stopset.offline.campaign.survey import Source, Survey, Tally, tallied
+from stopset.offline.campaign.survey import Tally, tallied
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
-from stopset.offline.conform.gather import sums_of, template_of
-from stopset.offline.conform.linear_sets import Conformance, Options, Pairs
+from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
+from stopset.offline.conform.linear_sets import Conformance, Pairs
 from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
-from stopset.offline.identify.model_file import Identification, Tell, concluded, packed, stopped
-from stopset.offline.identify.second_reading import read_again
+from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.update.signals_file import Signals
-from stopset.recording import Meta, Recording
+from stopset.progress import Tell, silent
+from stopset.recording import Recording
 from stopset.robot import Robot
 
 __all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
@@ -43,30 +45,27 @@ Keep = Literal["signals", "sums"] | None
 
 
 def identify(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = lambda _: None,
-    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None, conditions: Sequence[str] = (),
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = silent,
+    scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
     ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
     later recordings can be added to (`stopset.offline.update.update`), the signals themselves or sums of constant size;
-    ``conditions``: of the recordings, ``KEY=VALUE@FILE`` (`stopset.offline.campaign.conditions`);
     ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
-    return identified(
-        robot, tagged(campaign_of(robot, paths), conditions, paths), settings or Settings(), tell, scheduler, known, keep
-    )
+    return identified(robot, campaign_of(robot, paths), settings or Settings(), tell, scheduler, known, keep)
 
 
 def identified(
-    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell, scheduler: str | None, known: tuple[Fitted, ...], keep: Keep
-) -> Identification:
+    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = silent, scheduler: str | None = None,
+    known: tuple[Fitted, ...] = (), keep: Keep = None,
+) -> Identification:  # fmt: skip
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
-    if read_again(robot) is None:
-        tell("the description was read once only: pinocchio is not installed, which would read it again")
+    held_to_pinocchio(robot)
     tell("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:
@@ -84,11 +83,13 @@ def identified(
     def learning() -> Iterator[Recording]:
         return (r for r in source() if r.suite_key not in held)
 
-    shared = _shared(robot, meta, learning, learnt, chosen, known)
+    run = Run(robot, meta, source, found, chosen)
+    fitting = replace(run, trials=learning, survey=learnt)
+    shared = _shared(fitting, known)
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
     numbers = known_effects(robot, meta, learning, asked, known)
     nominal = fit_nominal(robot, meta, learning, learnt, chosen, numbers)
-    nominal = swift(abstracted(robot, meta, learning, learnt, chosen, numbers, nominal), learnt, meta.effort)
+    nominal = swift(abstracted(fitting, numbers, nominal), learnt, meta.effort)
     nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
@@ -101,7 +102,7 @@ def identified(
             "signals, or take the linear model (--model 1 --order 1)"
         )
     try:
-        out = _with_sets(robot, meta, source, found, nominal, chosen, tell, scheduler, tally if keep == "sums" else None)
+        out = _with_sets(run, nominal, tell, scheduler, tally if keep == "sums" else None)
     except NotConformant as e:
         limited = [note for note in nominal.notes if note.startswith("held at")]
         raise NotConformant("; ".join([str(e), *limited])) from e
@@ -109,42 +110,35 @@ def identified(
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 
 
-def _shared(
-    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: Sequence[Fitted]
-) -> tuple[Gain, ...]:
+def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:
     """Pairs of joints that share a motor by the evidence, where that is to be looked for and nobody has said so already."""
-    if meta.effort == "compensated_torque" or settings.friction != "evidence":
+    if run.meta.effort == "compensated_torque" or run.settings.friction != "evidence":
         return ()
-    told = {f.label for f in known} | set(settings.effects)
-    return tuple(g for g in coupled(robot, source, found.sample) if g.effect not in told and g.name not in told)
+    told = {f.label for f in known} | set(run.settings.effects)
+    return tuple(g for g in coupled(run.robot, run.trials, run.survey.sample) if g.effect not in told and g.name not in told)
 
 
-def _with_sets(
-    robot: Robot, meta: Meta, source: Source, found: Survey, nominal: NominalPart, settings: Settings, tell: Tell,
-    scheduler: str | None, tally: Tally | None,
-) -> Identification:  # fmt: skip
-    motions = len(set(found.motion.values()))
-    horizon = found.within(settings.horizon)
+def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None, tally: Tally | None) -> Identification:
+    found, settings = run.survey, run.settings
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
-    tell(f"{motions} independent motions; deviations of every prediction up to {horizon:.2f} s ahead")
+    tell(f"{run.motions} independent motions; deviations of every prediction up to {run.horizon:.2f} s ahead")
     if nominal.abstraction.linear:
-        zonotope = template_of(found, nominal, meta.effort) if settings.shape == "zonotope" else None
+        form = SetForm(bands, template_of(run, nominal) if settings.shape == "zonotope" else None)
         progress = Progress(found.trials, tell)
-        sums = sums_of(source, found, nominal, meta.effort, settings, bands, zonotope, tally is not None, scheduler, progress)
+        sums = sums_of(run, nominal, form, keep=tally is not None, scheduler=scheduler, progress=progress)
         tell("identifying the sets")
-        return concluded(robot, meta, found, nominal, settings, bands, zonotope, sums, tally)
+        return concluded(run, nominal, form, sums, tally)
     # its windows do not fold into an envelope: trials in memory, one process
     figures = Figures(nominal.abstraction, found.dt)
-    pairs = pairs_of(source, found, nominal, meta.effort)
+    pairs = pairs_of(run.trials, found, nominal, run.meta.effort)
     for _, r, u in pairs():
         figures.add(r, u)
     tell("identifying the sets along the nominal solutions")
 
+    problem = set_problem(run, nominal.abstraction)
+
     def sets_of(some: Pairs, margin: float | None) -> Conformance:
-        options = Options(settings.conform, settings.windows, margin)
-        return conform_nonlinear(
-            some, nominal.abstraction, robot.joints, found.readings, found.dt, horizon, options, found.trials
-        )  # fmt: skip
+        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials)
 
     result = sets_of(pairs, settings.margin)
     by_band = {}
@@ -159,7 +153,7 @@ def _with_sets(
             judge.add(coarser([(np.hstack([r.q, r.dq]), u)], every)[0])
         return judge.result()
 
-    return packed(robot, meta, found, nominal, settings, figures, result, by_band, tight)
+    return packed(run, nominal, figures, result, by_band, tight)
 
 
 def _in_band(pairs: Pairs, bands: Bands, k: int) -> Pairs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,22 +127,38 @@ def _solve(
     return theta, notes
 
 
-def _inflation(data: NormalEquations, moving: Array, j: int, index: NDArray[np.intp], theta: Array, variance: float) -> float:
-    """How much wider errors are than for independent rows, from the scores of whole groups of motions."""
-    groups = np.flatnonzero(data.rows_moving[:, j] > 0)
-    if len(groups) < FEW_GROUPS:
-        return TOGETHER
-    cut = np.r_[0 : len(index), moving.shape[-1] - 1]
-    G = moving[groups, j][:, cut][:, :, cut]
-    scores = G[:, :-1, -1] - G[:, :-1, :-1] @ theta
-    A = G[:, :-1, :-1].sum(axis=0)
-    d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    values, vectors = np.linalg.eigh(d[:, None] * A * d)
-    sound = values > 1e-7 * values[-1]
-    z = (scores * d) @ vectors[:, sound] / np.sqrt(values[sound])
-    m = len(groups)
-    ratio = float(np.sum(z**2)) * m / (m - 1) / (max(variance, 1e-300) * sound.sum())
-    return float(np.clip(ratio, 1.0, MOST_INFLATION))
+@dataclass(frozen=True, slots=True)
+class _Scores:
+    """A joint's scores of whole groups of motions, ``torque - columns @ theta`` in the directions its data determine."""
+
+    torque: Array  # (groups, directions)
+    columns: Array  # (groups, directions, k)
+
+    def inflation(self, theta: Array, variance: float) -> float:
+        """How much wider errors are than for independent rows."""
+        m, directions = self.torque.shape
+        z = self.torque - self.columns @ theta
+        ratio = float(np.sum(z**2)) * m / (m - 1) / (max(variance, 1e-300) * directions)
+        return float(np.clip(ratio, 1.0, MOST_INFLATION))
+
+
+def _scores(data: NormalEquations, moving: Array, p: _Problem) -> list[_Scores | None]:
+    """Of each joint; None with too few groups to tell."""
+    out: list[_Scores | None] = []
+    for j in range(p.layout.n):
+        groups = np.flatnonzero(data.rows_moving[:, j] > 0)
+        if len(groups) < FEW_GROUPS:
+            out.append(None)
+            continue
+        cut = np.r_[0 : len(p.index[j]), moving.shape[-1] - 1]
+        G = moving[groups, j][:, cut][:, :, cut]
+        A = G[:, :-1, :-1].sum(axis=0)
+        d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+        values, vectors = np.linalg.eigh(d[:, None] * A * d)
+        sound = values > 1e-7 * values[-1]
+        W = (d[:, None] * vectors[:, sound] / np.sqrt(values[sound])).T
+        out.append(_Scores(G[:, :-1, -1] @ W.T, W @ G[:, :-1, :-1]))
+    return out
 
 
 def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor: Floor, reference: Array) -> Fit:
@@ -156,7 +173,8 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     p = problem_of(layout, moving.sum(axis=0), still, rows, rows_still)
     # a description believed too much explains itself: what it leaves then counts as noise, and the noise lets it be believed
     starts = [(1.0, False), (WIDEST_PRIOR, False), (1.0, True), (WIDEST_PRIOR, True)]
-    tried = [_weighed(data, p, moving, prior, scale, loaded) for scale, loaded in starts]
+    scores = _scores(data, moving, p)
+    tried = [_weighed(p, scores, prior, scale, loaded) for scale, loaded in starts]
     weighed = min(tried, key=lambda x: x.unlikely + CLEARLY * x.loaded)
     variance, variance_still, inflation, scale, H, b = (
         weighed.variance, weighed.variance_still, weighed.inflation, weighed.scale, weighed.H, weighed.b
@@ -193,7 +211,7 @@ class _Weighed:
     unlikely: float
 
 
-def _weighed(data: NormalEquations, p: _Problem, moving: Array, prior: Prior, scale: float, loaded: bool) -> _Weighed:
+def _weighed(p: _Problem, scores: Sequence[_Scores | None], prior: Prior, scale: float, loaded: bool) -> _Weighed:
     """Rounds of fitting and weighing, beginning with a description that is off by ``scale`` times its tolerance."""
     n, m = p.layout.n, len(prior.mean)
     rows, rows_still = p.rows, p.rows_still
@@ -213,7 +231,8 @@ def _weighed(data: NormalEquations, p: _Problem, moving: Array, prior: Prior, sc
             own = theta[p.index[j]]
             if rows[j]:
                 variance[j] = residual(p.moving[j], own) / rows[j]
-                inflation[j] = _inflation(data, moving, j, p.index[j], own, variance[j])
+                known = scores[j]
+                inflation[j] = TOGETHER if known is None else known.inflation(own, variance[j])
             if rows_still[j]:
                 variance_still[j] = residual(p.still[j], own) / rows_still[j]
         left = np.linalg.inv(H)[np.ix_(judged, judged)]

@@ -6,17 +6,19 @@ identification; the constraint of each link is ``[[trace(I)/2 E - I, h], [h', m]
 
 from __future__ import annotations
 
-import warnings
-from contextlib import suppress
 from typing import Any
 
+import clarabel
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from stopset.errors import NotConformant
 from stopset.offline.nominal.prior import tensor
 from stopset.types import Array
 
 MARGIN = 1e-7  # smallest eigenvalue kept, relative to the largest of the CAD's pseudo-inertia
+SMALL = 0.01  # [m] no link counts as smaller, were it described as a point
+_UPPER = [(i, k) for k in range(4) for i in range(k + 1)]
 
 
 def pseudo_inertia(P: Array) -> Array:
@@ -36,7 +38,7 @@ def consistent(pi: Array, reference: Array) -> bool:
 
 def _scale(reference: Array) -> Array:
     """(4,) diagonal scaling that makes the reference's pseudo-inertia of order one (lengths against masses)."""
-    return np.asarray(1 / np.sqrt(np.maximum(np.diag(pseudo_inertia(reference)), 1e-9 * reference[0])))
+    return np.asarray(1 / np.sqrt(np.maximum(np.diag(pseudo_inertia(reference)), SMALL**2 * reference[0])))
 
 
 def _scaled(P: Array, reference: Array) -> Array:
@@ -49,42 +51,51 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
 
     ``H`` (p, p) positive definite; ``reference`` (n, 10) CAD, for scaling.  Raises `NotConformant` when the solver fails.
     """
-    import cvxpy  # a second of import, needed only when the free solution is no body
-
-    cp: Any = cvxpy
-
     n, p = len(reference), len(b)
     d = 1 / np.sqrt(np.diag(H))  # unit curvature in every parameter
-    L = np.linalg.cholesky(d[:, None] * H * d)
-    x = cp.Variable(p)
-    constraints = []
+    rows, rhs = _limits(A * d, lower, upper)
+    cones: list[Any] = [clarabel.NonnegativeConeT(len(rhs))] if len(rhs) else []
+    G = np.zeros((len(rhs) + n * len(_UPPER), p))
+    G[: len(rhs)] = rows
     for i in range(n):
         s = _scale(reference[i])
-        basis = [s[:, None] * pseudo_inertia(e) * s for e in np.eye(10)]
-        J = sum(x[10 * i + k] * d[10 * i + k] * basis[k] for k in range(10))
-        constraints.append(J - MARGIN * np.eye(4) >> 0)
-    As = A * d
-    for row, (lo, hi) in enumerate(zip(lower, upper, strict=True)):
-        size = float(np.abs(As[row]).max()) or 1.0
-        if np.isfinite(lo):
-            constraints.append(As[row] @ x / size >= lo / size)
-        if np.isfinite(hi):
-            constraints.append(As[row] @ x / size <= hi / size)
-    y = np.linalg.solve(L, d * b)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(L.T @ x - y)), constraints)
-    with warnings.catch_warnings(), suppress(cp.error.SolverError):
-        warnings.simplefilter("ignore")  # "may be inaccurate" is dealt with below
-        problem.solve(solver=cp.CLARABEL)
-    if x.value is None or problem.status not in ("optimal", "optimal_inaccurate"):
+        at = len(rhs) + i * len(_UPPER)
+        for k, unit in enumerate(np.eye(10)):
+            G[at : at + len(_UPPER), 10 * i + k] = -d[10 * i + k] * _stacked(s[:, None] * pseudo_inertia(unit) * s)
+        cones.append(clarabel.PSDTriangleConeT(4))
+    h = np.concatenate([rhs, *[-_stacked(MARGIN * np.eye(4))] * n])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    # from the free solution on, in steps that cost alike: what is minimised is then the square of a distance, and zero is its scale
+    L = np.linalg.cholesky(d[:, None] * H * d)
+    free = np.linalg.solve(H, b) / d
+    steps = np.linalg.inv(L).T
+    found = clarabel.DefaultSolver(
+        csc_matrix(np.eye(p)), np.zeros(p), csc_matrix(G @ steps), h - G @ free, cones, settings
+    ).solve()
+    if str(found.status) not in ("Solved", "AlmostSolved"):
         none = "no link parameters are physically possible and meet every limit at once"
         unsure = "the search for physically possible link parameters did not come to an end"
         raise NotConformant(
-            f"{none if str(problem.status).startswith('infeasible') else unsure}; expected the CAD to be near: check the URDF's "
+            f"{none if str(found.status).endswith('PrimalInfeasible') else unsure}; expected the CAD to be near: check the URDF's "
             "masses and inertias, and the torque's unit with `stopset inspect --robot`"
         )
-    theta = np.asarray(d * x.value)
+    theta = np.asarray(d * (free + steps @ np.array(found.x)))
     theta[: 10 * n] = _repaired(theta[: 10 * n].reshape(n, 10), reference).ravel()
     return theta
+
+
+def _limits(A: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Rows and right-hand sides of ``lower <= A x <= upper`` as ``rows x <= rhs``, each row of largest entry 1."""
+    size = np.maximum(np.abs(A).max(axis=1, initial=0.0), 1e-300)
+    below, above = np.isfinite(lower), np.isfinite(upper)
+    rows = np.vstack([-A[below] / size[below, None], A[above] / size[above, None]])
+    return rows, np.concatenate([-lower[below] / size[below], upper[above] / size[above]])
+
+
+def _stacked(J: Array) -> Array:
+    """The upper triangle of a symmetric matrix by columns, off its diagonal times sqrt(2): lengths are those of the matrix."""
+    return np.array([J[i, k] * (1.0 if i == k else np.sqrt(2.0)) for i, k in _UPPER])
 
 
 def _repaired(pi: Array, reference: Array) -> Array:

@@ -5,7 +5,7 @@ Source: Liu & Althoff (2018), sec. V-B (38 random PTP motions, four start points
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -23,6 +23,7 @@ from stopset.offline.plan.excitation import excitations
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
+from stopset.progress import Tell, silent
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
@@ -87,9 +88,9 @@ def design(
     robot: Robot,
     wishes: Wishes,
     recordings: Iterable[Recording] | None = None,
-    progress: Callable[[str], None] = lambda what: None,
+    tell: Tell = silent,
 ) -> Plan:
-    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined.
+    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined; ``tell`` is told each step.
 
     Raises `RobotError` for a robot without speed limits or whose torque limits cannot hold it.
     """
@@ -97,19 +98,19 @@ def design(
     rng = np.random.default_rng(wishes.seed)
     data = None if recordings is None else accumulate(robot, recordings, usual_friction())
     e = envelope(robot, wishes.speed, wishes.torque, wishes.floor)
-    progress("static poses")
+    tell("static poses")
     poses = static_poses(robot, e, wishes.poses, rng)
-    progress("excitation")
-    waves, condition, blind = excitations(robot, e, wishes.excitations, wishes.period, wishes.rate, wishes.evaluations, rng)
+    tell("excitation")
+    waves, condition, blind = excitations(robot, e, wishes.excitations, wishes.period, wishes.rate, wishes.evaluations, rng, tell)
     goals = random_goals(robot, e, wishes.motions, rng)
     fast = []
     for k, (a, b) in enumerate(pairwise(goals)):
-        progress(f"PTP motion {k + 1} of {len(goals) - 1}")
+        tell(f"PTP motion {k + 1} of {len(goals) - 1}", k / (len(goals) - 1))
         fast.append(ptp(robot, e, a, b, wishes.rate))
     slow = [p.slower(1 / wishes.slow) for p in fast[: max(1, min(8, len(fast)))]]
     suites, stops = _suites(fast, wishes), _stops(robot, fast, wishes)
     parts = _parts(poses, waves, slow, fast, suites, stops, wishes)
-    progress("what each part tells")
+    tell("what each part tells")
     nominal = None if data is None else solve_nominal(robot, data)
     parts, outlook = _outlook(robot, e, parts, poses, data, nominal)
     warnings = [f"{p.name} {k + 1}: {v}" for p in parts for k, m in enumerate(p.motions) for v in violations(robot, e, m)]

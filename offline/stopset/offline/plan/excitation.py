@@ -9,12 +9,11 @@ Source: Swevers et al. (1997), Optimal robot excitation and identification; Pres
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import Envelope, Path, fitted, heights
+from stopset.progress import Tell, silent
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 from stopset.types import Array
@@ -116,12 +115,12 @@ def excitations(
     rate: float,
     evaluations: int,
     rng: np.random.Generator,
-    progress: Callable[[int], None] = lambda done: None,
+    tell: Tell = silent,
 ) -> tuple[list[Path], float, float]:
     """``count`` trajectories of one ``period`` [s] each, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
-    Each next trajectory is optimised for what those before it tell together with it.
+    Each next trajectory is optimised for what those before it tell together with it; ``tell`` is told how far the search is.
     """
     n = robot.n
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
@@ -139,6 +138,7 @@ def excitations(
         return np.log(condition(told + G)) + 50 * low, G
 
     for k in range(count):
+        tell(f"excitation {k + 1} of {count}", k / count)
         best, best_cost, first = np.zeros(0), np.inf, None
         tries = max(20, evaluations // 8)
         for _ in range(tries):
@@ -156,7 +156,7 @@ def excitations(
             else:
                 step = max(step * 0.92, 1e-3)
             if i % 50 == 0:
-                progress(k)
+                tell(f"excitation {k + 1} of {count}", (k + (tries + i) / evaluations) / count)
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)

@@ -6,7 +6,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,9 @@ from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
+from stopset.progress import Tell
 from stopset.recording import Recordings
 from stopset.robot import Robot
-
-Tell = Callable[[str], None]
 
 # an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
 # (a single joint's error scatters more), while none rises by as much

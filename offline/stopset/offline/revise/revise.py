@@ -7,7 +7,7 @@ with the numbers, unless forced; so is a revision whose torque sets are wider th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -22,18 +22,17 @@ from stopset.offline.campaign.conditions import one_condition, tagged
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
-from stopset.offline.identify.pipeline import Keep, Settings, identify
+from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
+from stopset.progress import Tell, silent
 from stopset.reach.stops import stop
 from stopset.recording import read_meta
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 
 if TYPE_CHECKING:
     from stopset.offline.conform.gather import Kept
     from stopset.offline.update.signals_file import Signals
 
-Tell = Callable[[str], None]
 
 WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
 
@@ -57,7 +56,7 @@ class Revised:
 
 def add(
     model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
-    tell: Tell = lambda _: None, keep: Keep = None, conditions: Sequence[str] = (),
+    tell: Tell = silent, keep: Keep = None, conditions: Sequence[str] = (),
 ) -> Revised:  # fmt: skip
     """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
 
@@ -65,7 +64,7 @@ def add(
     ``keep``: also keep what later recordings can be added to (`stopset.offline.update.update`).
     Raises `EffectError` if an effect or joint is unknown or already part of the model.
     """
-    robot, settings = description(model), settings_of(model)
+    robot, settings = model.robot.as_described, settings_of(model)
     names = _names(effect, joint, robot, settings)
     campaign = tagged(campaign_of(robot, paths), conditions, paths)
     if not settings.mixed:
@@ -78,8 +77,8 @@ def add(
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     tell("identifying the new revision")
-    identified = identify(robot, paths, verdict.settings, tell, known=verdict.known, keep=keep, conditions=conditions)
-    fresh = identified.model
+    found = identified(robot, campaign, verdict.settings, tell, known=verdict.known, keep=keep)
+    fresh = found.model
     tell("bounding stops before and after")
     before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
@@ -91,7 +90,7 @@ def add(
     number = model.revisions[-1].number + 1 if model.revisions else 1
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
-    return Revised(revised, before, after, verdict.judged, verdict.words, identified.kept)
+    return Revised(revised, before, after, verdict.judged, verdict.words, found.kept)
 
 
 def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
@@ -139,11 +138,6 @@ def _note(taken: Sequence[Judged], judged_on: str) -> str:
     """What the model file says of a revision: where each effect went, and which were forced."""
     parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
     return "; ".join([*parts, f"judged on {judged_on}"])
-
-
-def description(model: Model) -> Robot:
-    """The robot as it was described (CAD and data sheet), from the texts in the model."""
-    return robot_from_text(model.robot.urdf, model.robot.datasheet, "the model's URDF")
 
 
 def stop_figures(model: Model, seen: Model) -> dict[str, float]:

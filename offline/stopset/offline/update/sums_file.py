@@ -25,7 +25,7 @@ from stopset.offline.campaign.survey import Tally
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
-from stopset.offline.conform.gather import Kept, Sums
+from stopset.offline.conform.gather import Kept, SetForm, Sums
 from stopset.offline.conform.linear_sets import Gathered
 from stopset.offline.conform.noise import Kept as KeptNoise
 from stopset.offline.conform.noise import NoiseEstimate
@@ -34,7 +34,7 @@ from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.nominal.model import NominalPart
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
-from stopset.offline.revise.revise import description, settings_of
+from stopset.offline.revise.revise import settings_of
 from stopset.offline.update.signals_file import meta_of
 from stopset.recording import Recording, SuiteKey, counted
 from stopset.sets import Box
@@ -62,16 +62,16 @@ def save_sums(path: str | Path, kept: Kept, model: Model) -> None:
         "fitted_files": kept.fitted_files,
         "session": asdict(kept.session),
         "dt": kept.dt,
-        "bands": None if kept.bands is None else list(kept.bands.inner),
+        "bands": None if kept.form.bands is None else list(kept.form.bands.inner),
         "motion": [[*s, m] for s, m in kept.motion.items()],
         "tally": _pack_tally(kept.tally, arrays),
         "sums": _pack_sums(kept.sums, arrays),
         "stops": [_pack_stop(r, f"stop_{k}", arrays) for k, r in enumerate(kept.stops)],
     }
-    if kept.bands is not None:
-        arrays["reference"] = _edges(kept.bands.reference)
-    if kept.template is not None:
-        arrays["generators"], arrays["directions"] = kept.template.generators, kept.template.directions
+    if kept.form.bands is not None:
+        arrays["reference"] = _edges(kept.form.bands.reference)
+    if kept.form.template is not None:
+        arrays["generators"], arrays["directions"] = kept.form.template.generators, kept.form.template.directions
     if kept.nominal.data is not None:
         arrays["nominal"] = np.frombuffer(sums_bytes(kept.nominal.data), np.uint8)
     buffer = BytesIO()
@@ -118,7 +118,7 @@ def load_sums(path: str | Path, model: Model) -> Kept:
 
 
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
-    data = load_nominal(BytesIO(arrays["nominal"].tobytes()), description(model)) if "nominal" in arrays else None
+    data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
         model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
     )
@@ -129,8 +129,8 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Kept:
     zonotope = Template(arrays["generators"], arrays["directions"]) if "generators" in arrays else None
     return Kept(
         tally=_tally(head["tally"], arrays), sums=_sums(head["sums"], arrays, nominal, dt, steps, zonotope), nominal=nominal,
-        meta=meta, learnt=frozenset(_key(*s) for s in head["learnt"]), session=Session(**head["session"]), dt=dt, bands=bands,
-        template=zonotope,
+        meta=meta, learnt=frozenset(_key(*s) for s in head["learnt"]), session=Session(**head["session"]), dt=dt,
+        form=SetForm(bands, zonotope),
         motion={_key(*s): number for *s, number in head["motion"]}, fitted_files=int(head["fitted_files"]),
         stops=_stops(head["stops"], arrays),
     )  # fmt: skip

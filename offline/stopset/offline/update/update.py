@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
@@ -29,15 +30,15 @@ from stopset.offline.conform.gather import Kept, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.inspect.gate import check_signals
-from stopset.offline.revise.revise import description, settings_of
+from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, Signals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
+from stopset.progress import Tell, silent
 from stopset.recording import Recording, suite_label
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
-Tell = Callable[[str], None]
 UPDATED = "updated: "  # begins the note of an update
 
 
@@ -65,7 +66,7 @@ def load_state(path: str | Path, model: Model) -> Kept | Signals:
 
 
 def update(
-    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+    model: Model, kept: Kept | Signals, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
 ) -> Identification:
     """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
 
@@ -79,7 +80,7 @@ def update(
 
 def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """Everything identified anew from the kept signals and the new recordings."""
-    robot, old = description(model), kept.campaign.meta
+    robot, old = model.robot.as_described, kept.campaign.meta
     campaign = continued(kept.campaign, robot, paths, kept.places)
     fresh = identified(robot, campaign, settings_of(model), tell, scheduler, kept.known, "signals")
     names = ", ".join(name for name, _ in campaign.meta.sources[len(old.sources) :])
@@ -92,7 +93,7 @@ def _again(model: Model, kept: Signals, paths: Sequence[str | Path], tell: Tell,
 
 def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
     """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
-    settings, robot = settings_of(model), replace(description(model), notes=())
+    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, files = joined(kept.meta, paths), len(kept.meta.sources)
 
     def source() -> Iterator[Recording]:
@@ -119,10 +120,11 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
         assert nominal.data is not None
         difference = staleness.apart(nominal.data, robot, model)
     progress = Progress(trials, tell)
-    later = sums_of(source, found, nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler, progress)
+    run = Run(robot, meta, source, found, settings)
+    later = sums_of(run, nominal, kept.form, keep=True, scheduler=scheduler, progress=progress)
     earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
     tell("identifying the sets")
-    fresh = concluded(robot, meta, found, nominal, settings, kept.bands, kept.template, earlier.merge(later), tally)
+    fresh = concluded(run, nominal, kept.form, earlier.merge(later), tally)
     assert isinstance(fresh.kept, Kept)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
@@ -138,13 +140,13 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
 
 
 def from_scratch(
-    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = lambda _: None, scheduler: str | None = None
+    model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
 ) -> Identification:
     """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
 
     ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
     """
-    settings, robot = settings_of(model), replace(description(model), notes=())
+    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
     tell("reading the recordings")
     tally = Tally(kept.tally.phase)
@@ -154,8 +156,9 @@ def from_scratch(
         if r.phase in STOPS:
             stops.append(r)
     found = tally.survey(kept.learnt, kept.session, kept.dt)
-    sums = sums_of(source, found, kept.nominal, meta.effort, settings, kept.bands, kept.template, True, scheduler)
-    return stopped(concluded(robot, meta, found, kept.nominal, settings, kept.bands, kept.template, sums, tally), stops, tell)
+    run = Run(robot, meta, source, found, settings)
+    sums = sums_of(run, kept.nominal, kept.form, keep=True, scheduler=scheduler)
+    return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
 
 
 def _check_phases(phases: Counter[str], tally: Tally, kept: Kept) -> None:

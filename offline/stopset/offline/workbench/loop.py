@@ -1,128 +1,256 @@
 """What the workbench does: one model at a time, one job at a time, every result kept.
 
-The loop calls what the commands of the same names call and adds nothing to them. It knows no network; the server shows it.
+The loop orders what the commands of the same names do and adds nothing to them. It knows no network; the server shows it.
 """
 
 from __future__ import annotations
 
-import os
+import contextlib
 import re
 import threading
 import time
-import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stopset.artifact import Model, load_model, save_model
 from stopset.effects import names
-from stopset.errors import OutputError, StopsetError
+from stopset.errors import OutputError, RecordingError, StopsetError
 from stopset.files import writable
-from stopset.offline.compare.compare import Comparison, answer, check_effort, compare, inputs
-from stopset.offline.compare.dependence import Explained, explained, partial_residual
-from stopset.offline.compare.page import page as compare_page
-from stopset.offline.compare.verdict import verdict
-from stopset.offline.diagnose import diagnose_model
-from stopset.offline.diagnose.page import page as diagnose_page
-from stopset.offline.report.page import DISCLAIMER, Page
+from stopset.offline.compare.compare import check_effort
+from stopset.offline.compare.dependence import partial_residual
+from stopset.offline.description.older import load_model
+from stopset.offline.report.page import DISCLAIMER
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.page import FIGURES, floor
 from stopset.offline.revise.page import page as history_page
-from stopset.offline.revise.revise import add
-from stopset.offline.workbench.scene import listed, scene
-from stopset.recording import read_recordings, stream_recordings
+from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Job, Message, Order, Revised, Says
+from stopset.offline.workbench.opened import Opened
+from stopset.offline.workbench.scene import Scene, scene
+from stopset.offline.workbench.worker import Worker
+from stopset.recording import stream_recordings
 
-Answer = dict[str, Any]
+ACTIONS = ("compare", "diagnose", "add", "plan", "fmu", "undo", "stop")
+ITSELF = ("compare", "diagnose")  # done without being asked
 REVISION = re.compile(r"\.r\d+(-\d+)?$")  # what this adds to a file's name
+CONDITION = re.compile(r"[^=,@]+=[^=,@]+")
 TRIES = 100
 POINTS = 800  # drawn of a partial residual
-
-
-@dataclass(slots=True)
-class Job:
-    """The running job, or the last one: what, how far, and why it ended without an answer."""
-
-    what: str
-    started: float  # [s] monotonic clock
-    says: str = ""
-    seconds: float | None = None  # None while it runs
-    error: str = ""
+SCENES = 4  # recordings held whole
 
 
 class Loop:
     """A model, its recordings, and the answers about it so far.
 
-    ``folder`` takes the new revisions (``<name>.r<revision>.model.json``); nothing there is ever overwritten.
+    ``folder`` takes the new revisions (``<name>.r<revision>.model.json``); nothing there is ever overwritten. ``export`` writes FMUs.
     Raises what `load_model` raises; `RecordingError` where the recordings are of another kind; `OutputError` where the folder
     cannot be written.
     """
 
-    def __init__(self, model: str | Path, data: Sequence[str | Path], folder: str | Path) -> None:
-        self.data = tuple(Path(p) for p in data)
-        self.folder = Path(folder)
-        self._lock = threading.Lock()
-        self._models: list[tuple[Path, Model]] = [(Path(model), load_model(model))]
-        self._answers: list[dict[str, Answer]] = [{}]  # per model: action -> answer
-        self._pages: dict[str, Page] = {}
-        self._shares: Explained | None = None  # of the model at hand
-        self._found: Comparison | None = None  # likewise
+    def __init__(
+        self, model: str | Path, data: Sequence[str | Path], folder: str | Path, export: Export | None = None,
+        conditions: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        self.files, self.folder = tuple(Path(p) for p in data), Path(folder)
+        self._lock = threading.RLock()
+        self._models = [Opened(Path(model), load_model(model))]
         self._usual: dict[str, float] = {}  # [s] what each action took last
         self._job: Job | None = None
-        check_effort(self._models[0][1], self.data)
-        for path in self.data:  # what cannot be read is refused now, not at the first click
-            next(stream_recordings(path, self._models[0][1].robot))
-        writable(self._next_file())
+        self._thread: threading.Thread | None = None
+        self._worker = Worker(export)
+        self._attends, self._version = False, 0
+        self._scenes: dict[tuple[str, str], Scene] = {}
+        check_effort(self._models[0].model, self.files)
+        # what cannot be read is refused now, not at the first click
+        first = [next(stream_recordings(path, self._models[0].model.robot)) for path in self.files]
+        self._stated = [r.condition or "" for r in first]  # by the recordings themselves
+        self._chosen = tuple(range(len(self.files)))
+        self._conditions = _by_file(conditions, self.files)
+        writable(self._free_name("model.json"))
 
     @property
     def busy(self) -> bool:
         return self._job is not None and self._job.seconds is None
 
-    def start(self, action: str, **options: Any) -> bool:
-        """Begin an action of `ACTIONS` in the background; False while another one runs."""
+    @property
+    def data(self) -> tuple[Path, ...]:
+        """The recordings chosen."""
+        return tuple(self.files[k] for k in self._chosen)
+
+    def attend(self) -> None:
+        """From now on compare and diagnose whatever model is at hand without being asked."""
+        self._attends = True
+        self._next()
+
+    def close(self) -> None:
+        """End the worker; what it was doing is given up."""
+        self._attends = False
+        self._worker.stop()
+
+    def start(self, action: str, automatic: bool = False, **options: Any) -> bool:
+        """Begin an action of `ACTIONS` in the background; False while another one runs that somebody asked for.
+
+        What runs by itself gives way.
+        """
         with self._lock:
-            if self.busy:
-                return False
-            said = " ".join(str(v) for v in options.values() if v and v is not True)
-            self._job = job = Job(f"{action} {said}".strip(), time.monotonic())
-        threading.Thread(target=self._run, args=(job, ACTIONS[action], options), daemon=True, name=action).start()
+            job = self._job
+            if action == "stop":
+                self._stop()
+                return True
+            if self.busy and job is not None:
+                if automatic or not job.automatic:
+                    return False
+                self._give_up()
+            said = " ".join(str(v) for k, v in options.items() if v and v is not True and k != "decides")
+            self._job = Job(f"{action} {said}".strip(), automatic)
+            words = (self._job, self._thread, action, options)
+            self._thread = threading.Thread(target=self._run, args=words, daemon=True, name=action)
+            self._thread.start()
         return True
 
-    def _run(self, job: Job, do: Callable[..., None], options: dict[str, Any]) -> None:
-        error = ""
+    def _stop(self) -> None:
+        """As somebody wishes: what is stopped is not begun again without being asked."""
+        if self.busy and self._job is not None:
+            self._models[-1].left_alone.add(self._job.action)
+        self._give_up()
+
+    def _give_up(self) -> None:
+        """End what runs, at once."""
+        job = self._job
+        if job is not None and job.seconds is None:
+            job.stopped, job.seconds, job.says = True, time.monotonic() - job.started, "stopped"
+            self._worker.stop()
+
+    def _run(self, job: Job, earlier: threading.Thread | None, action: str, options: dict[str, Any]) -> None:
+        if earlier is not None:
+            earlier.join()
         try:
-            do(self, job, **options)
+            end = Ended()
+            if action == "undo":
+                self._undo(job)
+            else:
+                end = self._worker.do(self._order(action, options), lambda m: self._take(job, m), lambda: job.stopped)
         except StopsetError as e:
-            error = str(e)
+            end = Ended(str(e))
         except Exception as e:  # noqa: BLE001 -- a fault of ours: it belongs on the page, not into a lost thread
-            if os.environ.get("STOPSET_DEBUG"):
-                traceback.print_exception(e)
+            end = Ended(f"{type(e).__name__}: {e}", defect=True)
+        if job.stopped:
+            return
+        error = end.error
+        if end.defect:
             error = (
-                f"{job.what} failed inside ({type(e).__name__}: {e}); this is a defect of stopset, not an answer: start the workbench "
-                "with STOPSET_DEBUG=1 in the environment and report what it prints"
+                f"{job.what} failed inside ({error}); this is a defect of stopset, not an answer: start the workbench with "
+                "STOPSET_DEBUG=1 in the environment and report what it prints"
             )
         with self._lock:
             job.error, job.seconds = error, time.monotonic() - job.started
-            if not error:
-                self._usual[job.what.partition(" ")[0]] = job.seconds
+            self._version += 1
+            if error:
+                self._models[-1].left_alone.add(action)  # not tried again without being asked
+            else:
+                self._usual[action] = job.seconds
+        self._next()
+
+    def _next(self) -> None:
+        """What is to be done without being asked, if anything."""
+        with self._lock:
+            at = self._models[-1]
+            todo = next((a for a in ITSELF if a not in at.pages and a not in at.left_alone), None)
+            if self._attends and not self.busy and todo is not None:
+                self.start(todo, automatic=True)
+
+    def _order(self, action: str, options: dict[str, Any]) -> Order:
+        ending = {"add": "model.json", "fmu": "fmu", "plan": "plan"}.get(action)
+        with self._lock:
+            target = None if ending is None else self._free_name(ending)
+            flags = [f"{c.strip()}@{self.files[k]}" for k in self._chosen for c in self._conditions[k].split(",") if c.strip()]
+            return Order(action, self._models[-1].path, self.data, tuple(flags), target, options)
+
+    def _take(self, job: Job, message: Message) -> None:
+        with self._lock:
+            if job.stopped:
+                return
+            at = self._models[-1]
+            if isinstance(message, Says):
+                job.tell(message.text, message.share)
+                return
+            if isinstance(message, Revised):
+                self._models.append(Opened(message.path, load_model(message.path)))
+            elif isinstance(message, Compared):
+                at.found, at.shares = message.found, message.shares
+            elif isinstance(message, Answered):
+                at.answers[message.name] = message.answer
+                if message.page is not None:
+                    at.pages[message.name] = message.page
+            self._version += 1
+
+    def _undo(self, job: Job) -> None:
+        """Back to the model before; the revision's file stays, nothing is deleted."""
+        with self._lock:
+            if len(self._models) == 1:
+                raise OutputError("nothing was added here yet; expected a revision to go back from: add an effect first")
+            path = self._models.pop().path
+        job.says = f"back to {self._models[-1].path}; {path} stays where it is"
+
+    def choose(self, files: Sequence[int], conditions: Sequence[str]) -> None:
+        """Take these of the recordings, by number, each file with its condition (``KEY=VALUE, ...`` or nothing); ask anew.
+
+        Raises `RecordingError` for a choice of none, or a condition of another form.
+        """
+        chosen = tuple(sorted({k for k in files if 0 <= k < len(self.files)}))
+        if not chosen or len(chosen) != len(set(files)):
+            raise RecordingError(
+                f"{len(chosen)} of {len(self.files)} recordings chosen; expected one or more of the list: mark one"
+            )
+        if len(conditions) != len(self.files):
+            raise RecordingError(
+                f"{len(conditions)} conditions for {len(self.files)} recordings; expected one each: reload the page"
+            )
+        wrong = next(
+            (c for text in conditions for c in text.split(",") if c.strip() and not CONDITION.fullmatch(c.strip())), None
+        )
+        if wrong is not None:
+            raise RecordingError(f"condition {wrong.strip()[:60]!r}; expected KEY=VALUE, like payload=2.8 kg, day=2: write it so")
+        with self._lock:
+            if self.busy and self._job is not None and not self._job.automatic:
+                raise RecordingError(f"{self._job.what} is running on the present choice; expected it to end: wait, or stop it")
+            self._give_up()
+            self._chosen, self._conditions = chosen, [c.strip() for c in conditions]
+            self._models = [Opened(m.path, m.model) for m in self._models]
+            self._scenes.clear()
+            self._version += 1
+        self._next()
 
     def report(self, name: str) -> str | None:
-        """The self-contained page of an answer as HTML; None where there is none."""
-        with self._lock:
-            page = self._pages.get(name)
-        return None if page is None else page.html()
+        """The self-contained page of an answer (``<answer>-<place of the model>``, ``history``) as HTML; None where there is none."""
+        if name == "history":
+            return history_page(self._models[-1].model).html()
+        action, _, number = name.rpartition("-")
+        at = self._opened(number)
+        return None if at is None else at.pages.get(action)
 
     def model_text(self, number: str) -> str | None:
         """The model file of a revision made or opened here, by its place in the list; None where there is none."""
+        at = self._opened(number)
+        return None if at is None else at.path.read_text(encoding="utf-8")
+
+    def fmu(self, number: str) -> bytes | None:
+        """The FMU written of a revision; None where none was."""
+        at = self._opened(number)
+        if at is None or "fmu" not in at.answers:
+            return None
+        with contextlib.suppress(OSError):
+            return Path(at.answers["fmu"]["file"]).read_bytes()
+        return None
+
+    def _opened(self, number: str) -> Opened | None:
         with self._lock:
             at = int(number) if number.isascii() and number.isdecimal() and len(number) < 6 else -1
-            path = self._models[at][0] if 0 <= at < len(self._models) else None
-        return None if path is None else path.read_text(encoding="utf-8")
+            return self._models[at] if 0 <= at < len(self._models) else None
 
     def partial(self, joint: str, variable: str) -> Answer | None:
         """Torque error of a joint over a variable, what the next best one explains taken off; None where it is unknown."""
         with self._lock:
-            shares, joints = self._shares, self._models[-1][1].joints
+            shares, joints = self._models[-1].shares, self._models[-1].model.joints
         if shares is None or joint not in joints or variable not in shares.variables:
             return None
         p = partial_residual(shares, joints.index(joint), shares.variables.index(variable))
@@ -132,115 +260,63 @@ class Loop:
             "line": p.line.tolist(),
         }  # fmt: skip
 
-    def scene(self, label: str) -> Answer | None:
-        """What there is to see of a recording; None where it is unknown or nothing was compared yet."""
-        with self._lock:
-            found, model = self._found, self._models[-1][1]
-        return None if found is None else scene(model, found, self.data, label)
+    def scene(self, label: str, begin: float = 0.0, end: float = float("inf"), beside: int | None = None) -> Answer | None:
+        """What there is to see of a recording between two times [s]; None where it is unknown or nothing was compared yet.
 
-    def history(self) -> Page:
-        """The waterfall of the last model's revisions."""
-        return history_page(self._models[-1][1])
+        ``beside``: place of another model whose predictions are laid under those of the model at hand.
+        """
+        with self._lock:
+            models = list(self._models)
+        now = self._scene(models[-1], label)
+        other = models[beside] if beside is not None and 0 <= beside < len(models) - 1 else None
+        return None if now is None else now.window(begin, end, None if other is None else self._scene(other, label))
+
+    def _scene(self, at: Opened, label: str) -> Scene | None:
+        key = (at.model.sha256, label)
+        if at.found is None:
+            return None
+        if key not in self._scenes and (made := scene(at.model, at.found, self.data, label)) is not None:
+            with self._lock:
+                self._scenes[key] = made
+                while len(self._scenes) > SCENES:
+                    del self._scenes[next(iter(self._scenes))]
+        return self._scenes.get(key)
+
+    def job(self) -> Answer:
+        """How far the running job is, and ``version``: changes whenever `snapshot` does."""
+        with self._lock:
+            job = self._job
+            return {"job": None if job is None else job.shown(self._usual.get(job.action)), "version": self._version}
 
     def snapshot(self) -> Answer:
         """Everything the page shows, as plain data."""
         with self._lock:
-            job = None
-            if self._job is not None:
-                j = self._job
-                took = time.monotonic() - j.started if j.seconds is None else j.seconds
-                job = {"what": j.what, "says": j.says, "running": j.seconds is None, "seconds": round(took, 1), "error": j.error,
-                       "usual": self._usual.get(j.what.partition(" ")[0])}  # fmt: skip
+            model = self._models[-1].model
+            recordings = [
+                {"file": str(p), "chosen": k in self._chosen, "condition": self._conditions[k], "stated": self._stated[k]}
+                for k, p in enumerate(self.files)
+            ]
             return {
-                "robot": self._models[-1][1].robot.name,
-                "joints": list(self._models[-1][1].joints),
+                "robot": model.robot.name,
+                "joints": list(model.joints),
                 "data": [str(p) for p in self.data],
+                "recordings": recordings,
                 "effects": names(),
                 "figures": [{"key": key, "title": title} for key, title in FIGURES],
-                "floor": floor(self._models[-1][1]),
-                "models": [
-                    {
-                        "file": str(path),
-                        "sha256": m.sha256,
-                        "guarantee": m.guarantee.text,
-                        "revisions": _revisions(m),
-                        "answers": a,
-                    }
-                    for (path, m), a in zip(self._models, self._answers, strict=True)
-                ],
-                "reports": sorted(self._pages),
-                "job": job,
+                "floor": floor(model),
+                "models": [m.shown() for m in self._models],
+                "reports": sorted(f"{name}-{k}" for k, m in enumerate(self._models) for name in m.pages),
                 "notice": DISCLAIMER,
+                **self.job(),
             }
 
-    def _compare(self, job: Job) -> None:
-        job.says = "comparing the model with every recording"
-        model = self._models[-1][1]
-        found = compare(model, self.data)
-        job.says = "looking for what the error depends on"
-        shares = explained(model, inputs(model, self.data, found.survey, model.powered.dt), found.survey)
-        said = verdict(found)
-        with self._lock:
-            self._shares, self._found = shares, found
-        self._keep("recordings", {"listed": listed(found)})
-        self._keep("dependence", {"variables": list(shares.variables), "share": shares.share.tolist()})
-        self._keep("verdict", {"text": said.text, "kind": said.kind})
-        self._keep("compare", answer(model, found), compare_page(model, found, self.data, shares))
-
-    def _undo(self, job: Job) -> None:
-        """Back to the model before; the revision's file stays, nothing is deleted."""
-        with self._lock:
-            if len(self._models) == 1:
-                raise OutputError("nothing was added here yet; expected a revision to go back from: add an effect first")
-            number = len(self._models) - 1
-            path, _ = self._models.pop()
-            self._answers.pop()
-            self._shares = self._found = None
-            for name in [n for n in self._pages if n.endswith(f"-{number}")]:
-                del self._pages[name]
-            self._pages["history"] = self.history()
-        job.says = f"back to {self._models[-1][0]}; {path} stays where it is"
-
-    def _diagnose(self, job: Job) -> None:
-        job.says = "trying every effect of the catalogue at every joint"
-        model = self._models[-1][1]
-        found, against = diagnose_model(model, read_recordings(self.data, model.robot), None)
-        self._keep("diagnose", found.as_json() | {"against": against}, diagnose_page(model, found, against, self.data))
-
-    def _add(self, job: Job, effect: str = "", joint: str | None = None, force: bool = False) -> None:
-        def tell(text: str) -> None:
-            job.says = text
-
-        target = writable(self._next_file())
-        done = add(self._models[-1][1], effect, joint or None, self.data, force, tell)
-        row = {
-            "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
-            "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),
-        }  # fmt: skip
-        if done.model is None:
-            self._keep("add", row)
-            return
-        saved = save_model(done.model, target)
-        with self._lock:
-            self._models.append((target, saved))
-            self._answers.append({"add": row})
-            self._shares = self._found = None
-            self._pages["history"] = self.history()
-        self._compare(job)
-
-    def _keep(self, action: str, found: Answer, page: Page | None = None) -> None:
-        with self._lock:
-            number = len(self._models) - 1
-            self._answers[number][action] = found
-            if page is not None:
-                self._pages[f"{action}-{number}"] = page
-
-    def _next_file(self) -> Path:
+    def _free_name(self, ending: str) -> Path:
         """A name that is free: what an earlier session left, or an undone revision, stays."""
-        path, model = self._models[-1]
-        number = model.revisions[-1].number + 1 if model.revisions else 1
-        stem = REVISION.sub("", path.name.removesuffix(".json").removesuffix(".model"))
-        tries = (f"{stem}.r{number}{f'-{k}' if k else ''}.model.json" for k in (0, *range(2, TRIES)))
+        at = self._models[-1]
+        number = at.model.revisions[-1].number if at.model.revisions else 0
+        number += ending == "model.json"
+        stem = REVISION.sub("", at.path.name.removesuffix(".json").removesuffix(".model"))
+        tries = (f"{stem}.r{number}{f'-{k}' if k else ''}.{ending}" for k in (0, *range(2, TRIES)))
         target = next((t for t in (self.folder / name for name in tries) if not t.exists()), None)
         if target is None:
             raise OutputError(
@@ -249,13 +325,16 @@ class Loop:
         return target
 
 
-ACTIONS: dict[str, Callable[..., None]] = {
-    "compare": Loop._compare, "diagnose": Loop._diagnose, "add": Loop._add, "undo": Loop._undo,
-}  # fmt: skip
-
-
-def _revisions(model: Model) -> list[Answer]:
-    return [
-        {"number": r.number, "added": r.added, "note": r.note, "before": dict(r.before), "after": dict(r.after)}
-        for r in model.revisions
-    ]
+def _by_file(flags: Sequence[str], files: Sequence[Path]) -> list[str]:
+    """What flags ``KEY=VALUE@FILE`` or ``KEY=VALUE`` say of each file. Raises `RecordingError` for a flag of another form."""
+    out: list[list[str]] = [[] for _ in files]
+    for flag in flags:
+        text, _, name = flag.partition("@")
+        which = [k for k, p in enumerate(files) if not name or name in (str(p), p.name)]
+        if not CONDITION.fullmatch(text) or not which:
+            raise RecordingError(
+                f"--condition {flag}: expected KEY=VALUE@FILE of a recording of --data, or KEY=VALUE for all: write it so"
+            )
+        for k in which:
+            out[k].append(text)
+    return [", ".join(texts) for texts in out]

@@ -3,7 +3,6 @@
 const TOKEN = document.querySelector('meta[name=token]').content, $ = id => document.getElementById(id);
 const el = (tag, props, ...inside) => { const e = Object.assign(document.createElement(tag), props || {}); e.append(...inside.filter(x => x != null)); return e; };
 const fill = (id, ...inside) => $(id).replaceChildren(...inside.filter(x => x != null));
-const num = x => x == null ? '–' : String(Number(Number(x).toPrecision(3)));
 const unit = h => h.replace(/\[[^\]]*\]/g, u => u.replaceAll(' ', '\u00a0'));  // a unit stays in one piece
 const cell = x => el('td', null, x), figure = (...x) => el('td', {className: 'n'}, ...x);
 const words = x => el('td', {className: String(x ?? '').length > 36 ? 'text' : ''}, String(x ?? ''));
@@ -12,31 +11,36 @@ const wide = (label, ...inside) => { const d = el('div', {className: 'wide', tab
 const table = (label, head, rows) => wide(label, el('table', null,
   el('tr', null, ...head.map((h, k) => el('th', {scope: 'col', className: rows.length && rows[0][k].className === 'n' ? 'n' : ''}, unit(h)))), ...rows.map(r => el('tr', null, ...r))));
 const link = (text, to) => el('a', {href: to, target: '_blank', rel: 'noopener'}, text);
-let running = false, shown = '', asked = false;
+let running = false, shown = -1, asked = false, state = null;
 
 async function act(what, options) {
   let r;
   try { r = await fetch('/do/' + what, {method: 'POST', headers: {'X-Stopset-Token': TOKEN, 'Content-Type': 'application/json'}, body: JSON.stringify(options || {})}); }
   catch (e) { return poll(); }
-  if (!r.ok) $('jobtext').textContent = await r.text();
+  if (!r.ok) { const why = await r.text(); $(what === 'choose' ? 'choosesays' : 'jobtext').textContent = why; return null; }
   return poll();
 }
+const open = (select, keep, options) => { const was = $(select).value; fill(select, ...options); if (keep && options.some(o => o.value === was)) $(select).value = was; };
 const asAdd = (effect, joint) => act('add', {effect, joint: joint || null, force: $('force').checked});
 document.querySelectorAll('.act').forEach(b => { b.onclick = () => b.dataset.do === 'add' ? asAdd($('effect').value, $('joint').value) : act(b.dataset.do); });
 
-function job(j, models) {
-  running = !!(j && j.running); $('job').className = 'wide-section ' + (running ? 'running' : j && j.error ? 'bad' : '');
-  const bold = j && el('b', null, j.what);
-  fill('jobtext', ...(!j ? ['Nothing is running.'] : running ? [bold, `: ${j.says} … ${j.seconds.toFixed(0)} s` + (j.usual ? `, usually about ${j.usual.toFixed(0)} s` : '')]
-    : j.error ? [bold, ' gave no answer: ', el('pre', null, j.error)] : [bold, ` done in ${j.seconds.toFixed(1)} s.${j.what.startsWith('undo') ? ' ' + j.says + '.' : ''}`]));
+const seconds = x => x < 90 ? `${Math.max(1, Math.round(x))} s` : `${Math.round(x / 60)} min`;
+function job(j) {
+  running = !!(j && j.running && !j.automatic); const works = !!(j && j.running);
+  $('job').className = 'row-section ' + (works ? 'running' : j && j.error ? 'bad' : '');
+  const bold = j && el('b', null, j.what), done = j && !works && !j.error;
+  const rest = works && (j.left != null ? `, about ${seconds(j.left)} more of this step` : j.usual ? `, usually about ${seconds(j.usual)}` : '');
+  fill('jobtext', ...(!j ? ['Nothing is running.'] : works ? [bold, `: ${j.says || 'begins'} … ${j.seconds.toFixed(0)} s${rest}`]
+    : done ? [bold, j.stopped ? ' was stopped.' : ` done in ${j.seconds.toFixed(1)} s.${j.what.startsWith('undo') ? ' ' + j.says + '.' : ''}`] : [bold, ' gave no answer: ', el('pre', null, j.error)]));
+  $('bar').hidden = $('stop').hidden = !works;
+  if (works && j.share != null) $('bar').value = j.share; else $('bar').removeAttribute('value');
   document.querySelectorAll('button.act,button.take').forEach(b => { b.disabled = running; });
-  $('undo').disabled = running || models.length < 2;
+  $('undo').disabled = running || !state || state.models.length < 2;
+  if (works && j.what === 'diagnose' && state && !state.models[state.models.length - 1].answers.diagnose) fill('diagnose', ...j.steps.map(small));
 }
+$('stop').onclick = () => act('stop');
 function show(s) {
-  job(s.job, s.models);
-  const text = JSON.stringify([s.models, s.reports]);
-  if (text === shown) return;
-  shown = text;
+  state = s;
   const at = s.models.length - 1, m = s.models[at], a = m.answers, report = n => s.reports.includes(n) ? link('full page', '/report/' + n) : '';
   $('title').textContent = `${s.robot}: workbench`;
   $('data').textContent = `${m.file} (SHA-256 ${m.sha256.slice(0, 16)}), revision ${m.revisions.length ? m.revisions[m.revisions.length - 1].number : 0}, against ${s.data.join(', ')}`;
@@ -47,13 +51,51 @@ function show(s) {
   $('says').textContent = a.verdict ? a.verdict.text : 'not compared yet: Compare tells where the model fails';
   $('says').className = a.verdict ? a.verdict.kind : '';
   fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, f.key === 'held_out_torque_rmse' ? s.floor : null)));
-  compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); stage(a, s.joints); added(a.add, s.figures);
+  compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); stage(s, a); added(a.add, s.figures);
+  recordings(s.recordings); sides(s);
+  const base = x => x.file.split('/').pop();
   fill('history', table('Revisions', ['revision', 'added', 'note'], m.revisions.map(r => [figure(String(r.number)), words(r.added || 'first identification'), words(r.note)])));
-  fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: x.file.split('/').pop()}, x.file.split('/').pop()), ' '])),
-    s.reports.length ? el('p', null, 'Pages: ', ...s.reports.flatMap(n => [link(n, '/report/' + n), ' '])) : null);
+  const write = el('button', {className: 'take', disabled: running}, a.fmu ? 'Write the FMU again' : 'Write the FMU'); write.onclick = () => act('fmu');
+  const names = {compare: 'comparison', diagnose: 'diagnosis', plan: 'plan'};
+  fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: base(x)}, base(x)), ' '])),
+    el('p', null, 'Pages: ', link('history', '/report/history'), ' ', ...s.reports.flatMap(n => { const [what, k] = n.split('-'); return [link(`${names[what] || what} of ${base(s.models[k])}`, '/report/' + n), ' ']; })),
+    el('p', null, 'FMU: ', write, ' ', ...s.models.flatMap((x, k) => x.answers.fmu ? [el('a', {href: '/fmu/' + k, download: x.answers.fmu.file.split('/').pop()}, x.answers.fmu.file.split('/').pop()), ' '] : [])));
   $('notice').textContent = s.notice;
-  job(s.job, s.models);
+  job(s.job);
 }
+// which files, each with what held for it
+function recordings(list) {
+  const text = JSON.stringify(list);
+  if ($('chosen').dataset.of === text) return;  // what somebody is typing stays
+  $('chosen').dataset.of = text;
+  fill('chosen', wide('Recordings', el('table', null, el('tr', null, ...['use', 'file', 'condition'].map(h => el('th', {scope: 'col'}, h))), ...list.map((r, k) => {
+    const box = el('input', {type: 'checkbox', checked: r.chosen, className: 'usefile'}), of = el('input', {type: 'text', value: r.condition, className: 'condition', placeholder: r.stated || 'KEY=VALUE', size: 16});
+    box.setAttribute('aria-label', 'use ' + r.file); of.setAttribute('aria-label', 'condition of ' + r.file);
+    return el('tr', null, el('td', null, box), words(r.file.split('/').pop()), el('td', null, of));
+  }))), small('Recordings of different conditions (payload, tool, day) are not taken as one.'));
+}
+$('choose').onclick = () => {
+  $('choosesays').textContent = '';
+  const boxes = [...document.querySelectorAll('.usefile')], texts = [...document.querySelectorAll('.condition')];
+  act('choose', {files: boxes.map((b, k) => b.checked ? k : -1).filter(k => k >= 0), conditions: texts.map(t => t.value)});
+};
+// two models joint by joint, what is better on the right in green
+function sides(s) {
+  const options = () => s.models.map((m, k) => el('option', {value: String(k)}, `${k}: ${m.file.split('/').pop()}`));
+  if ($('lefthand').options.length !== s.models.length) {
+    open('lefthand', false, options()); open('righthand', false, options());
+    $('lefthand').value = String(Math.max(0, s.models.length - 2)); $('righthand').value = String(s.models.length - 1);
+  }
+  const [l, r] = ['lefthand', 'righthand'].map(k => s.models[Number($(k).value)].answers.compare);
+  if (!l || !r) return fill('sides', small('Both are shown once they are compared.'));
+  const pair = (a, b) => [figure(num(a)), figure(el('span', {className: a == null || b == null || a === b ? '' : b < a ? 'good' : 'bad'}, num(b) + (a && b != null && b !== a ? ` (${b > a ? '+' : ''}${((b / a - 1) * 100).toFixed(0)} %)` : '')))];
+  const wideOf = (c, j) => c.sets[j].U[1] - c.sets[j].U[0];
+  fill('sides', table('Two revisions', ['joint', 'floor [N m]', ...['torque error [N m]', 'width of U [N m]', 'velocity [rad/s]', 'position [rad]'].flatMap(h => [h, 'right'])],
+    s.joints.map(j => [words(j), figure(num(l.joints[j].torque_rmse_floor)), ...pair(l.joints[j].torque_rmse, r.joints[j].torque_rmse), ...pair(wideOf(l, j), wideOf(r, j)),
+      ...pair(l.joints[j].velocity_rmse, r.joints[j].velocity_rmse), ...pair(l.joints[j].position_rmse, r.joints[j].position_rmse)])),
+    small(`Left: ${l.violations} of ${l.recordings} recordings leave the sets; right: ${r.violations} of ${r.recordings}.`));
+}
+$('lefthand').onchange = $('righthand').onchange = () => state && sides(state);
 function compare(c, full) {
   fill('comparelink', full);
   if (!c) return fill('compare', small('not asked yet for this revision'));
@@ -81,18 +123,8 @@ function heat(d, joints) {
 async function partial(joint, variable) {
   const r = await fetch(`/partial/${encodeURIComponent(joint + '/' + variable)}`);
   if (!r.ok) return;
-  const p = await r.json(), c = $('cloud'), g = c.getContext('2d'), w = c.width, h = c.height, L = 80, B = 56;
-  const span = v => { const lo = Math.min(...v), hi = Math.max(...v); return hi > lo ? [lo, hi] : [lo - 1, hi + 1]; };
-  const [x0, x1] = span(p.x), [y0, y1] = span(p.y), X = x => L + (w - L - 20) * (x - x0) / (x1 - x0), Y = y => h - B - (h - B - 16) * (y - y0) / (y1 - y0);
-  g.clearRect(0, 0, w, h); g.font = '20px system-ui,sans-serif'; g.fillStyle = '#4d5866'; g.strokeStyle = '#d5dce4';
-  for (let k = 0; k <= 4; k++) {
-    const x = x0 + k * (x1 - x0) / 4, y = y0 + k * (y1 - y0) / 4;
-    g.beginPath(); g.moveTo(X(x), Y(y0)); g.lineTo(X(x), Y(y1)); g.moveTo(X(x0), Y(y)); g.lineTo(X(x1), Y(y)); g.stroke();
-    g.textAlign = 'center'; g.fillText(num(x), X(x), h - B + 24); g.textAlign = 'right'; g.fillText(num(y), L - 8, Y(y) + 6);
-  }
-  g.textAlign = 'center'; g.fillText(p.variable, w / 2, h - 6);
-  g.fillStyle = 'rgba(0,114,178,.4)'; p.x.forEach((x, k) => { g.beginPath(); g.arc(X(x), Y(p.y[k]), 3, 0, 7); g.fill(); });
-  g.strokeStyle = '#d55e00'; g.lineWidth = 3; g.beginPath(); p.line.forEach(([x, y], k) => k ? g.lineTo(X(x), Y(y)) : g.moveTo(X(x), Y(y))); g.stroke();
+  const p = await r.json(), c = $('cloud');
+  Draw.cloud(c, p.x, p.y, p.line);
   $('partial').hidden = false;
   $('cloudsays').textContent = `${p.joint}: torque error [N m] over ${p.variable}${p.other ? ', less what ' + p.other + ' explains' : ''}; line: mean within twelfths.`;
   c.setAttribute('aria-label', $('cloudsays').textContent);
@@ -105,17 +137,32 @@ function diagnose(models, at, report) {
   const there = e => Array.isArray(e.joint) ? e.joint.join('+') : e.joint, taken = models.slice(k + 1).map(m => (m.answers.add || {})).map(x => x.effect + ':' + (x.joint || ''));
   return fill('diagnose', k < at ? el('p', {className: 'note'}, `Of the revision before ${taken.join(', ')}: what is left of this list after that, Diagnose tells anew.`) : null,
     el('p', null, el('b', {className: 'big'}, d.verdict), ` (against the ${d.against})`),
-    d.ranked_effects.length ? table('Missing effects', ['effect', 'joint', 'score', 'error before', 'after', 'what it is', 'what to do'], d.ranked_effects.map(e => {
-      const b = el('button', {className: 'take', disabled: running}, 'Add this'), done = taken.includes(e.effect + ':' + (there(e) || ''));
-      b.onclick = () => asAdd(e.effect, there(e));
-      return [cell(e.effect), cell(there(e) || 'whole arm'), figure(num(e.score)), figure(num(e.error_before)), figure(num(e.error_after) + ' ' + (e.unit || '')), words(e.says), cell(done ? '✓ added' : b)];
-    })) : null,
-    d.rivals.length ? small('Hardly separated: ' + d.rivals.map(g => g.join(' / ')).join('; ')) : null,
-    d.depends_on.length ? small('What is left depends on: ' + d.depends_on.join(', ')) : null, d.next_experiment ? small('Next experiment: ' + d.next_experiment) : null,
-    (d.not_identifiable || []).length ? el('details', null, el('summary', null, `Not identifiable from these recordings: ${d.not_identifiable.length} effects`),
-      table('Not identifiable', ['effect', 'why'], d.not_identifiable.map(b => [words(b.effect || b), words(b.why || '')]))) : null);
+    ...d.ranked_effects.map((e, i) => card(d, e, (d.evidence || [])[i], there(e), taken.includes(e.effect + ':' + (there(e) || '')))),
+    d.depends_on.length ? small('What is left depends on: ' + d.depends_on.join(', ')) : null, decides(d, models[at].answers.plan, report('plan-' + at)),
+    (d.not_identifiable || []).length ? el('details', null, el('summary', null, `Not identifiable from these motions: ${d.not_identifiable.length} effects`),
+      table('Not identifiable', ['effect', 'why', 'what would show it'], d.not_identifiable.map(b => [words(b.effect || b), words(b.why || ''), words(b.experiment || '')]))) : null);
+}
+// one effect: what it is, what shows it, its law with numbers, who looks like it, and how to put it in
+function card(d, e, dots, joint, done) {
+  const name = e.effect + (joint ? ':' + joint : ''), b = el('button', {className: 'take main', disabled: running}, 'Add this'), group = d.rivals.find(g => g.includes(name));
+  b.onclick = () => asAdd(e.effect, joint);
+  const law = Object.entries(e.parameters).map(([k, p]) => `${k} = ${num(p.value)}${p.std == null ? ' (searched)' : `, ${num(p.value - 1.96 * p.std)} to ${num(p.value + 1.96 * p.std)}`} ${p.unit}`);
+  const c = dots ? el('canvas', {width: 640, height: 260, className: 'evidence'}) : null;
+  if (c) { Draw.evidence(c, dots); c.setAttribute('role', 'img'); c.setAttribute('aria-label', `Torque of ${dots.joint} [N m] over ${dots.axis}, without and with ${e.effect}`); }
+  const fall = e.error_before ? ` (${((e.error_after / e.error_before - 1) * 100).toFixed(0)} %)` : '';
+  return el('article', {className: 'card'}, el('h3', null, `${e.effect}${joint ? ' at ' + joint : ', whole arm'} `, done ? el('span', {className: 'good'}, '✓ added') : b), el('p', null, e.says),
+    el('p', null, 'Held-out error ', el('b', null, `${num(e.error_before)} → ${num(e.error_after)} ${e.unit || ''}${fall}`), `; score ${num(e.score)}`), c,
+    c ? small(`Torque of ${dots.joint} [N m] that the whole model leaves, with the effect's own torque and without; line: the law.`) : null,
+    law.length ? el('p', {className: 'law'}, law.join('; '), ' (95 %)') : null, group ? small('Hardly separated from ' + group.filter(x => x !== name).join(' and ')) : null);
+}
+function decides(d, plan, full) {
+  if (!d.next_experiment) return null;
+  const b = el('button', {className: 'take', disabled: running}, 'Write its plan'); b.onclick = () => act('plan', {decides: d.next_experiment.slice(0, 1500)});
+  return el('div', {className: 'card'}, el('h3', null, 'The experiment that decides ', b), el('p', null, d.next_experiment),
+    plan ? el('p', null, `Written: ${plan.files} files in ${plan.folder}, ${plan.minutes.toFixed(0)} min of motion. `, full) : null);
 }
 function added(done, figures) {
+  $('addedsection').hidden = !done;
   if (!done) return fill('add');
   const own = (done.joint || '').split('+').filter(Boolean), rows = [];
   const row = (title, key) => { const b = done.before[key], x = done.after[key]; if (b != null && x != null) rows.push([words(title), figure(num(b)), figure(num(x)), figure(el('span', {className: x <= b ? 'good' : 'bad'}, b ? ((x / b - 1) * 100).toFixed(0) + ' %' : ''))]); };
@@ -134,76 +181,81 @@ function waterfall(f, revisions, floor) {
   const stands = revisions.length > 0 && of(revisions[revisions.length - 1].after) != null;
   if (!chain.length) return el('figure', null, caption, small('nothing added yet, so nothing to compare'));
   const level = !joint ? floor && floor.arm : floor && floor.joints && floor.joints[joint];
-  const c = el('canvas', {width: 460, height: 230}), g = c.getContext('2d'), top = 1.15 * Math.max(...chain.map(x => x[1]), level || 0) || 1, step = 440 / chain.length, Y = v => 190 - 180 * v / top;
+  const c = el('canvas', {width: 460, height: 230});
   c.setAttribute('role', 'img'); c.setAttribute('aria-label', `${caption.textContent}: ` + chain.map(x => `${x[0]} ${num(x[1])}`).join(', '));
-  g.font = '17px system-ui,sans-serif'; g.textAlign = 'center';
-  chain.forEach(([name, v], k) => {
-    const x = 10 + k * step, b = Math.min(90, step * 0.7);
-    g.fillStyle = stands && k === chain.length - 1 ? '#2a6f97' : '#b8c4ce'; g.fillRect(x + (step - b) / 2, Y(v), b, 190 - Y(v));
-    g.fillStyle = '#1d2733'; g.fillText(num(v), x + step / 2, Y(v) - 5);
-    const short = name.length * 9 > step ? name.slice(0, Math.max(3, Math.floor(step / 9) - 1)) + '…' : name; g.fillText(short, x + step / 2, 214);
-  });
-  if (level) { g.strokeStyle = '#b3261e'; g.setLineDash([6, 5]); g.beginPath(); g.moveTo(0, Y(level)); g.lineTo(460, Y(level)); g.stroke(); g.setLineDash([]); g.textAlign = 'left'; g.fillStyle = '#b3261e'; g.fillText('repeatability floor', 6, Y(level) - 5); }
+  Draw.bars(c, chain, level, stands);
   return el('figure', null, caption, c, stands ? null : small('not known of the model at hand: not everything it needs is proved'));
 }
 // ---- the arm over a recording
-let scene = null, sceneOf = '', playing = 0;
-function stage(a, joints) {
+let scene = null, sceneOf = '', playing = 0, view = [0, Infinity], asking = false, again = false;
+function stage(s, a) {
   const told = a.recordings;
-  $('stage').hidden = $('tubes').hidden = !told; $('nostage').hidden = !!told;
+  $('stage').hidden = !told; $('nostage').hidden = !!told;
   if (!told) { scene = null; sceneOf = ''; return; }
-  const before = $('recording').value;
-  fill('recording', ...told.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
-  if (told.listed.some(r => r.label === before)) $('recording').value = before;
-  if ($('shownjoint').options.length !== joints.length) fill('shownjoint', ...joints.map(j => el('option', {value: j}, j)));
+  open('recording', true, told.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
+  if ($('shownjoint').options.length !== s.joints.length) fill('shownjoint', ...s.joints.map(j => el('option', {value: j}, j)));
+  if ($('beside').options.length !== s.models.length) {
+    open('beside', false, [el('option', {value: '-'}, 'nothing'), ...s.models.slice(0, -1).map((m, k) => el('option', {value: String(k)}, m.file.split('/').pop()))]);
+    $('beside').value = s.models.length > 1 ? String(s.models.length - 2) : '-';
+  }
   load();
 }
+// one question at a time; what was asked meanwhile is asked when it is answered
 async function load() {
-  const label = $('recording').value, r = await fetch('/scene/' + encodeURIComponent(label));
-  if (!r.ok) return;
-  scene = await r.json();
+  if (asking) { again = true; return; }
+  asking = true;
+  const label = $('recording').value, fresh = sceneOf !== label;
+  if (fresh) view = [0, Infinity];
+  try {
+    const end = isFinite(view[1]) ? view[1].toFixed(4) : 'inf', r = await fetch(`/scene/${encodeURIComponent(label)}/${view[0].toFixed(4)}/${end}/${$('beside').value || '-'}`);
+    if (r.ok) arrived(await r.json(), label, fresh);
+  } catch (e) { /* the poll says that nobody answers */ }
+  asking = false;
+  if (again) { again = false; load(); }
+}
+function arrived(got, label, fresh) {
+  const t = fresh || !scene ? null : scene.t[Number($('time').value)];
+  scene = got; sceneOf = label; view = [scene.t[0], scene.t[scene.t.length - 1]];
   $('time').max = scene.t.length - 1;
-  if (sceneOf !== label) {
-    $('time').value = scene.violation ? Math.max(0, scene.t.findIndex(t => t >= scene.violation.t)) : 0;
-    const j = scene.violation ? scene.violation.state.replace(/^d?q_/, '') : scene.fails;
-    if (j) $('shownjoint').value = j;
-  }
-  sceneOf = label; moment();
+  const wanted = t == null && scene.violation ? scene.violation.t : t == null ? scene.t[0] : t, k = scene.t.findIndex(x => x >= wanted);
+  $('time').value = k < 0 ? scene.t.length - 1 : k;
+  const j = fresh && (scene.violation ? scene.violation.state.replace(/^d?q_/, '') : scene.fails);
+  if (j) $('shownjoint').value = j;
+  moment();
 }
 function moment() {
   if (!scene) return;
-  const k = Number($('time').value), names = [...$('shownjoint').options].map(o => o.value), chosen = names.indexOf($('shownjoint').value);
+  const k = Number($('time').value), names = [...$('shownjoint').options].map(o => o.value), chosen = Math.max(0, names.indexOf($('shownjoint').value));
   $('now').textContent = scene.t[k].toFixed(2) + ' s'; $('leaves').textContent = scene.violation ? '✕ ' + scene.violation.says : '';
   Arm.draw($('arm'), scene.arm[k], [], scene.fails ? [names.indexOf(scene.fails)] : []);
-  tube($('tube'), scene.joints[Math.max(0, chosen)], scene.t[k], scene.violation && scene.violation.state === 'q_' + names[chosen] ? scene.violation.t : null);
+  Draw.tube($('tube'), scene.joints[chosen], scene.before && scene.before[chosen], scene.t[k], scene.violation && scene.violation.state === 'q_' + names[chosen] ? scene.violation.t : null);
 }
-function tube(c, j, now, cross) {
-  const g = c.getContext('2d'), w = c.width, h = c.height, L = 80, B = 40, all = [...j.y, ...j.lo, ...j.hi], y0 = Math.min(...all), y1 = Math.max(...all), x1 = j.t[j.t.length - 1] || 1;
-  const X = t => L + (w - L - 16) * t / x1, Y = y => h - B - (h - B - 14) * (y - y0) / (y1 - y0 || 1);
-  const path = (ts, ys) => ts.forEach((t, k) => k ? g.lineTo(X(t), Y(ys[k])) : g.moveTo(X(t), Y(ys[k])));
-  g.clearRect(0, 0, w, h); g.font = '20px system-ui,sans-serif'; g.fillStyle = '#4d5866'; g.lineWidth = 1;
-  for (let k = 0; k <= 4; k++) {
-    const y = y0 + k * (y1 - y0) / 4, x = k * x1 / 4;
-    g.strokeStyle = '#e4e9ee'; g.beginPath(); g.moveTo(L, Y(y)); g.lineTo(w - 16, Y(y)); g.stroke();
-    g.textAlign = 'right'; g.fillText(num(y), L - 8, Y(y) + 6); g.textAlign = k === 4 ? 'right' : 'center'; g.fillText(num(x) + ' s', X(x), h - 10);
-  }
-  if (j.band_t.length) { g.fillStyle = 'rgba(120,130,140,.35)'; g.beginPath(); path(j.band_t, j.hi); [...j.band_t].reverse().forEach((t, k) => g.lineTo(X(t), Y(j.lo[j.lo.length - 1 - k]))); g.fill(); }
-  g.strokeStyle = '#0072b2'; g.lineWidth = 3; g.beginPath(); path(j.t, j.y); g.stroke();
-  g.strokeStyle = '#d55e00'; g.lineWidth = 2; g.beginPath(); g.moveTo(X(now), 10); g.lineTo(X(now), h - B); g.stroke();
-  if (cross != null) { g.fillStyle = '#b3261e'; g.font = 'bold 28px system-ui,sans-serif'; g.textAlign = 'center'; const k = j.t.findIndex(t => t >= cross); g.fillText('✕', X(cross), Y(j.y[k < 0 ? j.y.length - 1 : k]) + 10); }
+// closer about the moment drawn
+function zoom(by) {
+  if (!scene) return;
+  const t = scene.t[Number($('time').value)], half = Math.max(0.1, by * (view[1] - view[0]) / 2);
+  view = by === Infinity || 2 * half >= scene.whole ? [0, scene.whole] : [Math.max(0, Math.min(t - half, scene.whole - 2 * half)), 0];
+  if (!view[1]) view[1] = Math.min(scene.whole, view[0] + 2 * half);
+  load();
 }
 Arm.steer($('arm'));
-$('recording').onchange = load; $('shownjoint').onchange = moment; $('time').oninput = moment;
+$('recording').onchange = load; $('beside').onchange = load; $('shownjoint').onchange = moment; $('time').oninput = moment;
+$('closer').onclick = () => zoom(0.4); $('wider').onclick = () => zoom(2.5); $('whole').onclick = () => zoom(Infinity);
+$('tube').onwheel = e => { e.preventDefault(); zoom(e.deltaY < 0 ? 0.6 : 1.7); };
+$('tube').onkeydown = e => { if (e.key === '+') zoom(0.4); else if (e.key === '-') zoom(2.5); };
 $('play').onclick = () => {
   if (playing) { clearInterval(playing); playing = 0; $('play').textContent = 'Play'; return; }
   $('play').textContent = 'Pause';
   playing = setInterval(() => { if (!scene) return; $('time').value = (Number($('time').value) + 1) % scene.t.length; moment(); }, 40);
 };
+// how far the job is, twice a second; everything else only when it has changed
 async function poll() {
   if (asked) return;
   asked = true;
-  try { show(await (await fetch('/state')).json()); }
-  catch (e) { $('job').className = 'wide-section bad'; $('jobtext').textContent = 'The workbench does not answer: it has ended, or this machine has lost it. It is asked again twice a second.'; }
+  try {
+    const told = await (await fetch('/job')).json();
+    if (told.version !== shown) { const s = await (await fetch('/state')).json(); shown = s.version; show(s); } else job(told.job);
+  } catch (e) { shown = -1; $('job').className = 'row-section bad'; $('jobtext').textContent = 'The workbench does not answer: it has ended, or this machine has lost it. It is asked again twice a second; what runs there goes on.'; }
   asked = false;
 }
 setInterval(poll, 500); poll();

@@ -124,9 +124,9 @@ void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const doub
 }
 
 int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
-                           const double *tip, double *out) {
+                           const double *capsules, double *out) {
     const int n = arm->n;
-    const double zero[3] = {0, 0, 0};
+    const double none[3] = {0, 0, 0};
     double at[SN], r[SN], reach[SN];
     Point here;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
@@ -138,12 +138,12 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
         for (int link = 0; link < n; link++, out += 7) {
             double radius = 0.0;
             for (int e = 0; e < 2; e++) {
-                locate(arm, at, link, !e ? zero : link + 1 < n ? arm->p + 3 * (link + 1) : tip, &here);
+                locate(arm, at, link, capsules + 7 * link + 3 * e, &here);
                 memcpy(out + 3 * e, here.p, sizeof here.p);
                 reach_of(n, here.distance, r, link, reach);
-                radius = most(radius, longest(zero, here.J, n, r, link) + 0.5 * curved(reach, r, r, link));
+                radius = most(radius, longest(none, here.J, n, r, link) + 0.5 * curved(reach, r, r, link));
             }
-            out[6] = radius;
+            out[6] = radius + capsules[7 * link + 6];
         }
     }
     return STOPSET_OK;

@@ -15,7 +15,6 @@ from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
-from stopset.robot.arm import robot_from_text
 from stopset.robot.rigid import gravity_torques
 from stopset.sets import Box
 
@@ -39,7 +38,7 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     Recordings that the model was identified from can't show a shifted mass against it: the fit has absorbed that.  They are
     measured against the robot description and data sheet.  Other recordings are measured against the model.
     """
-    described = robot_from_text(model.robot.urdf, model.robot.datasheet)
+    described = model.robot.as_described
     own = set(dict(model.provenance.get("data", {})).values())
     if own & {digest for _, digest in recordings.meta.sources}:
         return Baseline(described, None, "robot description and data sheet")

@@ -68,5 +68,4 @@ def _curves(x: Array, take: Index) -> Array:
     lo, hi = (float(np.min(x[take])), float(np.max(x[take]))) if len(take) else (0.0, 0.0)
     if hi <= lo:
         return np.zeros((len(x), 0))
-    out: Array = legvander(np.clip(2 * (x - lo) / (hi - lo) - 1, -1.0, 1.0), DEGREE)[:, 1:]
-    return out
+    return np.asarray(legvander(np.clip(2 * (x - lo) / (hi - lo) - 1, -1.0, 1.0), DEGREE)[:, 1:], np.float64)

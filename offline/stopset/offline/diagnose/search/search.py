@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,8 @@ from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.settle import added, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
+from stopset.progress import Tell, silent
 from stopset.types import Array
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +51,11 @@ class Found:
 
 
 def search(
-    start: Hypothesis, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, progress: Progress = lambda _: None
+    start: Hypothesis, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = silent
 ) -> Found:
     """Claim effects beside ``start`` one after another, refit all after each, and drop a claim that later ones made needless.
 
-    ``progress`` is told each claim as it is made.
+    ``tell`` is told each claim as it is made.
     """
     engine = start.engine
     candidates = engine.add_all(wanted(engine, names))
@@ -102,7 +101,7 @@ def search(
         after = now.excesses(p.theta, hyper)
         claims.append(Claim(top.scored, top.scored.score, rivals, excess, after))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
-        progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
+        tell(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
     claims = _as_fitted(now, claims, p.theta)
     now, retained = _needed(now, claims, hyper, threshold)

@@ -1,0 +1,129 @@
+"""How far long work is, on the terminal: never silent for long, with an estimate wherever one can be made.
+
+What a step counts gives the estimate of that step. How long the whole takes is known from the last times on this machine: seconds per
+byte of recordings, kept in the user's cache folder, and forgotten with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import cast
+
+from stopset.files import cache_folder, write_text
+from stopset.progress import Tell, left, silent
+
+OFTEN = 2.5  # [s] between two lines of the same step
+LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
+BLINK = 0.5  # [s] on a terminal
+
+
+class Steps:
+    """Writes steps to stderr; `tell` is a `Tell`. On a terminal the last line is rewritten, elsewhere lines follow each other."""
+
+    def __init__(self, expected: float | None) -> None:
+        self._expected = expected
+        self._start = self._begun = self._written = time.monotonic()
+        self._text, self._share = "begins", cast("float | None", None)  # what it does, and the share of that which is done
+        self._live, self._lock, self._over = sys.stderr.isatty(), threading.Lock(), threading.Event()
+
+    def tell(self, text: str, share: float | None = None) -> None:
+        """A step; one without a share is a line of its own."""
+        with self._lock:
+            if share is None or self._share is None or share < self._share:
+                self._begun = time.monotonic()
+            self._text, self._share = text, share
+            if share is None:
+                self._write(text, whole=True)
+
+    def watch(self) -> None:
+        """Write how far it is until it is over."""
+        while not self._over.wait(BLINK):
+            with self._lock:
+                now = time.monotonic()
+                pause = BLINK if self._live else OFTEN if now - self._start < LATER else SELDOM
+                if now - self._written >= pause:
+                    self._write(self._text + self._rest(now), whole=False)
+
+    def end(self) -> None:
+        """Nothing more is written."""
+        self._over.set()
+        if self._live:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._start
+
+    def _rest(self, now: float) -> str:
+        step = left(now - self._begun, self._share)
+        if step is not None:
+            return f", about {_said(step)} more of this step"
+        if self._expected is not None and self.seconds < self._expected:
+            return f", about {_said(self._expected - self.seconds)} more, by the last times here"
+        return "" if self._live else " ... goes on"
+
+    def _write(self, text: str, whole: bool) -> None:
+        line = f"[{self.seconds:5.1f} s] {text}"
+        if self._live:
+            room = shutil.get_terminal_size().columns - 1
+            sys.stderr.write("\r\x1b[K" + (line if len(line) <= room else line[: room - 1] + "…") + ("\n" if whole else ""))
+        else:
+            sys.stderr.write(line + "\n")
+        sys.stderr.flush()
+        self._written = time.monotonic()
+
+
+def _said(seconds: float) -> str:
+    return f"{max(1, round(seconds))} s" if seconds < 90 else f"{round(seconds / 60)} min"
+
+
+@contextlib.contextmanager
+def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) -> Iterator[Tell]:
+    """What long work of ``command`` on the recordings ``data`` is to be told of its steps."""
+    if quiet:
+        yield silent
+        return
+    size = sum(Path(p).stat().st_size for p in data if Path(p).is_file()) or 1
+    rates = _rates()
+    known = rates.get(command)
+    found = Steps(known * size if known else None)
+    thread = threading.Thread(target=found.watch, daemon=True, name="steps")
+    thread.start()
+    try:
+        yield found.tell
+        _keep({**rates, command: found.seconds / size})
+    finally:
+        found.end()
+        thread.join()
+
+
+def _file() -> Path | None:
+    folder = cache_folder()
+    return None if folder is None else folder / "times.json"
+
+
+def _rates() -> dict[str, float]:
+    """Seconds per byte of each command when it last ran; what cannot be read was never known."""
+    file = _file()
+    try:
+        kept = json.loads(file.read_text()) if file else {}
+        return {str(k): float(v) for k, v in kept.items() if float(v) > 0}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _keep(rates: dict[str, float]) -> None:
+    file = _file()
+    if file is not None:
+        from stopset.errors import OutputError
+
+        with contextlib.suppress(OutputError):
+            write_text(file, json.dumps(rates))

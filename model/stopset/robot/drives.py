@@ -1,0 +1,84 @@
+"""The drive data sheet (``robot.json``): what each joint's motor, gear and brake are said to be, and where gravity points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stopset.errors import RobotError
+from stopset.types import Array
+
+STANDARD_GRAVITY = 9.81  # [m/s^2] as in most URDF tools; the data sheet's "gravity" overrides it
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a drive's data sheet says of one joint; ``nan`` where it says nothing. All link side, SI."""
+
+    gear_ratio: float = float("nan")
+    rotor_inertia: float = float("nan")  # k_r^2 I_m [kg m^2], reflected to the link side
+    torque_limit: float = float("nan")  # [N m]
+    brake_torque: float = float("nan")  # nominal dynamic torque [N m]
+    brake_delay: tuple[float, float] = (float("nan"), float("nan"))  # current off -> torque starts to rise [s]
+    brake_rise: tuple[float, float] = (float("nan"), float("nan"))  # torque rise [s]
+    brake_tolerance: float = float("nan")  # relative half-width of the torque interval
+
+
+_KNOWN = {
+    "gear_ratio", "motor_inertia_kgm2", "reflected_motor_inertia_kgm2", "torque_limit_Nm", "brake_torque_nominal_Nm",
+    "brake_delay_s", "brake_rise_s", "brake_tolerance", "source",
+}  # fmt: skip
+
+
+def drives_of(joints: Sequence[str], sheet: Mapping[str, Any]) -> tuple[tuple[Drive, ...], tuple[str, ...]]:
+    """The drives of ``joints``, and what of the sheet was not understood. Raises `RobotError`."""
+    notes: list[str] = []
+    return tuple(_drive(joint, sheet, notes) for joint in joints), tuple(notes)
+
+
+def gravity_of(sheet: Mapping[str, Any], source: str) -> Array:
+    """(3,) [m/s^2] in the base frame. Raises `RobotError`."""
+    gravity = np.array(sheet.get("gravity", [0.0, 0.0, -STANDARD_GRAVITY]), float)
+    if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+        raise RobotError(f"robot.json of {source}: gravity is {sheet['gravity']}; expected three numbers [m/s^2]")
+    return gravity
+
+
+def _drive(joint: str, sheet: Mapping[str, Any], notes: list[str]) -> Drive:
+    row = sheet.get("joints", {}).get(joint, {})
+    if not isinstance(row, Mapping):
+        raise RobotError(f"robot.json: the entry of joint {joint} is {row!r}; expected an object")
+    unknown = set(row) - _KNOWN
+    if unknown:
+        notes.append(f"robot.json: {joint}: {', '.join(sorted(unknown))} ignored")
+
+    def number(key: str) -> float:
+        value = row.get(key, float("nan"))
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
+            raise RobotError(f"robot.json: {joint}.{key} is {value!r}; expected a non-negative number")
+        return float(value)
+
+    def interval(key: str) -> tuple[float, float]:
+        value = row.get(key)
+        if value is None:
+            return (float("nan"), float("nan"))
+        if not (isinstance(value, list) and len(value) == 2 and 0 <= value[0] <= value[1]):
+            raise RobotError(f"robot.json: {joint}.{key} is {value!r}; expected [lo, hi] in seconds")
+        return (float(value[0]), float(value[1]))
+
+    gear = number("gear_ratio")
+    reflected = number("motor_inertia_kgm2") * gear**2
+    if not np.isfinite(reflected):
+        reflected = number("reflected_motor_inertia_kgm2")
+    return Drive(
+        gear_ratio=gear,
+        rotor_inertia=reflected,
+        torque_limit=number("torque_limit_Nm"),
+        brake_torque=number("brake_torque_nominal_Nm"),
+        brake_delay=interval("brake_delay_s"),
+        brake_rise=interval("brake_rise_s"),
+        brake_tolerance=number("brake_tolerance"),
+    )

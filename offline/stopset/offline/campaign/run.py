@@ -1,0 +1,31 @@
+"""One identification's material: the arm, its recordings, what one pass over them found, and what is asked of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stopset.offline.campaign.survey import Source, Survey
+from stopset.offline.identify.settings import Settings
+from stopset.recording import Meta
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What travels together through an identification; ``trials`` are read anew at every call."""
+
+    robot: Robot
+    meta: Meta
+    trials: Source
+    survey: Survey
+    settings: Settings
+
+    @property
+    def motions(self) -> int:
+        """How many independent motions were recorded."""
+        return len(set(self.survey.motion.values()))
+
+    @property
+    def horizon(self) -> float:
+        """How far ahead [s] is predicted: as asked, but not beyond the longest trial."""
+        return self.survey.within(self.settings.horizon)

@@ -1,0 +1,100 @@
+"""The documentation: it builds, loads nothing from elsewhere, and its commands are commands."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from stopset.cli.main import commands, parser_of
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "deploy").rglob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)
+
+
+def lines(page: Path) -> list[str]:
+    """Commands of stopset that a page tells its reader to type."""
+    text = page.read_text(encoding="utf-8")
+    blocks = "\n".join(b.replace("\\\n", " ") for language, b in BLOCK.findall(text) if language in ("", "sh"))
+    found = [line.strip().removeprefix("$ ") for line in blocks.splitlines()]
+    return [line for line in found if line.startswith("stopset ")]
+
+
+TYPED = sorted({(page.relative_to(ROOT).as_posix(), line) for page in PAGES for line in lines(page)})
+
+
+def reference_pages() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reference_pages", ROOT / "benchmarks" / "reference_pages.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_there_are_commands_to_check() -> None:
+    assert len(TYPED) > 30 and {line.split()[1] for _, line in TYPED} <= set(commands())
+
+
+@pytest.mark.parametrize(("page", "line"), TYPED)
+def test_every_command_in_the_docs_is_one(page: str, line: str) -> None:
+    """An option that was renamed, or a word that is missing, fails here and not at the reader's."""
+    words = shlex.split(line, comments=True)[1:]
+    try:
+        parser_of(words[0]).parse_args(words[1:])
+    except SystemExit as e:
+        pytest.fail(f"{page}: {line} ends with {e.code}")
+
+
+def test_a_wrong_option_is_noticed() -> None:
+    with pytest.raises(SystemExit):
+        parser_of("stops").parse_args(["arm.model.json", "--of-after", "0.6"])
+
+
+def test_the_reference_is_what_the_code_says() -> None:
+    for path, text in reference_pages().pages().items():
+        assert path.read_text(encoding="utf-8") == text, f"run python benchmarks/reference_pages.py ({path.name})"
+
+
+def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    """Strict: a page left out of the contents, a link or an anchor that leads nowhere is an error."""
+    site = tmp_path / "site"
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = sorted(site.rglob("*.html"))
+    assert len(written) > 40
+    loads = re.compile(r"<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)=\"?(?:https?:)?//", re.I)
+    for page in written:
+        assert not loads.search(page.read_text(encoding="utf-8")), page.name
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
+    told = reference_pages()
+    typed = [command for block in told.steps(told.TUTORIAL.read_text(encoding="utf-8")) for command in block]
+    said = {command.split()[1]: told.told(command, tmp_path) for command in typed}
+    assert {
+        "simulate",
+        "inspect",
+        "identify",
+        "compare",
+        "diagnose",
+        "add",
+        "history",
+        "stops",
+        "export-fmu",
+        "check-fmu",
+    } == set(said)
+    assert "1. stribeck:arm_2_joint" in said["diagnose"] and "revision 1: stribeck:arm_2_joint" in said["history"]
