@@ -29,8 +29,10 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_options(parser: argparse.ArgumentParser) -> None:
-    """``--tip LINK`` and ``--lock J,K``: which chain of a URDF is the arm."""
-    parser.add_argument("--tip", metavar="LINK", help="last link of the chain, where the URDF branches")
+    """``--tip FRAME`` and ``--lock J,K``: which chain of a URDF is the arm."""
+    parser.add_argument(
+        "--tip", metavar="FRAME", help="link or joint of the URDF that is the tool point, and so the last of the chain"
+    )
     parser.add_argument(
         "--lock", metavar="J,K", type=lambda text: tuple(text.split(",")), default=(), help="joints that stand still at zero (fingers, a lift)"
     )  # fmt: skip

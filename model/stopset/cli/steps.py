@@ -31,15 +31,19 @@ class Steps:
         self._expected = expected
         self._start = self._begun = self._written = time.monotonic()
         self._text, self._share = "begins", cast("float | None", None)  # what it does, and the share of that which is done
+        self._tenth = 0  # of the step that were told
         self._live, self._lock, self._over = sys.stderr.isatty(), threading.Lock(), threading.Event()
 
     def tell(self, text: str, share: float | None = None) -> None:
         """A step; one without a share is a line of its own."""
         with self._lock:
             if share is None or self._share is None or share < self._share:
-                self._begun = time.monotonic()
+                self._begun, self._tenth = time.monotonic(), 0
             self._text, self._share = text, share
             if share is None:
+                self._write(text, whole=True)
+            elif not self._live and int(10 * share + 1e-9) > self._tenth:  # in a log every tenth stands on its own
+                self._tenth = int(10 * share + 1e-9)
                 self._write(text, whole=True)
 
     def watch(self) -> None:
