@@ -124,14 +124,8 @@ class Hypothesis:
         """Twice the log evidence at ``h``, comparable between hypotheses about the same data."""
         view = self.view()
         p, logdet = view.project(h)
-        return view.criterion(p, h, logdet) - self._spread(h)
-
-    def misfit(self, p: Projection, h: Hyper) -> float:
-        """Twice the negative log likelihood of the likeliest coefficients, with their prior: what is left, whatever it took."""
-        return p.rss + self._spread(h)
-
-    def _spread(self, h: Hyper) -> float:
-        return sum(r.size * float(np.log(k)) for r, k in zip(self.engine.rows, h.kappa, strict=True))
+        spread = sum(r.size * float(np.log(k)) for r, k in zip(self.engine.rows, h.kappa, strict=True))
+        return view.criterion(p, h, logdet) - spread
 
     def excesses(self, theta: Array, h: Hyper) -> tuple[float, ...]:
         """Residual variance over the sensors' noise of each joint; ``theta``: coefficients of `nuisance`."""

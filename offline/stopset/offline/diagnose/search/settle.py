@@ -17,8 +17,8 @@ from stopset.offline.diagnose.search.refine import sharpened
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """A contender with the whole model refitted: its ``evidence``; what its own form takes up of that; and the misfit, as it is and with a
-    form that is off by `SAME_LAW`."""
+    """A contender with the whole model refitted: its ``evidence``; what its own form takes up beyond that; and what evidence it would
+    have if its form were off by `SAME_LAW` just as it is best, for nothing."""
 
     scored: Scored
     now: Hypothesis  # its last effect is the contender
@@ -26,8 +26,7 @@ class Settled:
     fit: Projection
     evidence: float
     taken_up: float
-    misfit: float
-    free_misfit: float
+    mended: float
 
     @property
     def candidate(self) -> Candidate:
@@ -49,8 +48,8 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     taken = {c.key for c in now.active} | {x.candidate.key for x in settled}
     settled += [x for x in _plainer(now, likeliest, hyper) if x.candidate.key not in taken]
     alike = [x for x in settled if _simplifies(x.candidate, likeliest.candidate)]
-    enough = [x for x in alike if x.free_misfit < likeliest.misfit + limit.THRESHOLD]
-    top = min(enough, key=lambda x: (_size(x.candidate), x.free_misfit), default=likeliest)
+    enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
+    top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
@@ -68,7 +67,9 @@ def _refitted(now: Hypothesis, s: Scored, hyper: Hyper) -> Settled:
     evidence = with_it.evidence(h)
     taken_up = max(loose.evidence(loose.fit(h)[0]) - evidence, 0.0)
     off, q = loose.refit(replace(h, forms=(limit.SAME_LAW,)))
-    return Settled(s, with_it, h, p, evidence, taken_up, with_it.misfit(p, h), loose.misfit(q, off))
+    as_it_is = replace(off, forms=())
+    mended = with_it.evidence(as_it_is) + with_it.view().project(as_it_is)[0].rss - q.rss
+    return Settled(s, with_it, h, p, evidence, taken_up, mended)
 
 
 def _plainer(now: Hypothesis, best: Settled, hyper: Hyper) -> list[Settled]:
