@@ -17,7 +17,7 @@ import numpy as np
 from stopset.artifact.inputs import entry
 from stopset.effects.base import Effect, Shape, Signals, Term
 from stopset.effects.registry import catalogue
-from stopset.effects.signals import arm_signals, paired
+from stopset.effects.signals import Samples, arm_signals, paired
 from stopset.files import write_text
 from stopset.offline.description import robot_from_text
 from stopset.types import Array
@@ -78,7 +78,7 @@ def motion() -> tuple[Signals, ...]:
     p = w * t[:, None, None] + np.array([[0.3, 1.1, 2.0], [1.7, 0.4, 2.9]])
     q, dq, ddq = (a * np.sin(p)).sum(2), (a * w * np.cos(p)).sum(2), -(a * w * w * np.sin(p)).sum(2)
     temp = np.repeat((20 + 25 * t / t[-1])[:, None], 2, axis=1)
-    signals = arm_signals(robot, q, dq, ddq, temp=temp, t=t)
+    signals = arm_signals(robot, Samples(q, dq, ddq, temp, t=t))
     return paired(tuple(replace(s, warm=t / t[-1]) for s in signals), 0, 1)
 
 

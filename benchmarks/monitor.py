@@ -25,14 +25,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from monitor_arm import known_model, meta, motion
 from monitor_process import Ear, free_port, running, stopset, write_config
 from stopset.artifact import Model, load_model, save_model
+from stopset.core.library import ffi
 from stopset.effects import Fitted
 from stopset.monitor.authentication import Key
 from stopset.monitor.certificates import Answer, Numbers
 from stopset.monitor.config import Bus, Config, Publish
-from stopset.monitor.daemon import Daemon
+from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.layout import unpack
+from stopset.monitor.links.batch import Batch, Frame
 from stopset.monitor.links.canopen_map import Encoder
-from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.source import CanSource
@@ -41,6 +42,7 @@ from stopset.recording import Recording, read_recordings, write_recordings
 from stopset.sets import Box
 
 CYCLES = 4000
+MOST_FRAMES = 32  # of a cycle
 KEY = Key(1, bytes(32))
 
 
@@ -61,19 +63,24 @@ class Clock:
 
 
 class Frames:
-    """A bus whose frames are in memory."""
+    """A bus whose frames are in memory, as a socket would give them: all of a cycle at once."""
 
     def __init__(self, trial: Recording, clock: Clock, cycles: int) -> None:
         p = load_profile("lwa4p/monitor")
         encoder, rows, dt = Encoder(p), signal_rows(trial), p.cycle_s
-        self.clock, self.ready = clock, []
+        self.ready: Batch | None = None
         back_and_forth = np.abs((np.arange(cycles) + len(rows) - 1) % (2 * len(rows) - 2) - (len(rows) - 1))
-        self.cycles = [
-            [Frame(c, d, clock.now + k * dt) for c, d in encoder.frames(rows[i])] for k, i in enumerate(back_and_forth)
-        ]
+        self.cycles = []
+        for k, i in enumerate(back_and_forth):
+            self.cycles.append(Batch(ffi.new("StopsetFrame[]", MOST_FRAMES)))
+            for cob_id, data in encoder.frames(rows[i]):
+                self.cycles[-1].put(Frame(cob_id, data, clock.now + k * dt))
 
-    def recv(self, timeout: float) -> Frame | None:
-        return self.ready.pop() if self.ready else None
+    def fill(self, batch: Batch, timeout: float) -> None:
+        """What has come."""
+        if self.ready is not None:
+            ffi.memmove(batch.frames, self.ready.frames, self.ready.count * ffi.sizeof("StopsetFrame"))
+            batch.count, self.ready = self.ready.count, None
 
     def close(self) -> None:
         """Nothing is open."""
@@ -111,7 +118,7 @@ def prepared(model: Model, model_path: Path, trial: Recording) -> tuple[Daemon, 
     source = CanSource(bus, profile, profile.cycle_s, clock=clock)
     config = Config(str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32, publish=Publish(json_hz=1e-9))
     desk = Desk(str(model_path), seen_by(model), config.stops, 0.0, source.quantum, clock=clock)
-    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, signer=KEY, clock=clock, desk=desk)
+    daemon = Daemon(config, model, source, Outlet(), profile.cycle_s, Beside(signer=KEY, clock=clock, desk=desk))
     daemon._next_json = daemon._next_health = 1e18
     return daemon, bus, clock
 
@@ -122,7 +129,7 @@ def run(daemon: Daemon, bus: Frames, clock: Clock) -> np.ndarray:
     gc.collect()
     gc.disable()
     for k, frames in enumerate(bus.cycles):
-        bus.ready = frames[::-1] + bus.ready
+        bus.ready = frames
         clock.now += daemon.cycle_s
         begin, begin_cpu = time.perf_counter_ns(), time.thread_time_ns()
         daemon.cycle()

@@ -16,8 +16,8 @@ import numpy as np
 
 from stopset.artifact import load_model
 from stopset.monitor.config import Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk, seen_by
-from stopset.monitor.watch import Quantum
 from stopset.recording import read_recordings
 
 

@@ -32,10 +32,12 @@ from stopset.monitor.authentication import load_keys
 from stopset.monitor.bags import trials_of_bag
 from stopset.monitor.config import load_config
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
-from stopset.monitor.layout import pack, unpack
-from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.monitor.layout import unpack
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.logs import trials_of_log
 from stopset.monitor.orders import parse_reset
+from stopset.monitor.packer import pack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.viewer import View

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 
 from stopset.artifact import Model
+from stopset.offline.campaign.source import campaign_of
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
@@ -37,7 +38,7 @@ def main() -> None:
         if not ranked:
             break
         best = ranked[0]
-        done = add(model, best.effect, "+".join(best.joints) or None, args.data)
+        done = add(model, [best.label], campaign_of(robot, args.data))
         if step == 0:
             row("first identification", done.before | dict(model.revisions[-1].after))
         if done.model is None:

@@ -26,7 +26,7 @@ from stopset.artifact import Brakes, Model, load_model
 from stopset.cli.main import main as cli
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Signals
 from stopset.effects.registry import get
-from stopset.effects.signals import arm_signals
+from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import NotCovered
 from stopset.files import write_text
 from stopset.offline.description import load_robot
@@ -41,7 +41,7 @@ from stopset.simulation import prepare
 from stopset.simulation.arm import Script, start
 from stopset.simulation.arm import run as simulate
 from stopset.simulation.scenario import Scenario
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 PIECE, STEPS = 1e-3, 2  # [s] an effect's torque is held constant over a piece, of so many steps of the simulation
@@ -157,9 +157,8 @@ def _pieces(
     chain: Chain, pi: Array, rotor: Array, fc: Array, brake: Array, delay: Array, rise: Array, q: Array, dq: Array, u: Array
 ) -> None:
     for k in range(q.shape[0]):
-        x, v = simulate_stop(
-            chain, pi[k], rotor, fc[k], np.zeros(q.shape[1]), brake[k], delay[k], rise[k], q[k], dq[k], PIECE / STEPS, STEPS, u[k : k + 1]
-        )  # fmt: skip
+        arm = StoppingArm(chain, pi[k], rotor, fc[k], np.zeros(q.shape[1]), brake[k], delay[k], rise[k])
+        x, v = simulate_stop(arm, q[k], dq[k], PIECE / STEPS, STEPS, u[k : k + 1])
         q[k], dq[k] = x[STEPS], v[STEPS]
 
 
@@ -191,7 +190,7 @@ class Laws:
         for pi in np.unique(b.pi, axis=0):
             at = np.all(b.pi == pi, axis=(1, 2))
             body = robot.with_parameters(pi)
-            signals = arm_signals(body, q[at], dq[at], 0.0 * q[at], temp=b.temp[at])
+            signals = arm_signals(body, Samples(q[at], dq[at], temp=b.temp[at]))
             gear = torques(body.chain, pi, q[at], dq[at], ddq[at]) + braked[at] * np.sign(dq[at])
             for effect, i, partner, values, states in self.rows:
                 mine = {k: np.asarray(v)[at] if np.ndim(v) else v for k, v in values.items()}

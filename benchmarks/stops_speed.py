@@ -22,7 +22,7 @@ from stopset.reach.stops import Certificate, StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop, tube_of
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 
@@ -116,7 +116,12 @@ def main() -> None:
     length = int(np.ceil(certificate.tube.t[-1] / DT))
     simulated = median_us(
         lambda: simulate_stop(
-            p.chain, p.pi, p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi, q, dq, DT, length, none
+            StoppingArm(p.chain, p.pi, p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi),
+            q,
+            dq,
+            DT,
+            length,
+            none,
         ),
         100,
     )

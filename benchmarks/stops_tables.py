@@ -17,7 +17,7 @@ from stopset.offline.stops.poses import Poses
 from stopset.offline.stops.sampling import DT
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import Setting
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 SHARES = (0.33, 0.66, 1.0)
@@ -52,7 +52,12 @@ def _simulated(s: Setting, q: Array, dq: Array, slow: bool, joint: int) -> tuple
     pi = p.pi + p.pi_half if slow else p.pi
     steps = int(0.4 / DT)
     qs, vs = simulate_stop(
-        p.chain, pi, p.rotor, pick("coulomb"), pick("viscous"), pick("brake"), pick("delay"), pick("rise"), q, v0, DT, steps, u
+        StoppingArm(p.chain, pi, p.rotor, pick("coulomb"), pick("viscous"), pick("brake"), pick("delay"), pick("rise")),
+        q,
+        v0,
+        DT,
+        steps,
+        u,
     )
     moving = np.any(np.abs(vs) > 1e-3, axis=1)
     return float(np.abs(qs[:, joint] - q[joint]).max()), DT * (len(moving) - 1 - int(np.argmax(moving[::-1])))

@@ -22,14 +22,14 @@ from stopset.errors import BusError
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Bus, Config, Publish, Records, Stops
 from stopset.monitor.consumer import Consumer, Expected
-from stopset.monitor.daemon import Daemon
+from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import SLOT, Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import State, unpack
+from stopset.monitor.links.batch import Frame
 from stopset.monitor.links.canopen_map import Encoder
-from stopset.monitor.links.hub import Frame
 from stopset.monitor.profile import SIGNALS, Profile, load_profile
 from stopset.monitor.source import CanSource, Source
 from stopset.reach.flowpipe import discretise
@@ -312,8 +312,8 @@ class World:
             self.node_bad = self.stopped
             try:
                 daemon = Daemon(
-                    config, self.model, self._open(), self, DT, latch=Latch(Journal(self)), clock=self,
-                    desk=Desk(self), recorder=self.recorder,  # type: ignore[arg-type]
+                    config, self.model, self._open(), self, DT,
+                    Beside(Latch(Journal(self)), clock=self, desk=Desk(self), recorder=self.recorder),  # type: ignore[arg-type]
                 )  # fmt: skip
                 daemon.run(self._reopen)
             except Killed:

@@ -23,7 +23,7 @@ from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.windows import windows
 from stopset.recording import Recording, read_recordings
 from stopset.sets import Box
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -56,7 +56,7 @@ def recorded_stop0(model: Model, count: int, seed: int) -> list[Recording]:
         delay = np.full(6, rng.uniform(*DELAY))
         fine = 8
         qs, vs = simulate_stop(
-            robot.chain, robot.pi, model.rotor, F, D, torque * rng.uniform(0.95, 1.05, 6), delay, np.full(6, RISE), q, dq,
+            StoppingArm(robot.chain, robot.pi, model.rotor, F, D, torque * rng.uniform(0.95, 1.05, 6), delay, np.full(6, RISE)), q, dq,
             PERIOD / fine, 80 * fine, np.zeros((1, 6)),
         )  # fmt: skip
         qs, vs = qs[::fine], vs[::fine]
@@ -131,7 +131,7 @@ def test_what_an_effect_pushes_with_is_no_brake() -> None:
     # the stop is short: the spring turns with the joint's own angle by a hundredth of its torque
     u = np.array([[0.0, -push - k * (q[1] + 0.5 * 0.06 * dq[1]), 0.0, 0.0, 0.0, 0.0]])
     qs, vs = simulate_stop(
-        robot.chain, robot.pi, model.rotor, F, D, torque, zero + 0.04, zero + RISE, q, dq, PERIOD / fine, 40 * fine, u,
+        StoppingArm(robot.chain, robot.pi, model.rotor, F, D, torque, zero + 0.04, zero + RISE), q, dq, PERIOD / fine, 40 * fine, u,
     )  # fmt: skip
     t = np.arange(len(qs[::fine])) * PERIOD
     r = Recording("stop0", 0, 0, 0, t, qs[::fine], vs[::fine], np.zeros((len(t), 6)), stop_trigger=t >= 0.0)

@@ -8,6 +8,8 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import can
@@ -18,10 +20,11 @@ from monitor_arm import DT, meta, motion
 from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError, RecordingError
+from stopset.monitor.links.batch import Batch, Frame
 from stopset.monitor.links.bus import Talker, listen, parse, talk
-from stopset.monitor.links.canopen_map import Cycle, Decoder, Encoder
-from stopset.monitor.links.hub import Frame, Hub, HubClient
-from stopset.monitor.links.stamps import Stamps
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Cycle, Decoder
+from stopset.monitor.links.hub import Hub, HubClient
 from stopset.monitor.logs import play_log
 from stopset.monitor.profile import SIGNALS, SYNC_ID, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, play, signal_rows
@@ -81,22 +84,29 @@ def test_every_link_carries_every_frame_in_order(link: tuple[str, str]) -> None:
         for cob_id, data in sent:
             sender.send(cob_id, data)
             time.sleep(0.0005)
-        heard: list[tuple[int, bytes]] = []
+        heard, decoder = list[tuple[int, bytes]](), Decoder(PROFILE)
         while len(heard) < len(sent) and (frame := hears.recv(2.0)) is not None:
             heard.append((frame.cob_id, bytes(frame.data)))
-            assert abs(frame.t - time.time()) < 5.0, "stamps are seconds since the epoch"
+            assert abs(stamped(decoder, frame.t, time.time()) - time.time()) < 5.0, "stamps are seconds since the epoch"
         assert heard == sent
     finally:
         hears.close()
         sender.close()
 
 
+def stamped(decoder: Decoder, t: float, now: float) -> float:
+    """What the monitor takes for the time of a frame with the stamp ``t``, received at ``now``."""
+    batch = Batch()
+    batch.put(Frame(0x7FF, b"", t))
+    decoder.take(batch, now)
+    return decoder.heard()[-1][0]
+
+
 def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
-    ours = Stamps()
+    ours, theirs = partial(stamped, Decoder(PROFILE)), partial(stamped, Decoder(PROFILE))
     assert ours(1e9, 1e9 + 0.01) == 1e9
     assert ours(1e9, 1e9 + 70.0) == 1e9, "after standing still for long, what waited is old"
     assert ours(float("nan"), 1e9) == 0.0 and ours(float("inf"), 1e9) == 0.0
-    theirs = Stamps()
     assert theirs(5.0, 1e9) == 1e9
     assert theirs(6.0, 1e9 + 1.3) == pytest.approx(1e9 + 1.0, abs=2e-3), "0.3 s late"
     assert theirs(7.0, 1e9 + 70.0) == pytest.approx(1e9 + 2.0, abs=0.1)
@@ -213,13 +223,14 @@ def test_a_lost_sync_does_not_mix_two_cycles() -> None:
     d = Decoder(PROFILE)
     late = [(t + (1.5 * DT if i else 0.0), cob, data) for i, (t, cob, data) in enumerate(stream[:14])]
     assert [c.counter for t, cob, data in late if (c := d.frame(cob, data, t)) is not None] == [1]
-    d = Decoder(PROFILE)
-    assert (
-        not [c for t, cob, data in late[:13] if (c := d.frame(cob, data, t)) is not None]
-        and d.quiet(late[12][0] + 0.5 * DT) is None
-    )
-    last = d.quiet(late[12][0] + 1.5 * DT)
-    assert last is not None and last.counter == 1 and d.quiet(1e9) is None, "the last one of all, once"
+    # without a counter the clock tells that a SYNC is missing
+    d = Decoder(replace(PROFILE, sync_overflow=0))
+    bare = [(t, cob, b"" if cob == SYNC_ID else data) for t, cob, data in late[:13]]
+    assert not [c for t, cob, data in bare if d.frame(cob, data, t) is not None]
+    assert d.frame(SYNC_ID, b"", 2.0 * DT) is None and d.incomplete == 1
+    d = Decoder(replace(PROFILE, sync_overflow=0))
+    assert not [c for t, cob, data in bare if d.frame(cob, data, max(0.0, t - 0.3 * DT)) is not None]
+    assert d.frame(SYNC_ID, b"", 1.4 * DT) is not None, "held up, and then in time again"
 
 
 def test_other_nodes_and_emergencies_are_told_apart() -> None:

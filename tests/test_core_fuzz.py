@@ -29,7 +29,7 @@ from stopset.robot.rigid import (
     torques,
 )
 from stopset.simulation.inclusion import solve_inclusion
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 WILD = np.array([0.0, -0.0, 1.0, -1.0, 1e-320, 1e-8, 3.14159, 1e6, 1.1e6, 1e17, 1e308, -1e308, math.inf, -math.inf, math.nan])
@@ -98,10 +98,12 @@ def test_predictions(seed: int) -> None:
         Ad = np.where(np.kron(np.ones((2, 2)), np.eye(n)) != 0.0, Ad, 0.0)
     age, foreign, row = rng.integers(-1, ages, rows), np.zeros(rows, np.uint8), np.zeros((2, m), np.int64)
     lo, hi, room, seen = -np.abs(drawn(rng, ages, m)), np.abs(drawn(rng, ages, m)), np.empty(m), ffi.new("int64_t[2]")
+    middle, reach, nearest = np.empty((ages, m)), np.empty((ages, m)), rng.integers(-2, rows + 2, m)
     struct = ffi.new("StopsetPredictions *", (
         m, rows, ages, view(e), view(w), integers(age), ffi.from_buffer("uint8_t[]", foreign), view(Ad), view(Bd), view(lo), view(hi),
-        view(room), integers(row),
+        view(middle), view(reach), view(room), integers(nearest), integers(row),
     ))  # fmt: skip
+    lib.stopset_centre(struct)
     x, before, u, du = drawn(rng, m), drawn(rng, m), drawn(rng, n), np.abs(drawn(rng, n))
     live = lib.stopset_advance(struct, view(x), view(before), view(u), view(du), int(rng.integers(2)), int(rng.integers(2)), seen)
     assert (
@@ -123,7 +125,14 @@ def test_simulated_friction_and_stops(seed: int) -> None:
     chain = Chain(np.tile(np.eye(3), (n, 1, 1)), drawn(rng, n, 3), np.tile([0.0, 1.0, 0.0], (n, 1)), np.array([0.0, 0.0, -9.81]))
     pi = np.tile([1.0, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1], (n, 1))
     one = np.ones(n)
-    simulate_stop(chain, pi, one, one, one, one, 0.01 * one, 0.01 * one, drawn(rng, n), drawn(rng, n), 1e-3, 20, drawn(rng, 2, n))
+    simulate_stop(
+        StoppingArm(chain, pi, one, one, one, one, 0.01 * one, 0.01 * one),
+        drawn(rng, n),
+        drawn(rng, n),
+        1e-3,
+        20,
+        drawn(rng, 2, n),
+    )
 
 
 @settings(max_examples=40, deadline=None)

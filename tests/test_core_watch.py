@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from stopset.artifact.inputs import InputMap, effect_torques, law_signals, memories_along
-from stopset.artifact.taped import SIGNALS
+from stopset.artifact.taped import SIGNALS, Kept
 from stopset.core.library import ffi, lib, view
 from stopset.effects import Fitted
 from stopset.effects.memory import coefficients, stepped
 from stopset.effects.registry import catalogue, get
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.monitor.layout import outward
 from stopset.offline.description import load_robot
@@ -35,12 +36,12 @@ def plainly(m: InputMap, q: Array, dq: Array, tau: Array, temp: Array, warm: flo
     if m.effort != "compensated_torque":
         c, pi = m.robot.chain, m.robot.pi
         u = u - (torques(c, pi, q, dq, np.zeros_like(q)) if m.swift else gravity_torques(c, pi, q))
-    memories = memories_along(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t)
-    moving = u - effect_torques(m.robot, m.effects, q, dq, temp=temp, warm=warm, t=t, memories=memories)
+    memories = memories_along(m.robot, m.effects, Samples(q, dq, None, temp, warm, t))
+    moving = u - effect_torques(m.robot, m.effects, Samples(q, dq, None, temp, warm, t), memories=memories)
     if m.effort == "compensated_torque":
         return moving
     ahead, back = (
-        effect_torques(m.robot, m.effects, q, np.zeros_like(dq), way=way, temp=temp, warm=warm, memories=memories)
+        effect_torques(m.robot, m.effects, Samples(q, np.zeros_like(dq), None, temp, warm), direction=way, memories=memories)
         for way in (1.0, -1.0)
     )
     held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
@@ -130,7 +131,7 @@ def test_a_states_interval_goes_on_as_its_flow_says() -> None:
     """The core's step of one state's two ends against `stopset.effects.memory`."""
     from monitor_arm import DT, known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     f = Fitted("hysteresis", model.joints[0], {"F_h": 12.0, "delta": 0.02}, {})
@@ -139,7 +140,9 @@ def test_a_states_interval_goes_on_as_its_flow_says() -> None:
     z = inputs.carried.ends.copy()[0]
     for k in range(20):
         q, dq = Q[k, : model.n], DQ[k, : model.n]
-        b, a = coefficients(get("hysteresis"), law_signals(model.robot, [(f, get("hysteresis"))], q[None], dq[None])[0], f.values)
+        b, a = coefficients(
+            get("hysteresis"), law_signals(model.robot, [(f, get("hysteresis"))], Samples(q[None], dq[None]))[0], f.values
+        )
         _, du = inputs(q, dq, TAU[k, : model.n], None)
         assert du[0] == pytest.approx(0.5 * 12.0 * (z[1] - z[0]), rel=1e-12, abs=1e-15) and not du[1:].any()
         z = np.array([stepped(z, b, a, DT).min(), stepped(z, b, a, DT).max()])
@@ -203,7 +206,7 @@ def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for()
     is within ``u +- du``."""
     from monitor_arm import known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     n = model.n
@@ -228,10 +231,71 @@ def test_rounding_and_what_is_remembered_bound_every_sample_they_may_stand_for()
                 assert np.all(np.abs(got - u) <= du + 1e-9)
 
 
+def plainly_compared(e: Array, w: Array, age: Array, A: Array, r: Array, dw: Array, lo: Array, hi: Array) -> tuple[Array, Array]:
+    """Room (2n,) and the worst rows (2, 2n) after one step, every row by itself; ``e, w, age`` become those after it."""
+    with np.errstate(all="ignore"):
+        for x, a, b in ((e, A, r), (w, np.abs(A), dw)):
+            was = x.copy()
+            x[:] = b
+            for j in range(len(b)):
+                x += np.where(a[:, j] != 0.0, a[:, j] * was[:, j : j + 1], -0.0)
+        age += age >= 0
+        age[age >= len(lo)] = -1
+        rows = np.flatnonzero(age >= 0)
+        low, high = lo[age[rows]] - w[rows], hi[age[rows]] + w[rows]
+        over, under, width = e[rows] - high, low - e[rows], high - low
+        worst = np.full((2, len(r)), -1)
+        for side, out, bound in ((0, over, high), (1, under, -low)):
+            for i in range(len(r)):
+                most = 0.0
+                for k, row in enumerate(rows):
+                    if not (out[k, i] <= 0.0 or bound[k, i] == np.inf) and not out[k, i] / width[k, i] <= most:
+                        most, worst[side, i] = out[k, i] / width[k, i], row
+        room = np.where((width > 0.0) & (width < np.inf), -2.0 * np.where(over > under, over, under) / width, np.inf)
+        room = np.where(np.isnan(room), np.inf, room).min(axis=0, initial=np.inf)
+    return np.where(room == np.inf, 1.0, room), worst
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_rows_passed_over_say_nothing_else(seed: int) -> None:
+    """Only rows near a bound are looked at closely: what comes out has the bits of all rows looked at, sample after sample."""
+    rng = np.random.default_rng(seed)
+    n, rows, ages = int(rng.choice([1, 2, 5, 6, 7, 8])), int(rng.integers(1, 60)), int(rng.integers(2, 60))
+    m = 2 * n
+    A = rng.normal(scale=0.6, size=(m, m))
+    if seed % 3:  # joints on their own
+        A = np.where(np.kron(np.ones((2, 2)), np.eye(n)) != 0.0, A, 0.0)
+    age, size = rng.integers(-1, ages, rows), 10.0 ** rng.integers(-6, 3, m)
+    e, w = size * rng.normal(scale=0.5, size=(rows, m)), size * 0.1 * rng.random((rows, m))
+    lo, hi = -size * (0.5 + rng.random((ages, m))), size * (0.5 + rng.random((ages, m)))
+    lo[:, rng.random(m) < 0.1], hi[:, rng.random(m) < 0.1] = -np.inf, np.inf
+    lo += (shift := size * rng.normal(size=m) * rng.choice([0.0, 1.0, 1e6]))
+    hi += shift
+    e += shift
+    if seed % 4 == 0:
+        e[rng.integers(rows), rng.integers(m)] = rng.choice([np.nan, np.inf, -np.inf])
+    foreign, row, seen = np.zeros(rows, bool), np.zeros((2, m), np.int64), ffi.new("int64_t[2]")
+    middle, reach, room, nearest = np.empty((ages, m)), np.empty((ages, m)), np.empty(m), np.full(m, -1)
+    kept = Kept([])
+    struct = ffi.new("StopsetPredictions *", (
+        m, rows, ages, *map(kept.shared, (e, w, age, foreign, A, np.zeros((m, n)), lo, hi, middle, reach, room, nearest, row)),
+    ))  # fmt: skip
+    lib.stopset_centre(struct)
+    for _ in range(5):
+        x, none = size * 0.05 * rng.normal(size=m), np.zeros(n)
+        plain = e.copy(), w.copy(), age.copy()
+        want_room, want_row = plainly_compared(*plain, A, x, np.zeros(m), lo, hi)
+        live = lib.stopset_advance(struct, view(x), view(np.zeros(m)), view(none), view(none), 0, 1, seen)
+        assert live == np.count_nonzero(plain[2] >= 0)
+        for got, want in zip((e, w, age), plain, strict=True):
+            assert np.array_equal(got[plain[2] >= 0], want[plain[2] >= 0], equal_nan=True)
+        assert np.array_equal(row, want_row) and np.array_equal(room, want_room)
+
+
 def test_an_arm_of_no_or_too_many_joints_is_refused() -> None:
     from monitor_arm import known_model
     from stopset.monitor.inputs import Inputs
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
     model = known_model()
     model = replace(model, effects=(Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),))

@@ -22,7 +22,7 @@ def test_a_bent_joint_is_that_joint_elsewhere(joint: int) -> None:
     unit = np.eye(ARM.n)[joint]
     moved = [a + b[:, None] * unit for a, b in ((Q, x), (DQ, dx), (DDQ, ddx))]
     out = np.full_like(Q, 7.0)
-    rigid.bent_torques(ARM.chain, ARM.pi, Q, DQ, DDQ, joint, x, dx, ddx, joint, out)
+    rigid.bent_torques(ARM.chain, ARM.pi, (Q, DQ, DDQ), rigid.Bend(joint, x, dx, ddx), joint, out)
     expected = rigid.torques(ARM.chain, ARM.pi, *moved)
     assert np.allclose(out[:, joint:], expected[:, joint:], atol=1e-10) and np.all(out[:, :joint] == 7.0)
 

@@ -15,7 +15,7 @@ from stopset.artifact.taped import SIGNALS, TILT, parameters_of, recorded
 from stopset.core.library import ffi, lib, view
 from stopset.effects import Effect, Signals, catalogue, check, get
 from stopset.effects.selection import base, of_part, usual, usual_friction
-from stopset.effects.signals import arm_signals
+from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import EffectError
 from stopset.offline.description import load_robot
 from stopset.ring import Interval
@@ -156,7 +156,7 @@ def test_payload_tilt_and_offset_are_the_rigid_body_s_derivatives() -> None:
     robot = load_robot("lwa4p")
     rng = np.random.default_rng(5)
     q, dq, ddq = (rng.uniform(-1, 1, (20, robot.n)) for _ in range(3))
-    sig = arm_signals(robot, q, dq, ddq)
+    sig = arm_signals(robot, Samples(q, dq, ddq))
     mass, com = 2.0, np.array([0.02, -0.03, 0.1])
     loaded = robot.with_payload(mass, com)
     more = torques(loaded.chain, loaded.pi, q, dq, ddq) - torques(robot.chain, robot.pi, q, dq, ddq)

@@ -17,6 +17,7 @@ from fmu_models import arm_model
 from stopset.artifact import Model
 from stopset.artifact.inputs import memories_along
 from stopset.effects import get
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.fmu import Contents, archive
 from stopset.fmu.reference import reference
@@ -81,7 +82,7 @@ def test_reference_results_hold_and_the_states_are_python_s(exported: Any, fmi: 
         assert np.abs(out[k] - wanted[k]).max() < AGREE, k
     assert np.all(out["covered"] == 1) and np.all(out["verdict"] == 1)
     r = reference(model)
-    states = memories_along(model.robot, model.input.effects, r.x[:, :3], r.x[:, 3:], t=r.t)
+    states = memories_along(model.robot, model.input.effects, Samples(r.x[:, :3], r.x[:, 3:], t=r.t))
     for name, (z,) in zip(REMEMBERED, states.values(), strict=True):
         assert np.ptp(z) > 0.01 and np.abs(out[name] - z).max() < AGREE, name
 

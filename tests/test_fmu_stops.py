@@ -19,7 +19,7 @@ from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.regions import FrictionRegion, PowerOff, power_off, regions
 from stopset.sets import Box
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 from test_fmu import AGREE, EFFECTS, HERE, friction, joint_inputs, names, simulate
 
@@ -142,8 +142,8 @@ def worst_of_samples(
         u = np.array([draw(p.u_lo, p.u_hi) for _ in range(4)])
         body = p.pi + rng.uniform(-1.0, 1.0) * p.pi_half
         qs, vs = simulate_stop(
-            model.robot.chain, body, draw(p.rotor - p.rotor_half, p.rotor + p.rotor_half), p.coulomb_lo, np.zeros(n),
-            draw(p.brake_lo, p.brake_hi), draw(p.delay_lo, p.delay_hi), draw(p.rise_lo, p.rise_hi), q0, v0, 5e-4, 800, u,
+            StoppingArm(model.robot.chain, body, draw(p.rotor - p.rotor_half, p.rotor + p.rotor_half), p.coulomb_lo, np.zeros(n),
+            draw(p.brake_lo, p.brake_hi), draw(p.delay_lo, p.delay_hi), draw(p.rise_lo, p.rise_hi)), q0, v0, 5e-4, 800, u,
         )  # fmt: skip
         angle = np.maximum(angle, np.abs(qs - qs[0]).max(axis=0))
         moving = np.flatnonzero(np.any(vs != 0.0, axis=1))

@@ -17,7 +17,9 @@ from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects import catalogue
 from stopset.effects.memory import affine
 from stopset.fmu import Contents, export
-from stopset.monitor.watch import Conformance, Quantum, Sample, Watch
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance
+from stopset.monitor.watch import Watch
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.sets import Zonotope
 from stopset.types import Array

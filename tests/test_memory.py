@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from stopset.artifact.inputs import effect_torques, memories_along
 from stopset.effects import Effect, Fitted, Signals, Term, catalogue, get
 from stopset.effects.memory import affine, along, coefficients, stepped
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -88,12 +89,12 @@ def test_torque_at_rest_knows_what_the_way_there_left_behind() -> None:
     dq = np.zeros((200, 2))
     dq[:100, 0] = 0.4  # sixteen ways to build up, then rest
     q = np.cumsum(dq, axis=0) * DT
-    memories = memories_along(robot, fitted, q, dq, t=t)
-    back = effect_torques(robot, fitted, q, np.zeros_like(dq), way=-1.0, memories=memories)
+    memories = memories_along(robot, fitted, Samples(q, dq, t=t))
+    back = effect_torques(robot, fitted, Samples(q, np.zeros_like(dq)), direction=-1.0, memories=memories)
     assert memories[0][0][-1] == pytest.approx(1.0, abs=1e-6)
     assert back[-1, 0] == pytest.approx(4.0, abs=1e-5), "F_h (z - way): wound up all the way against the new direction"
     with pytest.raises(EffectError, match="hysteresis:a has a memory"):
-        effect_torques(robot, fitted, q, dq)
+        effect_torques(robot, fitted, Samples(q, dq))
 
 
 @pytest.fixture(scope="module")

@@ -21,11 +21,14 @@ from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
-from stopset.monitor.layout import FIELDS, LENGTH, Flag, Packer, State, crc32c, offsets, outward, outward_all, pack, unpack
+from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward, outward_all, unpack
+from stopset.monitor.packer import Packer, pack
 from stopset.monitor.profile import load_profile
+from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CycleCount
 from stopset.monitor.status import Limits, Recovery, Situation, believable
-from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch, check_cycle
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch, check_cycle
 from stopset.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -338,7 +341,7 @@ def test_a_full_disk_is_said_and_tried_again() -> None:
 
 
 def test_cycle_numbers_show_what_was_lost() -> None:
-    from stopset.monitor.links.canopen_map import Cycle
+    from stopset.monitor.links.decoder import Cycle
 
     nothing = np.zeros((5, 6))
     count = CycleCount(0.004, 240)
@@ -361,7 +364,7 @@ def test_the_worst_known_decides_the_state() -> None:
     unknown = Verdict(Conformance.UNKNOWN, "gap: ...")
     limits = Limits(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25)
 
-    def decide(x: Situation) -> tuple[State, Flag, str]:
+    def decide(x: Situation) -> tuple[State, int, str]:
         return status.decide(x, limits)
 
     assert decide(good)[0] is State.OK
@@ -389,7 +392,7 @@ def test_the_worst_known_decides_the_state() -> None:
 
 def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> None:
     r = Recovery(Limits(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25))
-    told: list[tuple[State, Flag, str]] = []
+    told: list[tuple[State, int, str]] = []
 
     def turns(count: int, state: State, start: float) -> float:
         told.clear()
@@ -398,9 +401,9 @@ def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> No
 
     now = turns(30, State.OK, 0.0)
     assert [t[0] for t in told] == [State.UNKNOWN] * 25 + [State.OK] * 5
-    assert told[10][1] is Flag.RECOVERING and "0.10 s of 0.25 s" in told[10][2] and "the start" in told[10][2]
+    assert told[10][1] == Flag.RECOVERING and "0.10 s of 0.25 s" in told[10][2] and "the start" in told[10][2]
     now = turns(1, State.DEGRADED, now)
-    assert told[0] == (State.DEGRADED, Flag(0), "why DEGRADED"), "at once"
+    assert told[0] == (State.DEGRADED, 0, "why DEGRADED"), "at once"
     now = turns(20, State.OK, now)
     assert {t[0] for t in told} == {State.DEGRADED} and "why DEGRADED" in told[-1][2], "no flicker"
     now = turns(10, State.OK, now)
@@ -422,10 +425,15 @@ def message(**more: Any) -> bytes:
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**32 - 1), st.floats(-1e9, 1e9)), min_size=1, max_size=5))
 def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int, float]]) -> None:
-    blocks = [{"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k} for k in range(3)]
+    same = {"boot_id": 5, "model_hash": 6, "config_hash": 7, "valid_for_ms": 8, "cycle_us": 9, "joints": 6}
+    blocks = [same | {"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k} for k in range(3)]
     packer = Packer()
     for k, seq, room in rows:
-        values = {"seq": seq, "room_min": room, "nonces": (seq, 0, 0, k)}
+        values: dict[str, object] = dict.fromkeys(
+            ("violation_count", "flags", "t_meas_ns", "t_pub_ns", "bad_nodes", "dropped"), seq
+        )
+        values |= {"seq": seq, "room_min": room, "holding_margin_min": -room, "oldest_age": abs(room), "nonces": (seq, 0, 0, k)}
+        values |= {"state": 1 + k, "conformance": k, "first_joint": 2 + k, "violation_class": 3}
         assert packer.again(values, blocks[k]) == pack({**blocks[k], **values})
 
 

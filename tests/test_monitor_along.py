@@ -15,12 +15,14 @@ from stopset.artifact.abstraction import Polynomial
 from stopset.errors import NotCovered
 from stopset.monitor.along import WatchAlong, watch_for
 from stopset.monitor.config import Bus, Config, Publish, Records, Stops
-from stopset.monitor.daemon import Daemon
+from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.layout import State
 from stopset.monitor.predictions import Tubes, ages_of
-from stopset.monitor.watch import Conformance, Quantum, Sample, Watch, check_cycle
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance
+from stopset.monitor.watch import Watch, check_cycle
 from stopset.reach.nonlinear import predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
@@ -194,7 +196,7 @@ def test_the_daemon_runs_and_records_with_it(which: str, tmp_path: Path) -> None
         publish=Publish(valid_for_ms=5000, stale_ms=1000, json_hz=1e9, recover_s=0.0, evidence_min_s=0.0),
     )  # fmt: skip
     recorder = Recorder(Trace(6), Records(), tmp_path / "record", DT, pause=lambda: None)
-    daemon = Daemon(config, model, arm, wire, DT, recorder=recorder)
+    daemon = Daemon(config, model, arm, wire, DT, Beside(recorder=recorder))
     arm.daemon = daemon
     assert daemon.run(lambda: arm) == 0
     daemon.close()

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from monitor_process import compiled
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
 from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Doubt, Expected
-from stopset.monitor.layout import LENGTH, State, outward, pack, unpack
+from stopset.monitor.layout import LENGTH, State, outward, unpack
+from stopset.monitor.packer import pack
 
 KEY = Key(3, bytes(range(32)))
 EXPECTED = Expected(7, 0xAA, 0xBB, Keys.of(KEY))

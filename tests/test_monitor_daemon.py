@@ -22,8 +22,8 @@ from stopset.errors import BusError, NotCovered
 from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
+from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import Source
-from stopset.monitor.watch import Quantum, Sample
 
 Script = list[Sample | Exception | None]
 
@@ -34,7 +34,7 @@ class Arm:
     def __init__(self, script: Script) -> None:
         self.script, self.quantum = script, Quantum.none(6)
         self.daemon: Daemon | None = None
-        self.closed = 0
+        self.closed = self.dropped = 0
 
     def next(self, timeout: float) -> Sample | None:
         if not self.script:

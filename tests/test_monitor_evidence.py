@@ -30,7 +30,9 @@ from stopset.monitor.evidence.recorder import AFTER, Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
-from stopset.monitor.watch import Conformance, Quantum, Sample, Watch
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance
+from stopset.monitor.watch import Watch
 from stopset.recording import read_recordings, write_recordings
 from stopset.sets import Box
 from test_monitor_daemon import Wire

@@ -11,7 +11,8 @@ from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model, motion, wit
 from stopset.monitor.grid import REACH, SETTLE, Cycles, Motion
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.source import JointStateSource
-from stopset.monitor.watch import Conformance, Watch
+from stopset.monitor.verdict import Conformance
+from stopset.monitor.watch import Watch
 from stopset.recording import Recording
 from stopset.types import Array
 

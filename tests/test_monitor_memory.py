@@ -13,9 +13,12 @@ from stopset.artifact.inputs import effect_torques
 from stopset.effects import Signals, get
 from stopset.effects.base import Fitted
 from stopset.effects.memory import coefficients, stepped
+from stopset.effects.signals import Samples
 from stopset.errors import NotCovered
 from stopset.monitor.carried import Carried
-from stopset.monitor.watch import Conformance, Quantum, Sample, Verdict, Watch
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch
 from stopset.recording import Recording
 from stopset.types import Array
 
@@ -37,7 +40,7 @@ def worked_before(model: Model, r: Recording, start: float) -> tuple[Recording, 
     z[0] = start
     for k in range(len(z) - 1):
         z[k + 1] = stepped(z[k], b[k], a[k], DT)
-    torque = effect_torques(model.robot, model.effects, r.q, r.dq, memories={0: (z,)})
+    torque = effect_torques(model.robot, model.effects, Samples(r.q, r.dq), memories={0: (z,)})
     return replace(r, tau=r.tau + torque), z
 
 

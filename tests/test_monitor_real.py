@@ -13,11 +13,14 @@ from monitor_process import Ear, free_port, running, stopset, write_config
 from stopset.artifact import Model, load_model
 from stopset.cli.main import main
 from stopset.monitor.latch import Latch
-from stopset.monitor.links.canopen_map import Decoder, Encoder
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import PAUSE_CYCLES, signal_rows
+from stopset.monitor.sample import Quantum
 from stopset.monitor.source import CycleCount, sample_of
-from stopset.monitor.watch import Conformance, Quantum, Verdict, Watch
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch
 from stopset.recording import Recording, read_recordings, write_recordings
 
 REAL = Path(__file__).resolve().parents[2] / "shared/data/schunk_lwa4p/open_loop.parquet"

@@ -13,8 +13,8 @@ import pytest
 from stopset.artifact import save_model
 from stopset.monitor.certificates import Answer, Numbers, Shelf
 from stopset.monitor.config import Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import LEFT, NARROW, WIDE, Motion, StopDesk
-from stopset.monitor.watch import Quantum
 from stopset.sets import Box
 from test_monitor_stops import prbt_like
 

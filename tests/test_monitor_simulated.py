@@ -12,7 +12,7 @@ from monitor_world import World
 from stopset.artifact import Model, save_model
 from stopset.monitor import daemon, status
 from stopset.monitor.latch import Latch
-from stopset.monitor.layout import Flag, State
+from stopset.monitor.layout import State
 from stopset.monitor.nodes import Nodes
 from stopset.monitor.status import Recovery
 
@@ -54,7 +54,7 @@ def ages_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def no_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Recovery, "hold", lambda self, state, why, now: (state, Flag(0), why))
+    monkeypatch.setattr(Recovery, "hold", lambda self, state, why, now: (state, 0, why))
 
 
 def latch_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:

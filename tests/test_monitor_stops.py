@@ -11,9 +11,9 @@ import pytest
 
 from stopset.artifact import save_model
 from stopset.monitor.config import Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.stopworker import answer_for
-from stopset.monitor.watch import Quantum
 from stopset.offline.stops.sampling import sample_stops
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box, tube_of

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from stopset.monitor.layout import State, pack
+from stopset.monitor.layout import State
+from stopset.monitor.packer import pack
 from stopset.monitor.viewer import Page, View, terminal
 from stopset.offline.workbench import Loop, Server
 

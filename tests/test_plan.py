@@ -18,7 +18,7 @@ from stopset.errors import RobotError, StopsetError
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.plan import Plan, Wishes, design, write_plan
 from stopset.offline.plan.design import STARTS
-from stopset.offline.plan.excitation import excitations
+from stopset.offline.plan.excitation import Series, excitations
 from stopset.offline.plan.motion import Path, envelope, heights, violations
 from stopset.offline.plan.ptp import ptp, random_goals
 from stopset.recording import Meta, Recording, write_recordings
@@ -293,6 +293,6 @@ def test_an_excitation_above_a_floor_that_the_middle_pose_is_below() -> None:
     """It moves about a pose with room around it, and stays above; about the middle it could only shrink to nothing."""
     robot = arm()
     e = replace(envelope(robot, 0.9, 0.7, 0.25), q=np.array([[-2.0, 2.0], [0.2, 2.9], [-0.5, 0.5]]))
-    (path,), _, _ = excitations(robot, e, 1, 10.0, 100.0, 60, np.random.default_rng(0))
+    (path,), _, _ = excitations(robot, e, Series(1, 10.0, 100.0, 60), np.random.default_rng(0))
     assert not violations(robot, e, path)
     assert np.all(np.ptp(path.q, axis=0) > 0.2), np.ptp(path.q, axis=0)

@@ -17,8 +17,9 @@ from monitor_arm import DT, motion
 from stopset.cli.main import main
 from stopset.errors import BusError
 from stopset.monitor.links import bus
-from stopset.monitor.links.canopen_map import Cycle, Decoder, Encoder
-from stopset.monitor.links.hub import Frame
+from stopset.monitor.links.batch import Frame
+from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.decoder import Cycle, Decoder
 from stopset.monitor.profile import SIGNALS, Profile, load_profile, shipped_profiles
 from stopset.monitor.profile_check import against_log, bits, check_profile
 from stopset.monitor.replay import signal_rows

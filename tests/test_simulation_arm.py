@@ -10,8 +10,8 @@ import pytest
 
 from stopset.core import build
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
+from stopset.simulation import StoppingArm, simulate_stop
 from stopset.simulation import plant as plant_module
-from stopset.simulation import simulate_stop
 from stopset.simulation.arm import Script, State, run, start
 from stopset.simulation.plant import Plant, healthy_plant
 from stopset.types import Array
@@ -133,7 +133,7 @@ def test_the_arm_and_the_bare_stop_are_one_physics() -> None:
     s = script(ticks)._replace(brake_at=0, cut_at=0)
     got = play(p, s, 8, start(p, q0, v0, WARM))
     q, v = simulate_stop(
-        p.chain, p.pi, p.rotor, p.fc, p.fv, p.brake_torque, p.brake_delay, p.brake_rise,
+        StoppingArm(p.chain, p.pi, p.rotor, p.fc, p.fv, p.brake_torque, p.brake_delay, p.brake_rise),
         q0, v0, PERIOD / 8, 8 * ticks, np.zeros((1, N)),
     )  # fmt: skip
     assert np.abs(got[4] - q[:-1:8]).max() < 1e-12

@@ -8,7 +8,7 @@ import pytest
 from stopset.offline.description import robot_from_text
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
-from stopset.simulation import simulate_stop
+from stopset.simulation import StoppingArm, simulate_stop
 from stopset.simulation.dynamics import mass_and_bias
 from stopset.simulation.inclusion import solve_inclusion
 from stopset.types import Array
@@ -54,7 +54,7 @@ def stop(
     delay: Array | None = None,
 ) -> tuple[Array, Array]:
     return simulate_stop(
-        ARM.chain, ARM.pi, ARM.rotor, fc, fv, BRAKE, np.full(6, 0.02) if delay is None else delay, np.full(6, 0.018),
+        StoppingArm(ARM.chain, ARM.pi, ARM.rotor, fc, fv, BRAKE, np.full(6, 0.02) if delay is None else delay, np.full(6, 0.018)),
         q0, v0, dt, round(horizon / dt), u,
     )  # fmt: skip
 

@@ -22,7 +22,7 @@ from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of, tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque
 from stopset.sets import Box
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like, uncertain_rotors, ur5_like
@@ -128,8 +128,8 @@ def test_simulation_error_is_below_the_margin_granted_to_it() -> None:
     args = (p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi)
     for q, dq in states(6, 11):
         none = np.zeros((1, 6))
-        coarse = simulate_stop(p.chain, p.pi, p.rotor, *args, q, dq, 0.5e-3, 200, none)
-        fine = simulate_stop(p.chain, p.pi, p.rotor, *args, q, dq, 0.5e-3 / 16, 3200, none)
+        coarse = simulate_stop(StoppingArm(p.chain, p.pi, p.rotor, *args), q, dq, 0.5e-3, 200, none)
+        fine = simulate_stop(StoppingArm(p.chain, p.pi, p.rotor, *args), q, dq, 0.5e-3 / 16, 3200, none)
         assert np.abs(coarse[0] - fine[0][::16]).max() < 2e-6  # sampling.ANGLE_ERROR
         assert np.abs(coarse[1] - fine[1][::16]).max() < 1e-3  # sampling.SPEED_ERROR
 
@@ -306,7 +306,7 @@ def test_failed_ramps_stay_inside_the_guaranteed_bound() -> None:
         share = np.sort(rng.random(4))[::-1] if rng.random() < 0.5 else rng.random(4)
         travel, left = DQ * share.mean() * off, DQ * share[-1]
         qs, _ = simulate_stop(
-            p.chain, p.pi, p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi, Q + travel, left, 1e-3, 150,
+            StoppingArm(p.chain, p.pi, p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi), Q + travel, left, 1e-3, 150,
             np.zeros((1, 6)),
         )  # fmt: skip
         d = qs - Q

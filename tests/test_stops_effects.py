@@ -24,8 +24,8 @@ from stopset.fmu.sources import sources
 from stopset.fmu.stops import bounds_of, stop_data, stop_refusal
 from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
-from stopset.monitor.watch import Quantum
 from stopset.offline.nominal.known_effects import described
 from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds

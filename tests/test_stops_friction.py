@@ -20,7 +20,7 @@ from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tube_of
 from stopset.robot.rigid import torque
 from stopset.sets import Box
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -55,7 +55,7 @@ def stop_with_load_friction(
         load = torque(p.chain, pi, qs[-1], vs[-1], a)
         share = np.where(load * vs[-1] > 0.0, LIFT, LOWER)
         x, v = simulate_stop(
-            p.chain, pi, p.rotor, F0 + k * share * np.abs(load), p.viscous_hi, p.brake_hi, p.delay_lo - n * PIECE, p.rise_lo,
+            StoppingArm(p.chain, pi, p.rotor, F0 + k * share * np.abs(load), p.viscous_hi, p.brake_hi, p.delay_lo - n * PIECE, p.rise_lo),
             qs[-1], vs[-1], DT, round(PIECE / DT), np.zeros((1, 6)),
         )  # fmt: skip
         a = (v[-1] - vs[-1]) / PIECE

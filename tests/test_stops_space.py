@@ -14,7 +14,7 @@ from stopset.offline.stops.sampling import DT, draw, inverse_inertia, start_of
 from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.cartesian import Slices, point_motion
 from stopset.robot.rigid import link_frames
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -43,7 +43,7 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
         x = draw(s.plant, k % 5, sign, W, rng)
         q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:6], s.noise.radius[6:], rng)
         steps = int(bound.time.max() / DT) + 1
-        qs, vs = simulate_stop(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u)
+        qs, vs = simulate_stop(StoppingArm(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0, v0, DT, steps, x.u)
         R0, o0 = link_frames(chain, q0)
         ends0 = np.array([*o0[1:], o0[-1] + R0[-1] @ robot.tip])
         for qk, vk in zip(qs, vs, strict=True):

@@ -79,19 +79,19 @@ def test_absurd_sets_are_named(data: Path) -> None:
     s, errors, n = found.model.powered, found.model.errors, 2
     assert absurd(s, errors, survey) == [] and found.absurd == ()
     V = dataclasses.replace(s.V, hi=np.where(np.arange(4) == n, 40.0, s.V.hi))
-    assert "never faster than" in absurd(dataclasses.replace(s, V=V), errors, survey)[0]
+    assert "never faster than" in absurd(dataclasses.replace(s, V=V), errors, survey)[0].what
     far = {j: {**row, "position_rmse": 2392.0 if j == JOINTS[1] else row["position_rmse"]} for j, row in errors.items()}
-    assert "diverges" in absurd(s, far, survey)[0]
+    assert "diverges" in absurd(s, far, survey)[0].what
     U = dataclasses.replace(s.U, lo=s.U.hi.copy())
     odd = absurd(dataclasses.replace(s, U=U), {j: {**row, "torque_rmse": 2.9} for j, row in errors.items()}, survey)
-    assert len(odd) == 2 and "0 N m wide" in odd[0]
+    assert len(odd) == 2 and "0 N m wide" in odd[0].what
     assert late(survey, JOINTS) == [] and silent(survey, JOINTS, found.tightness) == []
     (text,) = late(dataclasses.replace(survey, late=np.array([0.012, 0.0])), JOINTS)
     assert "12.0 ms after the slope" in text and JOINTS[0] in text
     blind = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 9.0]] * 3))
-    assert all(x.startswith("absurd") and "say nothing" in x for x in silent(survey, JOINTS, blind))
+    assert all(x.grave and "say nothing" in x.what for x in silent(survey, JOINTS, blind))
     one = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 0.1]] * 3))
-    assert [x[:5] for x in silent(survey, JOINTS, one)] == ["wide:"]
+    assert [x.says[:5] for x in silent(survey, JOINTS, one)] == ["wide:"]
 
 
 @pytest.mark.shared

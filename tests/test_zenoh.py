@@ -22,8 +22,9 @@ from stopset.cli.main import main
 from stopset.errors import BusError
 from stopset.monitor.consumer import SAYS, Doubt
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
-from stopset.monitor.layout import State, pack
+from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.packer import pack
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.viewer import Page, View, terminal
 from stopset.recording import read_recordings

@@ -253,7 +253,9 @@ def test_a_file_without_zonotopes_has_none(together: tuple[Path, Identification]
 
 def test_the_monitor_checks_with_the_zonotopes_own_tube(together: tuple[Path, Identification]) -> None:
     """Every recording it was made from is conformant, sample by sample."""
-    from stopset.monitor.watch import Conformance, Sample, Watch
+    from stopset.monitor.sample import Sample
+    from stopset.monitor.verdict import Conformance
+    from stopset.monitor.watch import Watch
 
     path, found = together
     watch = Watch(replace(found.model, domain=replace(found.model.domain, temp=None)))

@@ -20,6 +20,7 @@ from scipy.integrate import solve_ivp
 from stopset.artifact import Model
 from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects import REFERENCE_TEMPERATURE
+from stopset.effects.signals import Samples
 from stopset.fmu.stops import bounds_of, stop_refusal
 from stopset.fmu.variables import start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
@@ -102,7 +103,7 @@ def _run(model: Model, share: float) -> tuple[Reference, Array]:
     x[0] = np.concatenate([start_posture(model), np.zeros(n)])
     lo[0], hi[0] = x[0] + s.X0.lo, x[0] + s.X0.hi
     effects = model.input.effects
-    states = memories_along(model.robot, effects, x[:1, :n], x[:1, n:], t=t[:1])
+    states = memories_along(model.robot, effects, Samples(x[:1, :n], x[:1, n:], t=t[:1]))
     for k in range(rows):
         now = slice(k, k + 1)
         q, dq = x[now, :n], x[now, n:]
@@ -112,7 +113,7 @@ def _run(model: Model, share: float) -> tuple[Reference, Array]:
         wanted = M @ (acc + 2.0 * PULL * (fast - dq[0]) + PULL**2 * (there - q[0])) + damping
         tau[k] = _torque(model, wanted, q, dq, here)[0]
         u[k] = model.input(q, dq, tau[now], **here)[0]
-        states = memories_after(model.robot, effects, states, q, dq, s.dt, temp=temp[now])
+        states = memories_after(model.robot, effects, states, Samples(q, dq, temp=temp[now]), s.dt)
         if k + 1 < rows:
             x[k + 1] = step(x[k], u[k])
             if not a.linear:  # decoupled joints are cooperative: the corners stay the corners

@@ -26,7 +26,7 @@ OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
 PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "tube")
-SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "watch")
+SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "predictions", "watch")
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
 CORE_HEADERS = ("inputs.h", "law.h", "maths.h", "stopset.h", "vectors.h", "wide.h", "stops/stops.h")
 UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))

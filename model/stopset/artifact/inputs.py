@@ -17,7 +17,7 @@ from stopset.artifact.taped import taped
 from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.memory import along, coefficients, stepped
 from stopset.effects.registry import get
-from stopset.effects.signals import arm_signals, paired
+from stopset.effects.signals import Samples, arm_signals, paired
 from stopset.errors import EffectError
 from stopset.robot import Robot
 from stopset.types import Array
@@ -76,9 +76,10 @@ class InputMap:
 
         Effects with memory need the times ``t`` (N,) [s], or their states ``memories`` where the caller carries these.
         """
+        samples = Samples(q, dq, temp=temp, warm=warm, t=t)
         if memories is None:
-            memories = memories_along(self.robot, self.effects, q, dq, temp=temp, warm=warm, t=t)
-        return taped(self)(self, q, dq, tau, temp, warm, t, memories)
+            memories = memories_along(self.robot, self.effects, samples)
+        return taped(self)(self, samples, tau, memories)
 
 
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
@@ -95,22 +96,20 @@ def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstractio
 
 
 def effect_torques(
-    robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, ddq: Array | None = None, *,
-    temp: Array | None = None, warm: float = 0.0, t: Array | None = None, way: float | None = None,
-    memories: Memories | None = None,
-) -> Array:  # fmt: skip
-    """Torque (N, n) [N m] of all ``effects`` together at samples in time order; accelerations are zero if left out.
+    robot: Robot, effects: Sequence[Fitted], samples: Samples, *, direction: float | None = None, memories: Memories | None = None
+) -> Array:
+    """Torque (N, n) [N m] of all ``effects`` together.
 
-    ``way``: direction of motion to assume in place of the sign of ``dq`` (at rest: the side friction is about to take);
+    ``direction``: of motion, to assume in place of the sign of ``dq`` (at rest: the side friction is about to take);
     ``memories``: the states of effects with memory, else from their start along ``t``.
     """
     laws = [(f, get(f.effect)) for f in effects]
-    signals = law_signals(robot, laws, q, dq, ddq, temp=temp, warm=warm, t=t)
+    signals = law_signals(robot, laws, samples)
     if memories is None:
-        memories = memories_along(robot, effects, q, dq, temp=temp, warm=warm, t=t)
-    if way is not None:
-        signals = tuple(replace(s, way=np.full(len(q), way)) for s in signals)
-    out = np.zeros_like(q)
+        memories = memories_along(robot, effects, samples)
+    if direction is not None:
+        signals = tuple(replace(s, way=np.full(len(samples.q), direction)) for s in signals)
+    out = np.zeros_like(samples.q)
     for k, (f, effect) in enumerate(laws):
         values = dict(f.values)
         if effect.scope == "arm" or f.joint is None:
@@ -127,19 +126,17 @@ def effect_torques(
     return out
 
 
-def memories_along(
-    robot: Robot, effects: Sequence[Fitted], q: Array, dq: Array, *,
-    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
-) -> Memories:  # fmt: skip
+def memories_along(robot: Robot, effects: Sequence[Fitted], samples: Samples) -> Memories:
     """States of the effects with memory along one recording, each from its own start; empty where none has a memory."""
     laws = [(f, get(f.effect)) for f in effects]
     lasting = {k: (f, e) for k, (f, e) in enumerate(laws) if e.states and f.joint is not None}
     if not lasting:
         return {}
+    t = samples.t
     if t is None:
         names = ", ".join(f.label for f, _ in lasting.values())
         raise EffectError(f"{names} has a memory, and the samples have no times; give the times, or the states themselves")
-    signals = law_signals(robot, list(lasting.values()), q, dq, temp=temp, warm=warm, t=t)
+    signals = law_signals(robot, list(lasting.values()), samples)
     first = np.arange(len(t)) == 0
     step = np.diff(t, append=t[-1:])
     out = {}
@@ -149,15 +146,12 @@ def memories_along(
     return out
 
 
-def memories_after(
-    robot: Robot, effects: Sequence[Fitted], memories: Memories, q: Array, dq: Array, dt: float, *,
-    temp: Array | None = None, warm: float = 0.0,
-) -> Memories:  # fmt: skip
-    """The states of affine effects ``dt`` [s] after the samples ``q, dq`` (N, n), each from its own state of ``memories``."""
+def memories_after(robot: Robot, effects: Sequence[Fitted], memories: Memories, samples: Samples, dt: float) -> Memories:
+    """The states of affine effects ``dt`` [s] after the samples, each from its own state of ``memories``."""
     lasting = {k: (effects[k], get(effects[k].effect)) for k in memories}
     if not lasting:
         return {}
-    signals = law_signals(robot, list(lasting.values()), q, dq, temp=temp, warm=warm)
+    signals = law_signals(robot, list(lasting.values()), samples)
     out = {}
     for k, (f, effect) in lasting.items():
         assert f.joint is not None
@@ -166,12 +160,8 @@ def memories_after(
     return out
 
 
-def law_signals(
-    robot: Robot, laws: Sequence[tuple[Fitted, Effect]], q: Array, dq: Array, ddq: Array | None = None, *,
-    temp: Array | None = None, warm: float = 0.0, t: Array | None = None,
-) -> tuple[Signals, ...]:  # fmt: skip
+def law_signals(robot: Robot, laws: Sequence[tuple[Fitted, Effect]], samples: Samples) -> tuple[Signals, ...]:
     """Signals of every joint as far as ``laws`` read them."""
     needs = {name for _, e in laws for name in e.needs}
     rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
-    ddq = np.zeros_like(q) if ddq is None else ddq
-    return arm_signals(robot, q, dq, ddq, temp=temp, warm=warm, t=t, needs=rigid or {"none"})
+    return arm_signals(robot, samples, rigid or {"none"})

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted, Shape, Signals, Term
 from stopset.effects.registry import get
+from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.ring import Tape
 from stopset.robot.rigid import torques
@@ -156,12 +157,9 @@ class Taped:
         kept.held += [table]
         return cls(struct, kept, first, columns, "dtau" in needs)
 
-    def __call__(
-        self, m: InputMap, q: Array, dq: Array, tau: Array, temp: Array | None, warm: float, t: Array | None,
-        memories: Mapping[int, tuple[Array, ...]],
-    ) -> Array:  # fmt: skip
+    def __call__(self, m: InputMap, samples: Samples, tau: Array, memories: Mapping[int, tuple[Array, ...]]) -> Array:
         """``u`` (N, n) [N m], see `InputMap.__call__`."""
-        n = m.robot.n
+        n, q, dq, temp, t = m.robot.n, samples.q, samples.dq, samples.temp, samples.t
         if q.shape != dq.shape or q.shape != tau.shape or q.shape[1:] != (n,) or (temp is not None and temp.shape != q.shape):
             raise ValueError(f"samples of shapes {q.shape}, {dq.shape}, {tau.shape} for {n} joints; expected one shape (N, {n})")
         states = np.zeros((len(q), self.columns))
@@ -172,9 +170,9 @@ class Taped:
         if self.uses_dtau and t is not None and len(t) > 1:
             dtau = np.gradient(torques(m.robot.chain, m.robot.pi, q, dq, np.zeros_like(q)), t, axis=0)
         arrays = [None if x is None else given(x) for x in (q, dq, tau, temp, dtau, t, states)]
-        samples = ffi.new("StopsetSamples *", (*(ffi.NULL if x is None else view(x) for x in arrays), warm))
+        struct = ffi.new("StopsetSamples *", (*(ffi.NULL if x is None else view(x) for x in arrays), samples.warm))
         u = np.empty(q.shape)
-        check(lib.stopset_inputs(self.struct, len(q), samples, view(u)))
+        check(lib.stopset_inputs(self.struct, len(q), struct, view(u)))
         return u
 
 

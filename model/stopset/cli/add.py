@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_condition_options, add_keep_options, add_output_options, check_outputs, say, write_json
 from stopset.cli.steps import steps
+from stopset.errors import EffectError
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -41,19 +42,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output_options(parser)
 
 
+def _named(effects: Sequence[str], joint: str | None) -> Sequence[str]:
+    """``effects`` with the ``joint`` of --joint, which one of them may leave to it."""
+    if joint is None:
+        return effects
+    if len(effects) > 1 or ":" in effects[0]:
+        raise EffectError(
+            f"{' '.join(effects)} with --joint {joint}: expected a joint for one effect only; write "
+            f"{effects[0].partition(':')[0]}:{joint}"
+        )
+    return [f"{effects[0]}:{joint}"]
+
+
 def run(args: argparse.Namespace) -> int:
     """Add; exit code 1 when the effect does not help and is not forced."""
     from stopset.artifact import save_model
+    from stopset.offline.campaign.conditions import tagged
+    from stopset.offline.campaign.source import campaign_of
     from stopset.offline.description.older import load_model
     from stopset.offline.revise.revise import add
 
     check_outputs(args.out, args.json, args.keep, args.report)
     model = load_model(args.model)
 
+    names = _named(args.effect, args.joint)
+    campaign = tagged(campaign_of(model.robot.as_described, args.data), args.condition, args.data)
     with steps("add", args.data, args.quiet) as tell:
-        done = add(
-            model, args.effect, args.joint, args.data, args.force, tell, args.keep_as if args.keep else None, args.condition
-        )
+        done = add(model, names, campaign, force=args.force, tell=tell, keep=args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:

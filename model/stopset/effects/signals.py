@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,22 +15,25 @@ from stopset.types import Array
 _STEP = 1e-4  # [rad] central difference of the gravity torque: error ~ step^2 = 1e-8 of the torque, rounding 1e-12
 
 
-def arm_signals(
-    robot: Robot,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    temp: Array | None = None,
-    warm: float = 0.0,
-    t: Array | None = None,
-    needs: Collection[str] = (),
-) -> tuple[Signals, ...]:
-    """Signals of every joint for samples in time order; ``q, dq, ddq`` (N, n) [rad, rad/s, rad/s^2].
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A motion, (N, n) each in time order: ``q, dq, ddq`` [rad, rad/s, rad/s^2], accelerations zero if left out.
 
-    ``temp`` (N, n) [degC]; ``warm``: place in the session, 0 to 1; ``t`` (N,) [s], needed for ``dtau``; ``needs``:
-    which of the rigid-body signals to compute (all, if empty), for speed.
+    ``temp`` (N, n) [degC]; ``warm``: place in the session, 0 to 1; ``t`` (N,) [s], which laws with memory and ``dtau`` need.
     """
+
+    q: Array
+    dq: Array
+    ddq: Array | None = None
+    temp: Array | None = None
+    warm: float = 0.0
+    t: Array | None = None
+
+
+def arm_signals(robot: Robot, samples: Samples, needs: Collection[str] = ()) -> tuple[Signals, ...]:
+    """Signals of every joint; ``needs``: which of the rigid-body signals to compute (all, if empty), for speed."""
+    q, dq, temp, warm, t = samples.q, samples.dq, samples.temp, samples.warm, samples.t
+    ddq = np.zeros_like(q) if samples.ddq is None else samples.ddq
     chain, pi, n = robot.chain, robot.pi, robot.n
     want = set(needs) or {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
     zero = np.zeros_like(q)

@@ -37,9 +37,9 @@ class Chain(NamedTuple):
 
 def arm_struct(chain: Chain, pi: Array | None) -> Any:
     """The C struct of an arm; what it points at lives as long as it does."""
-    for seen in _recent:  # most calls are about the arm of the call before
-        if seen[0] is chain and seen[1] is pi:
-            return seen[2]
+    for its_chain, its_pi, struct, _ in _recent:  # most calls are about the arm of the call before
+        if its_chain is chain and its_pi is pi:
+            return struct
     n = len(chain.p)
     if chain.R.shape != (n, 3, 3) or chain.axis.shape != (n, 3) or chain.gravity.shape != (3,):
         raise ValueError(f"chain of {n} joints with R {chain.R.shape}, axis {chain.axis.shape}, gravity {chain.gravity.shape}")
@@ -81,17 +81,24 @@ def torque(chain: Chain, pi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     return torques(chain, pi, q, dq, ddq)
 
 
-def bent_torques(
-    chain: Chain, pi: Array, q: Array, dq: Array, ddq: Array,
-    joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array,
-) -> None:  # fmt: skip
-    """`torques` (N, n) with ``joint`` bent by ``x, dx, ddx`` (N,), into ``out``: only those of the joints from ``lowest`` on."""
-    (q, dq, ddq), N = _rows(chain, q, dq, ddq)
-    if out.shape != q.shape or any(v.shape != (N,) for v in (x, dx, ddx)) or not 0 <= lowest < q.shape[1]:
-        raise ValueError(f"bend {x.shape}, {dx.shape}, {ddx.shape} of joints from {lowest} for rows {q.shape}, into {out.shape}")
+class Bend(NamedTuple):
+    """A joint whose link is off its encoder by ``x, dx, ddx`` (N,) [rad, rad/s, rad/s^2]."""
+
+    joint: int
+    x: Array
+    dx: Array
+    ddx: Array
+
+
+def bent_torques(chain: Chain, pi: Array, states: tuple[Array, Array, Array], bend: Bend, lowest: int, out: Array) -> None:
+    """`torques` (N, n) of ``q, dq, ddq`` with a joint bent, into ``out``: only those of the joints from ``lowest`` on."""
+    (q, dq, ddq), N = _rows(chain, *states)
+    joint, *by = bend
+    if out.shape != q.shape or any(v.shape != (N,) for v in by) or not 0 <= lowest < q.shape[1]:
+        raise ValueError(f"bend {[v.shape for v in by]} of joints from {lowest} for rows {q.shape}, into {out.shape}")
     arm = arm_struct(chain, pi)
-    bend = [given(v) for v in (x, dx, ddx)]
-    check(lib.stopset_bent_torques(arm, N, view(q), view(dq), view(ddq), joint, *map(view, bend), lowest, view(out)))
+    held = [given(v) for v in by]
+    check(lib.stopset_bent_torques(arm, N, view(q), view(dq), view(ddq), joint, *map(view, held), lowest, view(out)))
 
 
 def gravity_torques(chain: Chain, pi: Array, q: Array) -> Array:

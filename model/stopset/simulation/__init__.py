@@ -6,6 +6,6 @@
 from stopset.simulation.campaign import PLANS, Plan
 from stopset.simulation.hidden import kinds
 from stopset.simulation.scenario import Scenario, prepare
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
-__all__ = ["PLANS", "Plan", "Scenario", "kinds", "prepare", "simulate_stop"]
+__all__ = ["PLANS", "Plan", "Scenario", "StoppingArm", "kinds", "prepare", "simulate_stop"]

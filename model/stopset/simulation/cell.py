@@ -258,7 +258,8 @@ def wrong_cad(robot: Robot, rng: np.random.Generator) -> Array:
     out = robot.pi.copy()
     for i, P in enumerate(robot.pi):
         m, c = P[0], P[1:4] / P[0]
-        about_origin = np.array([[P[4], P[5], P[7]], [P[5], P[6], P[8]], [P[7], P[8], P[9]]])
+        xx, xy, yy, xz, yz, zz = P[4:]
+        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         inertia = about_origin - m * ((c @ c) * np.eye(3) - np.outer(c, c))
         scale = 1 + rng.uniform(0.02, 0.05) * rng.choice([-1.0, 1.0])
         out[i] = standard_parameters(scale * m, c + rng.normal(0, 0.003 / np.sqrt(3), 3), scale * inertia)

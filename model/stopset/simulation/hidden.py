@@ -64,6 +64,7 @@ class Kind:
     where: str = "any"  # joints chosen when none is named: "any", "loaded" (by gravity)
     joints: int = 1  # that the arm must have
     both: bool = False  # whether the cause sits at both joints of a pair, or at the first alone
+    outside: bool = False  # a cause that no effect of the catalogue is
     fixed: str = ""  # why the size is `guess` whatever factor is wanted; empty where it is chosen for the factor
 
 
@@ -321,10 +322,10 @@ SEEN: dict[str, Kind] = {
     "unlogged feed-forward": Kind(_coriolis, 0.5, 1.5, scope="arm"),
 }
 OUTSIDE: dict[str, Kind] = {
-    "outside_bump": Kind(_outside_bump, 1.0, 30.0),
-    "outside_walk": Kind(_outside_walk, 0.5, 15.0),
-    "outside_resonance": Kind(_outside_resonance, 1.0, 15.0),
-    "outside_weave": Kind(_outside_weave, 1.0, 30.0, joints=2),
+    "outside_bump": Kind(_outside_bump, 1.0, 30.0, outside=True),
+    "outside_walk": Kind(_outside_walk, 0.5, 15.0, outside=True),
+    "outside_resonance": Kind(_outside_resonance, 1.0, 15.0, outside=True),
+    "outside_weave": Kind(_outside_weave, 1.0, 30.0, joints=2, outside=True),
 }
 
 

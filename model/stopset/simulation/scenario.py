@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,16 +100,17 @@ def prepare(
     floor = residual_rms(base, sound)
     sized = [size_effect(base, measured, sound, effect, joint, RATIOS[size]) for effect, joint in wanted]
     cell, parameters = inject(base, [s.hidden for s in sized])
-    truth = _tell(base, cell, sized, parameters, floor, plan, size, cad)
+    asked = {"plan": plan, "size": size, "urdf_exact": cad == "exact"}
+    truth = _truth(base, cell, sized, parameters, floor, asked)
     return Scenario(robot, cell, PLANS[plan], truth)
 
 
-def _tell(
-    base: Cell, cell: Cell, sized: Sequence[Sized], parameters: Sequence[Parameters], floor: np.ndarray,
-    plan: str, size: str, cad: str,
-) -> dict[str, Any]:  # fmt: skip
+def _truth(
+    base: Cell, cell: Cell, sized: Sequence[Sized], parameters: Sequence[Parameters], floor: np.ndarray, asked: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What is hidden, as ``truth.json`` says it; ``asked``: what the campaign was made for."""
     joints, plant = cell.cad.joints, cell.truth.plant
-    outside = any(s.hidden.effect.startswith("outside_") for s in sized)
+    outside = any(kinds()[s.hidden.effect].outside for s in sized)
     missing = any(kinds()[s.hidden.effect].fixed != BASE for s in sized)
     effects = []
     for s, said in zip(sized, parameters, strict=True):
@@ -118,12 +119,12 @@ def _tell(
         where = [j for j in (joint, partner if kinds()[s.hidden.effect].both else None) if j is not None]
         effects.append({
             "effect": s.hidden.effect, "joint": joint, "joints": where, "joint_scored": kinds()[s.hidden.effect].scope == "joint",
-            "level": size, "ratio_wanted": round(s.wanted, 3), "ratio_achieved": round(s.ratio, 3),
+            "level": asked["size"], "ratio_wanted": round(s.wanted, 3), "ratio_achieved": round(s.ratio, 3),
             "ratios": dict(zip(joints, s.ratios.round(3).tolist(), strict=True)), "note": s.note,
             "params": {k: v if isinstance(v, str) else float(v) for k, v in said.items()},
         })  # fmt: skip
     return {
-        "robot": cell.cad.name, "seed": cell.seed, "plan": plan, "size": size, "urdf_exact": cad == "exact",
+        "robot": cell.cad.name, "seed": cell.seed, **asked,
         "verdict": "unknown" if outside else "missing" if missing else "none",
         "effects": effects,
         "floor_rms_Nm": dict(zip(joints, floor.round(4).tolist(), strict=True)),

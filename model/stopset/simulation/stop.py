@@ -11,6 +11,8 @@ Source: Moreau (1988); Acary & Brogliato (2008), Numerical Methods for Nonsmooth
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
@@ -18,24 +20,31 @@ from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
 
 
-def simulate_stop(
-    chain: Chain, pi: Array, rotor: Array, fc: Array, fv: Array,
-    brake_torque: Array, brake_delay: Array, brake_rise: Array,
-    q0: Array, v0: Array, dt: float, steps: int, disturbance: Array,
-) -> tuple[Array, Array]:  # fmt: skip
+class StoppingArm(NamedTuple):
+    """An arm whose power is cut; all joint arrays are (n,)."""
+
+    chain: Chain  # rigid body of `stopset.robot`
+    pi: Array  # (n, 10), with the payload
+    rotor: Array  # [kg m^2] reflected rotor inertia
+    fc: Array  # [N m] Coulomb friction
+    fv: Array  # [N m s/rad] viscous friction
+    brake_torque: Array  # [N m]
+    brake_delay: Array  # [s] after the cut
+    brake_rise: Array  # [s]
+
+
+def simulate_stop(arm: StoppingArm, q0: Array, v0: Array, dt: float, steps: int, disturbance: Array) -> tuple[Array, Array]:
     """Positions [rad] and velocities [rad/s] of a power-off stop every ``dt`` seconds, (steps + 1, n) each.
 
-    ``chain, pi``: rigid body of `stopset.robot` (payload inside ``pi``); ``rotor``: reflected rotor inertia [kg m^2];
-    ``fc, fv``: Coulomb [N m] and viscous [N m s/rad] friction; ``brake_torque`` [N m], ``brake_delay``, ``brake_rise``
-    [s] after the cut at t = 0; ``disturbance``: (pieces, n) torque u [N m] on the joints, constant over equal pieces of
-    the horizon (one zero row for none).  All joint arrays are (n,).
+    The cut is at t = 0; ``disturbance``: (pieces, n) torque u [N m] on the joints, constant over equal pieces of the horizon
+    (one zero row for none).
     """
-    n = len(pi)
-    rows = [given(x) for x in (rotor, fc, fv, brake_torque, brake_delay, brake_rise, q0, v0)]
+    n = len(arm.pi)
+    rows = [given(x) for x in (*arm[2:], q0, v0)]
     if any(x.shape != (n,) for x in rows) or disturbance.ndim != 2 or disturbance.shape[1] != n:
         raise ValueError(f"a stop of {[x.shape for x in rows]} with disturbance {disturbance.shape} for {n} joints")
-    arm = arm_struct(chain, pi)
-    plant = ffi.new("StopsetSimStop *", (arm[0], *(view(x) for x in rows[:6])))
+    body = arm_struct(arm.chain, arm.pi)
+    plant = ffi.new("StopsetSimStop *", (body[0], *(view(x) for x in rows[:6])))
     q, v, u = np.empty((steps + 1, n)), np.empty((steps + 1, n)), given(disturbance)
     check(lib.stopset_sim_stop(plant, view(rows[6]), view(rows[7]), dt, steps, len(u), view(u), view(q), view(v)))
     return q, v

@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.predictions import FAR, Corners, Index, Paths
-from stopset.monitor.watch import LARGEST, Conformance, Deviation, Quantum, Sample, Verdict, Watch
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance, Deviation, Verdict
+from stopset.monitor.watch import Watch
 from stopset.types import Array
 
 
@@ -28,7 +31,7 @@ def watch_for(model: Model, quantum: Quantum, payload: float, warm: tuple[float,
 
 
 @dataclass(slots=True)
-class WatchAlong:
+class WatchAlong(Check):
     """As `Watch`, for a nonlinear model; ``every``: samples per step of the sets' grid.
 
     A verdict between two steps of the grid is that of the last step. Lost samples and jitter begin anew.
@@ -77,14 +80,6 @@ class WatchAlong:
         self._last = self._said = self._between = None
         self._inputs.forget()
 
-    def step(self, sample: Sample) -> Verdict:
-        """Take the next sample; an error inside is the verdict FAULT, with its words, and no prediction survives it."""
-        try:
-            return self._step(sample)
-        except Exception as e:  # noqa: BLE001 - whatever went wrong, the answer must say so and never read as conformant
-            self.restart()
-            return Verdict(Conformance.FAULT, f"the check failed: {type(e).__name__}: {e}")
-
     def _step(self, s: Sample) -> Verdict:
         if reason := self._no_verdict(s):
             self.restart()
@@ -96,12 +91,12 @@ class WatchAlong:
             self.restart()
         self._last = s
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
-        outside = self._outside(s, u, du)
+        beyond = outside(self.model, self.quantum, s, u, du)
         if self._said is not None and len(self._since) < self.every:
             said = self._said
             self._since.append((u, du))
-            return said if not outside and said.conformance is Conformance.CONFORMANT else self._doubtful(outside)
-        verdict = self._at_step(np.concatenate([s.q, s.dq]), outside)
+            return said if not beyond and said.conformance is Conformance.CONFORMANT else self._doubtful(beyond)
+        verdict = self._at_step(np.concatenate([s.q, s.dq]), beyond)
         self._since.append((u, du))
         if broken and before is not None:
             verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}")
@@ -160,29 +155,12 @@ class WatchAlong:
         )  # fmt: skip
 
     def _no_verdict(self, s: Sample) -> str:
-        if not s.powered:
-            return "the drives are not in powered operation"
-        if s.tau is None:
-            return "no torque in the signals"
+        if reason := not_checked(s):
+            return reason
+        assert s.tau is not None
         readings = (s.q, s.dq, s.tau) if s.temp is None else (s.q, s.dq, s.tau, s.temp)
         if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
-            return "a reading is not a number"
+            return NOT_A_NUMBER
         if not any(r.any() for r in readings[:3]):
-            return (
-                "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
-            )
-        lo, hi = self.model.domain.payload
-        if not lo <= self.payload <= hi:
-            return f"payload {self.payload} kg is outside the identified [{lo}, {hi}] kg"
-        return ""
-
-    def _outside(self, s: Sample, u: Array, du: Array) -> tuple[str, ...]:
-        """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
-        d, q = self.model.domain, self.quantum
-        rows = [("q", s.q, d.q, q.q), ("dq", s.dq, d.dq, q.dq), ("u", u, d.u, du + 1e-12)]
-        if s.temp is not None and d.temp is not None:
-            rows.append(("temp", s.temp, d.temp, np.zeros(self.model.n)))
-        return tuple(
-            f"{name}_{self.model.joints[j]}"
-            for name, value, box, h in rows for j in np.flatnonzero((value < box.lo - h) | (value > box.hi + h))
-        )  # fmt: skip
+            return ALL_ZERO
+        return unidentified_payload(self.model, self.payload)

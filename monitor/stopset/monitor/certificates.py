@@ -15,7 +15,7 @@ from stopset.types import Array
 
 KEPT = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
 
-_ANY = np.zeros(1)  # the cost of one box is not looked at
+_ANY = view(np.zeros(1))  # the cost of one box is not looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +41,14 @@ class Numbers:
         return cls(inf, inf, inf, float("inf"), np.zeros(n, bool), why, margin)
 
     @classmethod
-    def fallback(cls, n: int, time: float, angle: float, tcp: float, why: str) -> Numbers:
+    def fallback(cls, n: int, time: float, angle: float, tcp: float) -> Numbers:
         a = np.full(n, angle)
-        return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool), why)
+        return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool))
+
+
+def holds(lo: Array, hi: Array, x: Array, slack: Array) -> bool:
+    """Whether ``x`` lies within ``lo`` and ``hi``, (2n,) each, with ``slack`` either way."""
+    return bool(lib.stopset_tightest(1, len(x), view(lo), view(hi), _ANY, view(x), view(slack)) == 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ class Answer:
 
     def covers(self, x: Array, slack: Array) -> bool:
         """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
-        return bool(lib.stopset_tightest(1, len(x), view(self.lo), view(self.hi), view(_ANY), view(x), view(slack)) == 0)
+        return holds(self.lo, self.hi, x, slack)
 
 
 @dataclass(slots=True)

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,60 +18,66 @@ import msgspec
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.errors import BusError, NotCovered, StopsetError
-from stopset.monitor.along import WatchAlong, watch_for
+from stopset.errors import BusError, NotCovered
+from stopset.monitor.along import watch_for
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Answer, Recorder
 from stopset.monitor.latch import Latch
-from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, Signer, State
+from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, State
 from stopset.monitor.margins import exceeded, margins
 from stopset.monitor.notify import Notifier
 from stopset.monitor.orders import Orders
 from stopset.monitor.override import Advisor
+from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import U64, Outlet, Publisher
+from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.report import Tally, Turn, health, twin
+from stopset.monitor.sample import Sample
 from stopset.monitor.source import NoSource, Source
 from stopset.monitor.status import Limits, Recovery, Situation, believable, decide, stop_fields
 from stopset.monitor.stopdesk import StopDesk, seen_by
-from stopset.monitor.watch import Conformance, Sample, Verdict, Watch, check_cycle
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import check_cycle
 
 CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2, Conformance.FAULT: 3}
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
+FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
 LATE = 3  # samples in a row that came later than they are valid for
 
 
 @dataclass(frozen=True, slots=True)
-class Loaded:
-    """A model ready to be watched with."""
+class Beside:
+    """What the daemon works with beside its source and outlet; what is None is made for it.
 
-    model: Model
-    text: bytes  # of its file
-    watch: Watch | WatchAlong
-    desk: StopDesk
+    ``load``: gives the model anew when a reload is asked for; raises `StopsetError` if that cannot be used.
+    """
+
+    latch: Latch | None = None
+    signer: Signer | None = None
+    clock: Clock | None = None
+    desk: StopDesk | None = None
+    load: Callable[[], Model] | None = None
+    recorder: Recorder | None = None
 
 
 class Daemon:
-    """One arm's monitor. ``source`` gives samples, ``outlet`` takes messages; `cycle` does one turn, `run` all of them.
-
-    ``load``: gives the model anew when `reload` is asked for; raises `StopsetError` if that cannot be used.
-    """
+    """One arm's monitor. ``source`` gives samples, ``outlet`` takes messages; `cycle` does one turn, `run` all of them."""
 
     def __init__(
-        self, config: Config, model: Model, source: Source, outlet: Outlet, cycle_s: float, *,
-        latch: Latch | None = None, signer: Signer | None = None, clock: Clock | None = None,
-        desk: StopDesk | None = None, load: Callable[[], Model] | None = None, recorder: Recorder | None = None,
-    ) -> None:  # fmt: skip
-        self.config, self.source, self.cycle_s = config, source, cycle_s
-        self.clock: Clock = clock or SystemClock()
-        self._load, self.recorder = load, recorder
-        self._use(self._prepare(model, desk))
+        self, config: Config, model: Model, source: Source, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
+    ) -> None:
+        self.config, self.source, self.cycle_s, self.recorder = config, source, cycle_s, beside.recorder
+        self.clock: Clock = beside.clock or SystemClock()
+        self.reloading = Reloading(beside.load, self._prepare)
+        self._use(self._prepare(model, beside.desk))
         p = config.publish
         valid = p.valid_for_ms * 1e-3
         self.limits = Limits(valid, min(valid, cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
-        self.latch, self.tally, self.orders, self.recovery = latch or Latch(), Tally(), Orders(), Recovery(self.limits)
+        self.latch, self.tally, self.orders = beside.latch or Latch(), Tally(), Orders()
+        self.recovery = Recovery(self.limits)
         self.stopping = False
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
@@ -82,13 +86,12 @@ class Daemon:
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(p.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
-        self._reloads: queue.SimpleQueue[Loaded | str] = queue.SimpleQueue()
-        self._reloading = self.reload_asked = False
-        self.publisher = Publisher(outlet, self.clock, self._identity(), signer)
+        self.publisher = Publisher(outlet, self.clock, self._identity(), beside.signer)
         self.margins: dict[str, Any] | None = None
         self.override: dict[str, Any] | None = None
         self.advisor = Advisor(config, model.sha256) if config.limits.override else None
         self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
+        self._withdrawn: dict[str, Numbers] = {}
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
         outlet.serve("model", lambda: self._loaded.text)
@@ -122,43 +125,21 @@ class Daemon:
             "cycle_us": round(self.cycle_s * 1e6), "joints": self.model.n,
         }  # fmt: skip
 
-    def _reload(self) -> None:
-        """Read the model anew beside the loop; the one in use stays until the new one is ready, and if that cannot be used."""
-        load, joints = self._load, self.model.joints
-        self.reload_asked = False
-        if load is None or self._reloading:
-            return
-        self._reloading = True
-
-        def work() -> None:
-            try:
-                model = load()
-                if model.joints != joints:
-                    raise NotCovered(f"the new model has the joints {', '.join(model.joints)}, this arm {', '.join(joints)}")
-                self._reloads.put(self._prepare(model))
-            except (StopsetError, OSError) as e:
-                self._reloads.put(str(e))
-            except Exception as e:  # noqa: BLE001 - a broken model must not end the watch over the arm
-                self._reloads.put(f"{type(e).__name__}: {e}")
-
-        threading.Thread(target=work, daemon=True, name="reload").start()
-
     def _take_reloaded(self) -> None:
-        if self._reloads.empty():
+        answer = self.reloading.turn(self.model.joints)
+        if answer is None:
             return
-        answer, self._reloading = self._reloads.get_nowait(), False
         if isinstance(answer, str):
             self.publisher.event("reload_refused", why=answer, model_sha256=self.model.sha256)
             return
-        old, before = self.desk, self.model.sha256
+        old, before = [self.desk, *([] if self.advisor is None else [self.advisor])], self.model.sha256
         self._use(answer)
         self.verdict = None
         self.publisher.identity = self._identity()
         self.publisher.event("reloaded", model_sha256=self.model.sha256, before=before)
-        threading.Thread(target=old.close, daemon=True, name="old-desk").start()  # waits for its process
         if self.advisor is not None:
-            threading.Thread(target=self.advisor.close, daemon=True, name="old-advisor").start()
             self.advisor = Advisor(self.config, self.model.sha256)
+        end_beside(*old)
 
     # ---- one turn -----------------------------------------------------------------------------------------------
 
@@ -229,24 +210,32 @@ class Daemon:
         state, held, why = self.recovery.hold(state, why, now)
         flags |= held
         if not believable(state, flags):
-            f = self.config.fallback
-            flags |= Flag.FALLBACK_IN_FORCE
-            numbers = {c: Numbers.fallback(self.model.n, f.time_s, f.angle_rad, f.tcp_m, why) for c in numbers}
+            flags |= FALLBACK_IN_FORCE
+            numbers = self._fallback(numbers)
         return Turn(state, flags, why, numbers)
+
+    def _fallback(self, numbers: dict[str, Numbers]) -> dict[str, Numbers]:
+        """The configured ones in place of ``numbers``, the same object every time: it need not be made a message of anew."""
+        if self._withdrawn.keys() != numbers.keys():
+            f = self.config.fallback
+            self._withdrawn = {c: Numbers.fallback(self.model.n, f.time_s, f.angle_rad, f.tcp_m) for c in numbers}
+        return self._withdrawn
 
     def _send(self, turn: Turn) -> None:
         s, v = self.sample, self.verdict
-        first, dropped = self.latch.first, self.source.counters().get("dropped", 0)
+        first, dropped = self.latch.first, self.source.dropped + self.orders.dropped
         joint = first.first.joint if first else ""
+        margin = -np.inf
+        if turn.numbers:
+            margin = min([x.margin for x in turn.numbers.values()])
         values: dict[str, Any] = {
             "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s and math.isfinite(s.t) else 0,
-            "state": int(turn.state), "conformance": CODES[v.conformance] if v else 0, "flags": int(turn.flags),
+            "state": turn.state.value, "conformance": CODES[v.conformance] if v else 0, "flags": turn.flags,
             "violation_count": min(self.latch.count, 0xFFFFFFFF), "oldest_age": v.oldest if v else 0.0,
             "violation_class": self.latch.kind.code,
             "first_joint": self.model.joints.index(joint) + 1 if joint in self.model.joints else 0,
-            "room_min": float(v.room.min()) if v and v.room is not None else -np.inf,
-            "holding_margin_min": min((x.margin for x in turn.numbers.values()), default=-np.inf),
-            "bad_nodes": s.bad_nodes if s else 0, "dropped": (dropped + self.orders.dropped) & 0xFFFFFFFF,
+            "room_min": v.room.min() if v and v.room is not None else -np.inf, "holding_margin_min": margin,
+            "bad_nodes": s.bad_nodes if s else 0, "dropped": dropped & 0xFFFFFFFF,
         }  # fmt: skip
         self.publisher.state(values, self._block_of(turn.numbers))
         self._notify.say("WATCHDOG=1")
@@ -272,8 +261,6 @@ class Daemon:
                 who, why = order[0].name, order[0].reason
                 self.publisher.event("reset", name=who, reason=why, cleared=self.latch.count, joints=list(self.latch.joints))
                 self.latch.reset(who, why, now)
-        if self.reload_asked:
-            self._reload()
         self._take_reloaded()
         while self.recorder is not None and self.recorder.answers:
             self._classed(self.recorder.answers.popleft(), now)
@@ -335,7 +322,7 @@ class Daemon:
         try:
             turn = self._situation()
         except Exception as e:  # noqa: BLE001 - this is the error path: there is no other behind it
-            turn = Turn(State.FAULT, Flag.FALLBACK_IN_FORCE, f"{words}; {type(e).__name__}: {e}", {})
+            turn = Turn(State.FAULT, FALLBACK_IN_FORCE, f"{words}; {type(e).__name__}: {e}", {})
         try:
             self._send(turn)
             self.publisher.words("state/json", twin(self, turn))
@@ -392,7 +379,7 @@ class Daemon:
         self._notify.say("STOPPING=1")
         turn = self._situation()
         none = {c: Numbers.none(self.model.n, "shut down") for c in turn.numbers}
-        turn = Turn(State.SHUTDOWN, turn.flags | Flag.FALLBACK_IN_FORCE, "the monitor was stopped", none)
+        turn = Turn(State.SHUTDOWN, turn.flags | FALLBACK_IN_FORCE, "the monitor was stopped", none)
         self._send(turn)
         self.publisher.words("state/json", twin(self, turn), must_arrive=True)
         if self.recorder is not None:

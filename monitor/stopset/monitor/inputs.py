@@ -16,7 +16,7 @@ from stopset.monitor.carried import Carried
 from stopset.types import Array
 
 if TYPE_CHECKING:
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ import msgspec
 
 from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, Unreadable
-from stopset.monitor.watch import Conformance, Deviation, Sample, Verdict
+from stopset.monitor.sample import Sample
+from stopset.monitor.verdict import Conformance, Deviation, Verdict
 
 SCHEMA = 1
 SAVE_EVERY = 1.0  # [s] a growing count is written this often; a new entry at once

@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +125,7 @@ FIELDS: tuple[Field, ...] = (
     Field("end_check", "u32", 1, "", "CRC-32/ISO-HDLC of all bytes before this field"),
     Field("end_crc", "u32", 1, "", "CRC-32C of all bytes before this field"),
 )
-_F32, _U32, _HEAD = struct.Struct("<f"), struct.Struct("<I"), struct.Struct("<IHH")
+_F32, _U32 = struct.Struct("<f"), struct.Struct("<I")
 LARGEST_F32 = float(np.finfo(np.float32).max)
 _STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
 LENGTH = _STRUCT.size
@@ -171,100 +170,8 @@ def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.flo
     return np.asarray(np.where(np.isnan(y), np.inf, y) * sign, np.float32)
 
 
-class Signer(Protocol):
-    """A key's number, and the authentication code it makes of some bytes; see `stopset.monitor.authentication`."""
-
-    @property
-    def key_id(self) -> int: ...
-
-    def code(self, data: bytes | bytearray | memoryview) -> bytes: ...
-
-
-_AT = offsets()
-_WHOLE = tuple(f for f in FIELDS if f.kind != "f32")
-_REAL = tuple(f for f in FIELDS if f.kind == "f32")
-_SLOTS = {f.name: slice(at, at + f.count) for f, at in zip(_REAL, np.cumsum([0, *(f.count for f in _REAL)]), strict=False)}
-_WORDS = np.concatenate([_AT[f.name] // 4 + np.arange(f.count) for f in _REAL])
-_UP = np.concatenate([np.full(f.count, f.rounds == "up") for f in _REAL])
-# how a field that changes with every message is put: writer, offset, rounding of a real number
-_PUT = {
-    f.name: (struct.Struct(f"<{f.count}{KINDS[f.kind][0]}").pack_into, _AT[f.name], f.rounds if f.kind == "f32" else None)
-    for f in FIELDS
-    if f.kind != "f32" or f.count == 1
-}
-_CHECKED = (("check", "crc"), ("end_check", "end_crc"))
-
-
-class Packer:
-    """Makes messages in place, one after another; ``signer`` adds its authentication code."""
-
-    def __init__(self, signer: Signer | None = None) -> None:
-        self.signer = signer
-        self._bytes = bytearray(LENGTH)
-        self._real = np.zeros(len(_WORDS))
-        self._floats = np.frombuffer(self._bytes, "<f4")
-        self._block: object = None
-        self._views = {
-            f.name: np.frombuffer(self._bytes, "<" + {"B": "u1", "H": "u2", "I": "u4", "Q": "u8"}[KINDS[f.kind][0]], f.count, _AT[f.name])
-            for f in _WHOLE
-        }  # fmt: skip
-
-    def pack(self, values: Mapping[str, Any]) -> bytes:
-        """One message from field values; magic, version, length, code and checks are filled in, missing fields are 0."""
-        self._bytes[:] = bytes(LENGTH)
-        self._real[:] = 0.0
-        self._block = None
-        self._set(values)
-        self._floats[_WORDS] = outward_all(self._real, _UP)
-        return self._finish()
-
-    def again(self, values: Mapping[str, Any], block: Mapping[str, Any]) -> bytes:
-        """The same where many fields stay: ``block`` is only looked at if it is another object than the last time, and what
-        ``values`` leaves out keeps its value."""
-        if block is not self._block:
-            self._bytes[:] = bytes(LENGTH)
-            self._real[:] = 0.0
-            self._set(block)
-            self._floats[_WORDS] = outward_all(self._real, _UP)
-            self._block = block
-        for name, value in values.items():
-            put, at, rounds = _PUT[name]
-            if rounds is not None:
-                put(self._bytes, at, outward(value, rounds))
-            elif type(value) is tuple:
-                put(self._bytes, at, *value)
-            else:
-                put(self._bytes, at, value)
-        return self._finish()
-
-    def _set(self, values: Mapping[str, Any]) -> None:
-        for name, value in values.items():
-            place = _SLOTS.get(name)
-            if place is None:
-                self._views[name][: np.size(value)] = value
-            else:
-                self._real[place.start : place.start + np.size(value)] = value
-
-    def _finish(self) -> bytes:
-        data = self._bytes
-        _HEAD.pack_into(data, 0, MAGIC, LAYOUT_VERSION, LENGTH)
-        self._check(*_CHECKED[0])
-        if self.signer is not None:
-            _U32.pack_into(data, _AT["key_id"], self.signer.key_id)
-            at = _AT["mac"]
-            data[at : at + MAC] = self.signer.code(memoryview(data)[:at])
-        self._check(*_CHECKED[1])
-        return bytes(data)
-
-    def _check(self, iso: str, castagnoli: str) -> None:
-        data = memoryview(self._bytes)
-        _U32.pack_into(data, _AT[iso], zlib.crc32(data[: _AT[iso]]))
-        _U32.pack_into(data, _AT[castagnoli], crc32c(data[: _AT[castagnoli]]))
-
-
-def pack(values: Mapping[str, Any], signer: Signer | None = None) -> bytes:
-    """One message, see `Packer`."""
-    return Packer(signer).pack(values)
+AT = offsets()
+CHECKED = (("check", "crc"), ("end_check", "end_crc"))
 
 
 def unpack(data: bytes) -> dict[str, Any]:
@@ -275,7 +182,7 @@ def unpack(data: bytes) -> dict[str, Any]:
     out: dict[str, Any] = {f.name: next(items) if f.count == 1 else tuple(next(items) for _ in range(f.count)) for f in FIELDS}
     if out["magic"] != MAGIC or out["layout_version"] != LAYOUT_VERSION or out["length"] != LENGTH:
         raise BusError(f"state message has magic {out['magic']:#x}, version {out['layout_version']}; expected {LAYOUT_VERSION}")
-    for iso, castagnoli in _CHECKED:
-        if out[castagnoli] != crc32c(data[: _AT[castagnoli]]) or out[iso] != zlib.crc32(data[: _AT[iso]]):
+    for iso, castagnoli in CHECKED:
+        if out[castagnoli] != crc32c(data[: AT[castagnoli]]) or out[iso] != zlib.crc32(data[: AT[iso]]):
             raise BusError("state message is damaged: its checksum does not match; drop it and look at the network")
     return out

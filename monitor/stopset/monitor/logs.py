@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.monitor.links.canopen_map import Decoder, frame_maps
+from stopset.monitor.links.canopen_map import frame_maps
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.links.logfile import LOG_SUFFIXES, log_suffix, read_log
 from stopset.monitor.nodes import EMCY, HEARTBEAT
 from stopset.monitor.profile import Profile
+from stopset.monitor.sample import Sample
 from stopset.monitor.source import CycleCount, sample_of
-from stopset.monitor.watch import Sample
 from stopset.recording import Meta, Recording
 
 __all__ = ["LOG_SUFFIXES", "log_meta", "log_suffix", "play_log", "said_by_drives", "trials_of_log"]

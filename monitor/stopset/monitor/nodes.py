@@ -8,6 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.core.library import lib
+from stopset.types import Array
+
 NMT, EMCY, HEARTBEAT = 0x000, 0x080, 0x700
 BOOT, STOPPED, OPERATIONAL, PREOPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 NAMES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOPERATIONAL: "pre-operational"}
@@ -19,11 +25,14 @@ MAX_SAID = 64  # emergencies kept for telling
 
 @dataclass(slots=True)
 class Node:
-    """The state last heard, when [s], and the emergency in force, 0 none."""
+    """The state last heard, and the emergency in force, 0 none."""
 
     state: int | None = None
-    heard: float = float("-inf")
     emergency: int = 0
+
+    @property
+    def good(self) -> bool:
+        return not self.emergency and self.state in (None, OPERATIONAL)
 
 
 @dataclass(slots=True)
@@ -31,35 +40,44 @@ class Nodes:
     """Follows the drives of ``joints`` (node id by joint). ``heartbeat_s``: their period; 0 = they send none.
 
     Without heartbeats a node counts as operational until a command or an emergency says otherwise: its PDOs show that it lives.
+    ``heard`` [s] and ``standing``, by node id, are the core's too: it takes in the heartbeats that change nothing.
     """
 
     joints: Mapping[str, int]
     heartbeat_s: float
     emergencies: list[tuple[int, bytes]] = field(default_factory=list)
+    heard: Array = field(default_factory=lambda: np.full(lib.STOPSET_NODES, -np.inf))
+    standing: NDArray[np.uint8] = field(default_factory=lambda: np.full(lib.STOPSET_NODES, lib.STOPSET_STRANGER, np.uint8))
     _nodes: dict[int, Node] = field(init=False)
 
     def __post_init__(self) -> None:
         self._nodes = {node: Node() for node in self.joints.values()}
+        self.standing[list(self._nodes)] = lib.STOPSET_GOOD
+
+    @property
+    def patience(self) -> float:
+        """[s] of silence after which a node is not good any more; 0: it may be silent."""
+        return PATIENCE * self.heartbeat_s
 
     def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> None:
         """Take a frame received at ``t`` [s]; others than the three services are passed over."""
         if cob_id == NMT:
             if len(data) == 2 and data[0] in COMMANDS:
                 for node_id in self._nodes if data[1] == 0 else (data[1],):
-                    if (node := self._nodes.get(node_id)) is not None:
-                        self._becomes(node, COMMANDS[data[0]])
+                    if node_id in self._nodes:
+                        self._becomes(node_id, COMMANDS[data[0]])
         elif EMCY < cob_id < EMCY + 0x80:
             self._emergency(cob_id - EMCY, bytes(data))
-        elif HEARTBEAT < cob_id < HEARTBEAT + 0x80 and len(data) == 1:
-            node = self._nodes.get(cob_id - HEARTBEAT)
-            if node is not None:
-                node.heard = t
-                self._becomes(node, data[0] & 0x7F)
+        elif HEARTBEAT < cob_id < HEARTBEAT + 0x80 and len(data) == 1 and cob_id - HEARTBEAT in self._nodes:
+            self.heard[cob_id - HEARTBEAT] = t
+            self._becomes(cob_id - HEARTBEAT, data[0] & 0x7F)
 
-    def _becomes(self, node: Node, state: int) -> None:
+    def _becomes(self, node_id: int, state: int) -> None:
+        node = self._nodes[node_id]
         node.state = state
         if state == BOOT:
             node.emergency = 0
+        self._stands(node_id, node)
 
     def _emergency(self, node_id: int, data: bytes) -> None:
         if len(self.emergencies) < MAX_SAID:
@@ -70,23 +88,28 @@ class Nodes:
             node.emergency = int.from_bytes(data[:2], "little") if len(data) >= 2 else 0xFFFF
             if node.emergency >> 8 == 0:
                 node.emergency = 0
+            self._stands(node_id, node)
+
+    def _stands(self, node_id: int, node: Node) -> None:
+        self.standing[node_id] = lib.STOPSET_GOOD if node.good else lib.STOPSET_BAD
 
     def bad(self, now: float) -> tuple[int, str]:
         """Bit i set = the drive of joint i is not good at ``now`` [s]; and a sentence on the first of them, empty if none."""
         bits, words = 0, ""
         for i, (joint, node_id) in enumerate(self.joints.items()):
-            why = self._why(self._nodes[node_id], now)
+            why = self._why(node_id, now)
             if why:
                 bits |= 1 << i
                 words = words or f"the drive of {joint} (node {node_id}) {why}"
         return bits, words
 
-    def _why(self, node: Node, now: float) -> str:
+    def _why(self, node_id: int, now: float) -> str:
+        node = self._nodes[node_id]
         if node.emergency:
             return f"reports the emergency 0x{node.emergency:04X}"
-        if node.state not in (None, OPERATIONAL):
+        if not node.good:
             assert node.state is not None
             return f"is {NAMES.get(node.state, f'in the unknown state 0x{node.state:02X}')}"
-        if self.heartbeat_s and not now - node.heard <= PATIENCE * self.heartbeat_s:
-            return f"has sent no heartbeat for {PATIENCE * self.heartbeat_s:g} s"
+        if self.heartbeat_s and not now - self.heard[node_id] <= self.patience:
+            return f"has sent no heartbeat for {self.patience:g} s"
         return ""

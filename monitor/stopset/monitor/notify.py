@@ -15,7 +15,7 @@ class Notifier:
         self._socket: socket.socket | None = None
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.setblocking(False)
+            self._socket.settimeout(0.0)
             self._address = "\0" + path[1:] if path.startswith("@") else path
 
     def say(self, *words: str) -> None:

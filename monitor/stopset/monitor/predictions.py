@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.monitor.watch import Quantum
+from stopset.monitor.sample import Quantum
 from stopset.reach.nonlinear import STEP, nominal, parts, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
@@ -164,7 +164,7 @@ class Paths:
         lo, hi = np.empty((len(due), 2 * n)), np.empty((len(due), 2 * n))
         for row, age in enumerate(due):
             lo[row], hi[row] = self._bounds(age)
-        foreign = np.array([any(i[2] for i in self._inputs[-a:]) for a in due], bool)
+        foreign = np.array([any(out for *_, out in self._inputs[-a:]) for a in due], bool)
         return np.array(due, np.int64), foreign, lo, hi
 
     def _bounds(self, age: int) -> tuple[Array, Array]:

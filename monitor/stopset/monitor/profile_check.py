@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from stopset.monitor.links.canopen_map import Decoder, frame_maps
-from stopset.monitor.links.hub import Frame
+from stopset.monitor.links.batch import Frame
+from stopset.monitor.links.canopen_map import frame_maps
+from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.nodes import EMCY, HEARTBEAT
 from stopset.monitor.profile import SIGNALS, Profile
 

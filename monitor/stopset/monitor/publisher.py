@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 
 from stopset.monitor.clock import Clock
-from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, NONCES, PREFIX, Flag, Packer, Signer, State
+from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, NONCES, PREFIX, Flag, State
+from stopset.monitor.packer import Packer, Signer
 
 MAX_EVENTS = 100  # kept for those who ask later
 U64 = 2**64 - 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.watch import Conformance
+from stopset.monitor.verdict import Conformance
 
 if TYPE_CHECKING:
     from stopset.monitor.daemon import Daemon
@@ -21,12 +21,12 @@ NOTICE = "Monitoring aid, not a safety function: bounds hold only for the identi
 NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Turn:
     """What one turn of the loop has come to."""
 
     state: State
-    flags: Flag
+    flags: int
     why: str
     numbers: dict[str, Numbers]
 
@@ -51,17 +51,17 @@ def finite(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
 
-def _stops(numbers: dict[str, Numbers], joints: tuple[str, ...]) -> dict[str, Any]:
+def _stops(turn: Turn, joints: tuple[str, ...]) -> dict[str, Any]:
     return {
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
-            "certified": x.proven, "why": x.why, "capsules": _capsules(x),
+            "certified": x.proven, "why": x.why or turn.why, "capsules": _capsules(x),
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)
             },
         }
-        for c, x in numbers.items()
+        for c, x in turn.numbers.items()
     }  # fmt: skip
 
 
@@ -87,7 +87,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
     v, s, joints, n = d.verdict, d.sample, d.model.joints, d.model.n
     room = None if v is None or v.room is None else {j: float(min(v.room[i], v.room[n + i])) for i, j in enumerate(joints)}
     return {
-        "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f in turn.flags],
+        "state": turn.state.name, "why": turn.why, "flags": [f.name for f in Flag if f & turn.flags],
         "conformance": v.conformance.value if v else "UNKNOWN", "conformance_why": v.why if v else "",
         "violation_latched": d.latch.latched, "violation_count": d.latch.count, "violation_why": d.latch.record.why,
         "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
@@ -99,7 +99,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
         "margins": d.margins, "override": d.override,
-        "joints": list(joints), "stops": _stops(turn.numbers, joints), "t_ns": round(s.t * 1e9) if s else None,
+        "joints": list(joints), "stops": _stops(turn, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,
     }  # fmt: skip

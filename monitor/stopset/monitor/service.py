@@ -15,7 +15,7 @@ from stopset.artifact.signature import Accepted, load_trusted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.config import Config
-from stopset.monitor.daemon import Daemon
+from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
@@ -63,8 +63,8 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     recorder = Recorder(Trace(model.n), config.record, Path(config.record.folder), cycle_s)
     try:
         daemon = Daemon(
-            config, model, first_source(), Overheard(link, recorder), cycle_s, latch=latch, signer=signer,
-            load=load, recorder=recorder,
+            config, model, first_source(), Overheard(link, recorder), cycle_s,
+            Beside(latch=latch, signer=signer, load=load, recorder=recorder),
         )  # fmt: skip
     except BaseException:
         link.close()
@@ -109,7 +109,7 @@ def _signals(daemon: Daemon, seconds: float) -> None:
         daemon.stopping = True
 
     def reload(*_: object) -> None:
-        daemon.reload_asked = True
+        daemon.reloading.asked = True
 
     for s in (signal.SIGTERM, signal.SIGINT):
         signal.signal(s, stop)

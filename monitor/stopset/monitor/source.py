@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -14,12 +15,10 @@ from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.grid import Cycles
 from stopset.monitor.jointstate import MAX_BYTES, JointState
 from stopset.monitor.jointstate import decode as decode_joint_state
-from stopset.monitor.links.bus import Listener
-from stopset.monitor.links.canopen_map import Cycle, Decoder
-from stopset.monitor.links.hub import Frame
-from stopset.monitor.links.stamps import Stamps
+from stopset.monitor.links.batch import Batch, Listener, filler
+from stopset.monitor.links.decoder import Cycle, Decoder
 from stopset.monitor.profile import SIGNALS, Profile
-from stopset.monitor.watch import Quantum, Sample
+from stopset.monitor.sample import Quantum, Sample
 from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
@@ -38,6 +37,7 @@ class Source(Protocol):
     """
 
     quantum: Quantum
+    dropped: int  # samples that were not given out because newer ones were there
 
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
@@ -46,12 +46,12 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-def sample_of(cycle: Cycle, k: int) -> Sample:
+def sample_of(cycle: Cycle, k: int, bad_nodes: int = 0, doubt: str = "") -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
     q, dq, tau, temp, status = cycle.values  # made for this cycle alone
     # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
     powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
-    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered)
+    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered, doubt, bad_nodes)
 
 
 def _carried(row: Array) -> Array | None:
@@ -99,55 +99,46 @@ class CanSource:
     clock: Clock = field(default_factory=SystemClock)
     decoder: Decoder = field(init=False)
     quantum: Quantum = field(init=False)
-    frames: int = 0
     dropped: int = 0
-    _log: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=LOG))
     _count: CycleCount = field(init=False)
-    _stamps: Stamps = field(default_factory=Stamps)
+    _batch: Batch = field(default_factory=Batch)
+    _fill: Callable[[Batch, float], None] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.decoder = Decoder(self.profile, self.cycle_s)
+        self.decoder = Decoder(self.profile, self.cycle_s, LOG)
         self._count = CycleCount(self.cycle_s, self.profile.sync_overflow)
         p = self.profile
         self.quantum = Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau"))
+        self._fill = filler(self.bus)
 
     def next(self, timeout: float) -> Sample | None:
         """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
-        end, wait, found = self.clock.monotonic() + timeout, timeout, None
-        for _ in range(TURN):
-            frame = self.bus.recv(wait)
-            if frame is not None:
-                sample = self._take(frame)
-                if sample is not None:
-                    self.dropped += found is not None
-                    found = sample
-                    if self.clock.time_ns() * 1e-9 - sample.t <= self.oldest_s:
-                        break
-            elif found is not None:
-                break
-            elif (held := self.decoder.quiet(self.clock.time_ns() * 1e-9)) is not None:
-                return self._sample(held)
-            elif self.clock.monotonic() >= end:
-                break
+        batch, end, wait, found = self._batch, self.clock.monotonic() + timeout, timeout, None
+        last = self.decoder.frames + TURN
+        while self.decoder.frames < last:
+            if batch.taken[0] == batch.count:
+                batch.clear()
+                self._fill(batch, wait)
+                if not batch.count and (found is not None or self.clock.monotonic() >= end):
+                    break
+            now = self.clock.time_ns() * 1e-9
+            cycle = self.decoder.take(batch, now)
+            if cycle is not None:
+                self.dropped += found is not None
+                found = self._sample(cycle, now)
+                if now - found.t <= self.oldest_s:
+                    break
             wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
         return found
 
-    def _take(self, frame: Frame) -> Sample | None:
-        self.frames += 1
-        t = self._stamps(frame.t, self.clock.time_ns() * 1e-9)
-        self._log.append((t, frame.cob_id, bytes(frame.data)))
-        cycle = self.decoder.frame(frame.cob_id, frame.data, t)
-        return None if cycle is None else self._sample(cycle)
-
-    def _sample(self, cycle: Cycle) -> Sample:
-        bits, words = self.decoder.nodes.bad(self.clock.time_ns() * 1e-9)
-        sample = sample_of(cycle, self._count(cycle))
-        return replace(sample, doubt=words, bad_nodes=bits) if words else sample
+    def _sample(self, cycle: Cycle, now: float) -> Sample:
+        bits, words = (0, "") if self.decoder.nodes_good else self.decoder.nodes.bad(now)
+        return sample_of(cycle, self._count(cycle), bits, words)
 
     def counters(self) -> dict[str, int]:
         d = self.decoder
         return {
-            "frames": self.frames,
+            "frames": d.frames,
             "incomplete_cycles": d.incomplete,
             "other_frames": d.unknown,
             "missed_cycles": self._count.missed,
@@ -163,7 +154,7 @@ class CanSource:
         ]
 
     def heard(self) -> list[tuple[float, int, bytes]]:
-        return list(self._log)
+        return self.decoder.heard()
 
     def close(self) -> None:
         self.bus.close()
@@ -175,6 +166,7 @@ class NoSource:
 
     profile: Profile
     until: float
+    dropped: int = 0
     quantum: Quantum = field(init=False)
 
     def __post_init__(self) -> None:

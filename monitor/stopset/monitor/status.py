@@ -8,16 +8,18 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
-from stopset.monitor.watch import Conformance, Sample, Verdict
+from stopset.monitor.sample import Sample
+from stopset.monitor.verdict import Conformance, Verdict
 
 # whole numbers: combining flags in a loop of microseconds costs tens of them
-_LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE = (
+_LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE, _YOUNG, _RECOVERING = (
     int(f)
     for f in (
         Flag.VIOLATION_LATCHED, Flag.OUT_OF_DOMAIN, Flag.BUS_GAP, Flag.BUS_STALE, Flag.NO_STOP_PROVABLE, Flag.DEADLINE_MISS,
-        Flag.DRIVES_NOT_POWERED, Flag.NO_TORQUE, Flag.STOP_NOT_FRESH, Flag.NODE_NOT_GOOD,
+        Flag.DRIVES_NOT_POWERED, Flag.NO_TORQUE, Flag.STOP_NOT_FRESH, Flag.NODE_NOT_GOOD, Flag.EVIDENCE_YOUNG, Flag.RECOVERING,
     )
 )  # fmt: skip
+_DOUBTFUL = _OUTSIDE | _STALE | _NODE
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Limits:
     recover: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Situation:
     """Everything the state depends on, in one place. ``fault``: words of an error, empty if none; ``age``: of the last
     sample by its stamp, ``since``: since it arrived, both [s] at this moment; ``latched``: why, empty if not."""
@@ -49,9 +51,9 @@ class Situation:
     numbers: dict[str, Numbers]
 
 
-def flags_of(s: Situation) -> Flag:
-    """What is seen, whatever follows from it."""
-    v, x, bits = s.verdict, s.sample, 0
+def flags_of(s: Situation) -> int:
+    """What is seen, whatever follows from it: bits of `Flag`."""
+    v, x, bits = s.verdict, s.sample, 0 if s.numbers else _NO_STOP
     if s.latched:
         bits |= _LATCHED
     if s.stale:
@@ -60,8 +62,9 @@ def flags_of(s: Situation) -> Flag:
         bits |= _LATE
     if not s.fresh:
         bits |= _NOT_FRESH
-    if not s.numbers or not all(n.proven for n in s.numbers.values()):
-        bits |= _NO_STOP
+    for n in s.numbers.values():
+        if not n.proven:
+            bits |= _NO_STOP
     if v is not None:
         if v.outside:
             bits |= _OUTSIDE
@@ -69,10 +72,10 @@ def flags_of(s: Situation) -> Flag:
             bits |= _GAP
     if x is not None:
         bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.doubt else 0)
-    return Flag(bits)
+    return bits
 
 
-def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
+def decide(s: Situation, limits: Limits) -> tuple[State, int, str]:
     """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, no verdict, little
     evidence, no bound, OK."""
     flags, v = flags_of(s), s.verdict
@@ -90,18 +93,18 @@ def decide(s: Situation, limits: Limits) -> tuple[State, Flag, str]:
     old = max(s.age, s.since)
     if not old <= limits.valid_for:
         why = f"the last sample is {old * 1e3:.0f} ms old, its numbers are valid for {limits.valid_for * 1e3:.0f} ms"
-        return State.UNKNOWN, flags | Flag.BUS_STALE, why
+        return State.UNKNOWN, flags | _STALE, why
     if not s.age >= -limits.ahead:
         why = f"samples are stamped {-s.age * 1e3:.0f} ms in the future: how old they are is not known; synchronise the clocks"
-        return State.UNKNOWN, flags | Flag.BUS_STALE, why
+        return State.UNKNOWN, flags | _STALE, why
     if s.sample.doubt:
         return State.UNKNOWN, flags, s.sample.doubt
     if v.conformance is not Conformance.CONFORMANT:
         return State.UNKNOWN, flags, v.why
     if v.oldest < limits.evidence:
         why = f"held against predictions of the last {v.oldest * 1e3:.0f} ms only; OK needs {limits.evidence * 1e3:.0f} ms"
-        return State.UNKNOWN, flags | Flag.EVIDENCE_YOUNG, why
-    if flags & Flag.NO_STOP_PROVABLE:
+        return State.UNKNOWN, flags | _YOUNG, why
+    if flags & _NO_STOP:
         unproven = next((c for c, x in s.numbers.items() if not x.proven), None)
         if unproven is None:
             return State.DEGRADED, flags, "no stop is bounded"
@@ -124,34 +127,33 @@ class Recovery:
     _why_bad: str = "the start"
     _why_degraded: str = ""
 
-    def hold(self, state: State, why: str, now: float) -> tuple[State, Flag, str]:
+    def hold(self, state: State, why: str, now: float) -> tuple[State, int, str]:
         """The state to tell at ``now`` [s], the flag that it is held back, and the sentence."""
         if now - self._turn > self.limits.valid_for:
             self._bad = now
             if self._turn > float("-inf"):
                 self._why_bad = f"the monitor itself stood still for {(now - self._turn) * 1e3:.0f} ms"
         self._turn = now
-        if state not in (State.OK, State.DEGRADED):
+        if state is not State.OK and state is not State.DEGRADED:
             self._bad, self._why_bad = now, why
-            return state, Flag(0), why
+            return state, 0, why
         if state is State.DEGRADED:
             self._degraded, self._why_degraded = now, why
         need = self.limits.recover
         if now - self._bad < need:
-            return State.UNKNOWN, Flag.RECOVERING, self._wait(now - self._bad, self._why_bad)
+            return State.UNKNOWN, _RECOVERING, self._wait(now - self._bad, self._why_bad)
         if state is State.OK and now - self._degraded < need:
-            return State.DEGRADED, Flag.RECOVERING, self._wait(now - self._degraded, self._why_degraded)
-        return state, Flag(0), why
+            return State.DEGRADED, _RECOVERING, self._wait(now - self._degraded, self._why_degraded)
+        return state, 0, why
 
     def _wait(self, passed: float, why: str) -> str:
         return f"good again for {passed:.2f} s of {self.limits.recover:.2f} s that must pass unbroken; before: {why}"
 
 
-def believable(state: State, flags: Flag) -> bool:
+def believable(state: State, flags: int) -> bool:
     """Whether stop numbers may be given at all: not for a refuted model, nor outside its domain, without a signal, or
     against what the drives say."""
-    doubtful = Flag.OUT_OF_DOMAIN | Flag.BUS_STALE | Flag.NODE_NOT_GOOD
-    return state in (State.OK, State.DEGRADED, State.UNKNOWN) and not flags & doubtful
+    return not flags & _DOUBTFUL and (state is State.OK or state is State.DEGRADED or state is State.UNKNOWN)
 
 
 def stop_fields(prefix: str, x: Numbers) -> dict[str, object]:

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.certificates import Answer, Numbers, Shelf
+from stopset.monitor.certificates import Answer, Numbers, Shelf, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
+from stopset.monitor.sample import Quantum
 from stopset.monitor.stopworker import work
-from stopset.monitor.watch import Quantum
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -55,7 +55,7 @@ class Size:
 
 
 # as found on recorded arms: the wide one holds nearly every motion, narrow ones give numbers that hardly widen
-WIDE, NARROW = Size(0.2, 1.0, True), Size(0.04, 0.2, False)
+WIDE, NARROW = Size(0.2, 1.0, starts=True), Size(0.04, 0.2, starts=False)
 
 
 @dataclass(slots=True)
@@ -188,6 +188,8 @@ class StopDesk:
     _motion: Motion = field(init=False)
     _slack: Array = field(init=False)
     _told: dict[str, Numbers] = field(default_factory=dict)
+    _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
+    _x: Array = field(init=False)
     _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
@@ -198,6 +200,7 @@ class StopDesk:
 
     def __post_init__(self) -> None:
         self.counters = {c: Counter.of(self.n) for c in self.categories}
+        self._x = np.empty(2 * self.n)
         self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
         # a reading on the border lies inside with all that rounding may hide
         room = 2.0 * self._slack + TINY
@@ -245,6 +248,7 @@ class StopDesk:
         if c.waiting is not None or self._pipe is None:
             return
         self._motion.settle()
+        self._common = None
         wanted = c.lacks(self._motion, self._slack, period)
         if wanted is not None:
             try:
@@ -273,7 +277,10 @@ class StopDesk:
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
         """Bounds by category that hold for this state, and whether all of them were answered for it."""
-        x, fresh = np.concatenate([q, dq]), True
+        x, fresh, n = self._x, True, self.n
+        x[:n], x[n:] = q, dq
+        if self._common is not None and holds(*self._common, x, self._slack):
+            return self._told, True
         told: dict[str, Numbers] = {}
         for category, c in self.counters.items():
             answer = c.holds(x, self._slack)
@@ -288,6 +295,10 @@ class StopDesk:
         # the same object as long as nothing changes: who makes a message of it need not do so again
         if len(told) != len(self._told) or any(told[c] is not self._told[c] for c in told):
             self._told = told
+        used = [c.answer for c in self.counters.values() if c.answer is not None]
+        self._common = None
+        if len(used) == len(told):
+            self._common = np.max([a.lo for a in used], axis=0), np.min([a.hi for a in used], axis=0)
         return self._told, fresh
 
     def _nothing(self, why: str) -> Numbers:

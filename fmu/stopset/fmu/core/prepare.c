@@ -152,6 +152,9 @@ static void tube(const StopsetState *s, StopsetWork *w) {
             w->watch_hi[k][i] = w->hi[k][i] + rounding;
         }
     }
+    const StopsetPredictions tube = {.states = NX, .ages = NV == 1 ? AGES : 0, .lo = w->watch_lo[0], .hi = w->watch_hi[0],
+                                     .middle = w->watch_middle[0], .reach = w->watch_reach[0]};
+    stopset_centre(&tube);
 }
 
 /* The joints' own torques are the first of the directions in which U acts. */

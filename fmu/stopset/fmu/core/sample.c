@@ -55,7 +55,7 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
     const StopsetModel *m = &stopset_model;
     StopsetWatch *c = &s->watch;
     double x[NX], u[NJ], du[NJ], room[NX];
-    int64_t row[2 * NX], seen[2] = {0, 0}, live = 0;
+    int64_t row[2 * NX], nearest[NX], seen[2] = {0, 0}, live = 0;
     int verdict = c->known ? VERDICT_NONE : NOTHING_BEFORE;
     memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
     memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
@@ -69,7 +69,8 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
         double Bd[NX * NJ];
         stopset_torque_part(w->grid, Bd);
         const StopsetPredictions all = {NX, PREDICTIONS, AGES, c->e[0], c->w[0], c->age, c->foreign, w->grid, Bd, w->watch_lo[0],
-                                        w->watch_hi[0], room, row};
+                                        w->watch_hi[0], w->watch_middle[0], w->watch_reach[0], room, nearest, row};
+        for (int i = 0; i < NX; i++) nearest[i] = -1; /* where to look first is not known */
         live = stopset_advance(&all, x, c->x, c->u, m->plain ? none : c->du, foreign, !m->plain, seen);
     }
     if (live && !seen[1] && !foreign) verdict = VERDICT_CONFORMANT;

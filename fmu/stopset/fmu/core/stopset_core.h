@@ -90,7 +90,7 @@ typedef struct {
     StopsetSets sets;
     double grid[STEP_ROOM], piece[STEP_ROOM], h;   /* the model's own step, another one and its length */
     double lo[AGES][NX], hi[AGES][NX];             /* the deviation tube, and that of the monitor's cycle */
-    double watch_lo[AGES][NX], watch_hi[AGES][NX];
+    double watch_lo[AGES][NX], watch_hi[AGES][NX], watch_middle[AGES][NX], watch_reach[AGES][NX];
     int64_t age;                                   /* steps until the responses below */
     double E[NX * NX], plus[NX * N_TORQUES], minus[NX * N_TORQUES], response[RESPONSE_ROOM];
     StopsetRigid rigid;

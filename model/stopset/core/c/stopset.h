@@ -171,6 +171,8 @@ STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
 STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
                                      const double *x, const double *slack);
 
+/* ---- predictions.c: the tube around every prediction, and the measurement in it */
+
 /* Predictions from past samples, one a row; joints' positions, then speeds. */
 typedef struct {
     int32_t states;        /* 2n */
@@ -180,19 +182,116 @@ typedef struct {
     uint8_t *foreign;      /* (rows,) passed samples outside the domain */
     const double *Ad, *Bd; /* (2n, 2n), (2n, n): one step, input held */
     const double *lo, *hi; /* (ages, 2n) tube of deviations */
+    double *middle, *reach; /* (ages, 2n) of the tube, as `stopset_centre` leaves them */
     double *room;          /* (2n,) out: least distance to a bound over the half width */
+    int64_t *nearest;      /* (2n,) the prediction whose bound that is, any number at the start */
     int64_t *row;          /* (2, 2n) out: the prediction contradicted worst, above and below, -1: none */
 } StopsetPredictions;
+
+/* To be called when lo or hi have changed. */
+STOPSET_API void stopset_centre(const StopsetPredictions *predictions);
 
 /* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
  * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
                                     const double *du, int outside, int widen, int64_t seen[2]);
 
+/* The whole check of one arm, a sample after the other. */
+typedef struct {
+    const StopsetMonitor *monitor;
+    const StopsetPredictions *predictions;
+    const double *domain_lo, *domain_hi; /* (4, n) of q, dq, u, temperature */
+    int32_t temperatures;                /* the domain has bounds on them */
+    int32_t every, sliding;              /* a prediction starts every so many samples, or (0) at the first one only */
+    double most;                         /* largest reading that can be one [SI] */
+    double *here;                        /* (4, n) the sample: q, dq, torque, temperature */
+    double *ends;                        /* (states, 2) of the effects' memories */
+    double *u, *du;                      /* (2, n) of this sample, then of the one before */
+    double *x;                           /* (2n,) the state of the sample before */
+    const double *start;                 /* (2n,) what rounding adds to a prediction at its start */
+    int64_t place, since;                /* row of the next prediction; samples since the last one */
+    int32_t known, widen;                /* there was a sample before; `w` changes from step to step */
+    int64_t outside, live, seen[2];      /* out: signals beyond the domain, and as of `stopset_advance` */
+} StopsetCheck;
+
+enum { STOPSET_NOT_A_NUMBER = 3, STOPSET_ALL_ZERO = 4 };
+
+/* Whether `here` can be a reading; `temp`: with temperatures. */
+STOPSET_API int stopset_readable(const StopsetCheck *watch, int temp);
+/* u, du and what is beyond the domain. */
+STOPSET_API int stopset_look(StopsetCheck *watch, int temp);
+/* The state x (2n,) of this sample against all predictions. */
+STOPSET_API int stopset_compare(StopsetCheck *watch, const double *x);
+/* A prediction from this sample, if one is due. */
+STOPSET_API void stopset_launch(StopsetCheck *watch);
+/* The next sample is the one after this. */
+STOPSET_API void stopset_keep(StopsetCheck *watch, const double *x);
+/* All of these, for a sample that follows the one before. */
+STOPSET_API int stopset_next(StopsetCheck *watch, int temp);
+
+/* ---- decode.c: CAN frames to readings */
+
+#define STOPSET_IDS 2048
+#define STOPSET_NODES 128
+
+typedef struct {
+    uint32_t id;
+    int32_t length;  /* bytes as sent; at most 8 of them are here */
+    uint8_t data[8];
+    double t;        /* [s] as stamped */
+} StopsetFrame;
+
+enum {
+    STOPSET_I8, STOPSET_I16, STOPSET_I32, STOPSET_I64, STOPSET_U8, STOPSET_U16, STOPSET_U32, STOPSET_U64, STOPSET_F32, STOPSET_F64,
+    STOPSET_BOOL
+};
+
+typedef struct {
+    int32_t offset, kind, target; /* byte, kind of number, place in (signals, n) */
+} StopsetField;
+
+typedef struct {
+    int32_t length, synchronous, first, count; /* bytes; once after every SYNC; which fields */
+} StopsetPdo;
+
+enum { STOPSET_SYNC = -2 };                            /* place of SYNC; -1: of no PDO */
+enum { STOPSET_CYCLE = 1, STOPSET_SERVICE = 2 };       /* what `stopset_decode` has stopped at */
+enum { STOPSET_STRANGER, STOPSET_GOOD, STOPSET_BAD };  /* a node: not one of ours; operational without an emergency; else */
+
+typedef struct {
+    int32_t n, signals, pdos, synchronous, overflow; /* joints, signals; PDOs, of these after SYNC; SYNC's counter, 0: none */
+    double cycle_s;
+    const int32_t *place;                            /* (STOPSET_IDS,) */
+    const StopsetPdo *pdo;
+    const StopsetField *field;
+    const double *scale;                             /* (signals, n) SI value of a count */
+    double *raw, *held, *values;                     /* (signals, n): counts, a cycle held back, the cycle given out */
+    uint8_t *came;                                   /* (pdos,) since SYNC */
+    int32_t synced, seen, doubtful, holds, hold;
+    int32_t counter, held_counter, out_counter;      /* of SYNC, -1: none */
+    double t, held_t, held_at, out_t;                /* [s] of SYNC; when the held cycle was whole */
+    int64_t incomplete, unknown, frames;
+    const uint8_t *node;                             /* (STOPSET_NODES,) STOPSET_STRANGER, .. */
+    double *heard, patience;                         /* (STOPSET_NODES,) [s] last heartbeat; longest silence, 0: they send none */
+    int32_t nodes_good;                              /* out: so are all, as of the cycle given out */
+    int32_t foreign;                                 /* another clock stamps the frames; -1: not known yet */
+    double shift, shifted;                           /* [s] least delay seen, and when */
+    StopsetFrame *log;                               /* (room,) the last frames, number `frames` - 1 the newest */
+    int64_t room;
+} StopsetDecoder;
+
+/* Frames number `taken` on until one completes a cycle, or is of a service that the caller knows (the last in the log), or none are
+ * left (0). `now` [s]: when they were received at the latest. */
+STOPSET_API int stopset_decode(StopsetDecoder *decoder, const StopsetFrame *frames, int64_t count, double now, int64_t *taken);
+/* Whether no node is in a bad state or silent. */
+STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
+
 /* ---- message.c: what a message needs */
 
 STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);
 STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
+/* Both behind `length` bytes, where there is room for 8 more: CRC-32 of them, then CRC-32C of them and of that. */
+STOPSET_API void stopset_seal(int64_t length, uint8_t *data);
 /* Bits of the float32 that is not below x (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
 

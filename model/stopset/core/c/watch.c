@@ -1,4 +1,4 @@
-/* The monitor's cycle: the input of a sample and how far it is unknown, every prediction one step on, and the comparison.
+/* The monitor's cycle: the input of a sample and how far it is unknown, the comparison, and predictions that start.
  *
  * Source: Liu & Althoff (2018), Def. 2 and eq. (17)-(21).
  */
@@ -152,116 +152,67 @@ int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const doubl
     return best;
 }
 
-/* Coefficients of one step where a joint's position and speed depend on nothing but these two: rows (4, n) of position by
- * position and speed, speed by position and speed. 0 if joints are coupled. */
-static int own_steps(const StopsetPredictions *s, double own[4][J]) {
-    const int n = s->states / 2, n2 = 2 * n;
-    for (int i = 0; i < n2; i++)
-        for (int j = 0; j < n2; j++)
-            if (s->Ad[i * n2 + j] != 0.0 && j % n != i % n) return 0;
-    for (int i = 0; i < n; i++)
-        for (int k = 0; k < 4; k++) own[k][i] = s->Ad[(k / 2 * n + i) * n2 + k % 2 * n + i];
-    return 1;
+int stopset_readable(const StopsetCheck *w, int temp) {
+    const int n = w->monitor->map->arm.n;
+    int zero = 1;
+    if (n < 1 || n > J) return STOPSET_TOO_MANY_JOINTS;
+    if (!stopset_sound((temp ? 4 : 3) * n, w->here, w->most)) return STOPSET_NOT_A_NUMBER;
+    for (int i = 0; i < 3 * n; i++) zero &= w->here[i] == 0.0;
+    return zero ? STOPSET_ALL_ZERO : STOPSET_OK;
 }
 
-/* e <- Ad e + r of one row. */
-static void step_own(int n, double own[4][J], const double *r, double *restrict e) {
-    for (int i = 0; i < n; i++) {
-        const double q = r[i] + own[0][i] * e[i] + own[1][i] * e[n + i], v = r[n + i] + own[2][i] * e[i] + own[3][i] * e[n + i];
-        e[i] = q;
-        e[n + i] = v;
-    }
+int stopset_look(StopsetCheck *w, int temp) {
+    const StopsetMonitor *m = w->monitor;
+    const int n = m->map->arm.n;
+    const double *q = w->here, *lo = w->domain_lo, *hi = w->domain_hi;
+    double none[J] = {0}, du[J];
+    const int code = stopset_sample_input(m, q, q + n, q + 2 * n, temp ? q + 3 * n : 0, w->ends, w->u, w->du);
+    if (code) return code;
+    for (int i = 0; i < n; i++) du[i] = w->du[i] + 1e-12; /* bus rounding is given the benefit */
+    w->outside = stopset_beyond(n, q, lo, hi, m->quantum_q) + stopset_beyond(n, q + n, lo + n, hi + n, m->quantum_dq) +
+                 stopset_beyond(n, w->u, lo + 2 * n, hi + 2 * n, du);
+    if (temp && w->temperatures) w->outside += stopset_beyond(n, q + 3 * n, lo + 3 * n, hi + 3 * n, none);
+    return STOPSET_OK;
 }
 
-static void step_coupled(int n2, const double *Ad, const double *r, double *e) {
-    double new[X];
-    for (int i = 0; i < n2; i++) {
-        double sum = r[i];
-        for (int j = 0; j < n2; j++) sum += Ad[i * n2 + j] * e[j];
-        new[i] = sum;
-    }
-    memcpy(e, new, (size_t)n2 * sizeof *e);
+int stopset_compare(StopsetCheck *w, const double *x) {
+    const StopsetMonitor *m = w->monitor;
+    const int n = m->map->arm.n;
+    double added[J];
+    /* what rounding of the torque adds stands in the tube's limits already where inputs are plain */
+    for (int i = 0; i < n; i++) added[i] = !m->plain ? w->du[n + i] : w->widen ? w->du[n + i] - m->quantum_tau[i] : 0.0;
+    w->live = stopset_advance(w->predictions, x, w->x, w->u + n, added, w->outside != 0, w->widen, w->seen);
+    return w->live < 0 ? STOPSET_TOO_MANY_JOINTS : STOPSET_OK;
 }
 
-/* Row p against the tube at its age, where something is outside or nearer to a bound than all before. */
-static void look_closely(const StopsetPredictions *s, int64_t p, double worst[2][X]) {
-    const int n2 = s->states;
-    const double *e = s->e + p * n2, *w = s->w + p * n2, *lo = s->lo + s->age[p] * n2, *hi = s->hi + s->age[p] * n2;
-    const double inf = 1.0 / 0.0;
-    for (int i = 0; i < n2; i++) {
-        const double low = lo[i] - w[i], high = hi[i] + w[i], width = high - low, over = e[i] - high, under = low - e[i];
-        /* written so that what is not a number is outside */
-        if (!(over <= 0.0 || high == inf) && !(over / width <= worst[0][i])) {
-            worst[0][i] = over / width;
-            s->row[i] = p;
-        }
-        if (!(under <= 0.0 || low == -inf) && !(under / width <= worst[1][i])) {
-            worst[1][i] = under / width;
-            s->row[n2 + i] = p;
-        }
-        if (width > 0.0 && width < inf) {
-            const double room = -2.0 * (over > under ? over : under) / width;
-            if (room < s->room[i]) s->room[i] = room;
-        }
-    }
+void stopset_launch(StopsetCheck *w) {
+    const StopsetPredictions *s = w->predictions;
+    const int64_t row = w->place, n2 = s->states;
+    w->since++;
+    if (w->known && (!w->sliding || w->since < w->every)) return;
+    w->since = 0;
+    w->place = (row + 1) % s->rows;
+    memset(s->e + row * n2, 0, (size_t)n2 * sizeof *s->e);
+    memcpy(s->w + row * n2, w->start, (size_t)n2 * sizeof *s->w);
+    s->age[row] = 0;
+    s->foreign[row] = w->outside != 0;
 }
 
-/* Whether row p asks for a closer look: most are well inside, and no division is needed to see it. */
-static int remarkable(const StopsetPredictions *s, int64_t p) {
-    const int n2 = s->states;
-    const double *e = s->e + p * n2, *w = s->w + p * n2, *lo = s->lo + s->age[p] * n2, *hi = s->hi + s->age[p] * n2, *room = s->room;
-    double count = 0.0;
-    for (int i = 0; i < n2; i++) {
-        const double low = lo[i] - w[i], high = hi[i] + w[i], over = e[i] - high, under = low - e[i], most = over > under ? over : under;
-        const double bound = room[i] * (high - low), slack = 1e-12 * absolute(bound); /* beyond what the division rounds */
-        count += over <= 0.0 ? 0.0 : 1.0;
-        count += under <= 0.0 ? 0.0 : 1.0;
-        count += -2.0 * most <= bound + slack ? 1.0 : 0.0;
-    }
-    return count > 0.0;
+void stopset_keep(StopsetCheck *w, const double *x) {
+    const int64_t n = w->predictions->states / 2;
+    memcpy(w->u + n, w->u, (size_t)n * sizeof *w->u);
+    memcpy(w->du + n, w->du, (size_t)n * sizeof *w->du);
+    memcpy(w->x, x, (size_t)(2 * n) * sizeof *x);
+    w->known = 1;
 }
 
-int64_t stopset_advance(const StopsetPredictions *s, const double *x, const double *before, const double *u, const double *du, int outside,
-                        int widen, int64_t seen[2]) {
-    const int n2 = s->states, n = n2 / 2;
-    double residual[X], dw[X], worst[2][X] = {{0}}, own[4][J], wide[4][J], size[X * X];
-    int64_t live = 0;
-    if (n < 1 || n > J) return -1;
-    seen[0] = seen[1] = 0;
-    for (int i = 0; i < n2; i++) {
-        double sum = 0.0, push = 0.0, more = 0.0;
-        for (int j = 0; j < n2; j++) sum += s->Ad[i * n2 + j] * before[j];
-        for (int j = 0; j < n; j++) {
-            push += s->Bd[i * n + j] * u[j];
-            more += absolute(s->Bd[i * n + j]) * du[j];
-        }
-        residual[i] = x[i] - sum - push;
-        dw[i] = more;
-        s->room[i] = 1.0 / 0.0;
-        s->row[i] = s->row[n2 + i] = -1;
-    }
-    const int apart = own_steps(s, own);
-    for (int k = 0; k < 4 * n; k++) wide[k / n][k % n] = absolute(own[k / n][k % n]);
-    for (int k = 0; !apart && widen && k < n2 * n2; k++) size[k] = absolute(s->Ad[k]);
-    for (int64_t p = 0; p < s->rows; p++) {
-        if (s->age[p] < 0) continue;
-        if (++s->age[p] >= s->ages) {
-            s->age[p] = -1;
-            continue;
-        }
-        live++;
-        if (s->age[p] > seen[0]) seen[0] = s->age[p];
-        if (outside) s->foreign[p] = 1;
-        if (apart)
-            step_own(n, own, residual, s->e + p * n2);
-        else
-            step_coupled(n2, s->Ad, residual, s->e + p * n2);
-        if (widen && apart)
-            step_own(n, wide, dw, s->w + p * n2);
-        else if (widen)
-            step_coupled(n2, size, dw, s->w + p * n2);
-        if (remarkable(s, p)) look_closely(s, p, worst);
-    }
-    for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
-    return live;
+int stopset_next(StopsetCheck *w, int temp) {
+    int code = stopset_readable(w, temp);
+    if (!code) code = stopset_look(w, temp);
+    if (!code) code = stopset_compare(w, w->here);
+    if (code) return code;
+    /* what is refuted itself predicts nothing: one bad sample counts once */
+    if (!w->seen[1]) stopset_launch(w);
+    stopset_keep(w, w->here);
+    return STOPSET_OK;
 }

@@ -85,12 +85,14 @@ class StopBounds:
             raise NotCovered(f"stop category {category!r}; expected one of {', '.join(CATEGORIES)}: choose one of them")
         q, dq, more_q, more_dq = self._checked(q, dq, q_radius, dq_radius)
         if self.setting is None:
-            return StopBound(category, False, NO_BRAKES)
+            return StopBound(category, certified=False, why=NO_BRAKES)
         if category != "0" and self.ramp is None:
-            return StopBound(category, False, NO_RAMP, assumptions=self.setting.assumptions)
+            return StopBound(category, certified=False, why=NO_RAMP, assumptions=self.setting.assumptions)
         beyond = beyond_domain(self.model, q, dq, more_q, more_dq)
         if beyond and not self.extrapolate_state:
-            return StopBound(category, False, f"not covered: {beyond}; {UNSEEN}", assumptions=self.setting.assumptions)
+            return StopBound(
+                category, certified=False, why=f"not covered: {beyond}; {UNSEEN}", assumptions=self.setting.assumptions
+            )
         n, start = self.model.n, self.setting.start if category == "0" else self.setting.truth
         box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq
         if category == "0":
@@ -105,15 +107,15 @@ class StopBounds:
         """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""
         assert self.setting is not None
         marks = [self.setting.extrapolated] if self.setting.extrapolated else []
-        rests_on = bound.assumptions
+        here: tuple[str, ...] = ()
         if beyond:
             marks.append(f"{OUTSIDE}: {beyond}")
-            rests_on = (*rests_on, f"{marks[-1]}; there the rigid body is computed, and friction and U are taken not to change")
+            here = (f"{marks[-1]}; there the rigid body is computed, and friction and U are taken not to change",)
         if not marks:
             return bound
         said = "; ".join(marks)
         why = "; ".join(x for x in (bound.why, said) if x)
-        return replace(bound, certified=False, why=why, extrapolated=said, assumptions=rests_on)
+        return replace(bound, certified=False, why=why, extrapolated=said, assumptions=(*bound.assumptions, *here), here=here)
 
     def certify(self, q: ArrayLike, dq: ArrayLike, q_radius: Array, dq_radius: Array) -> Certificate | None:
         """A certificate for STOP 0 on a box of measured states, for a fast loop; None if one tube does not come to rest.
@@ -177,7 +179,7 @@ class StopBounds:
         assert self.setting is not None
         ramp = () if category == "0" or self.ramp is None else ramp_assumptions(self.ramp, category)
         return StopBound(
-            category, False, why, holding_margin=self.margin(q), assumptions=(*self.setting.assumptions, *ramp)
+            category, certified=False, why=why, holding_margin=self.margin(q), assumptions=(*self.setting.assumptions, *ramp)
         )  # fmt: skip
 
     def _working_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array, category: Category) -> StopBound:
@@ -277,7 +279,7 @@ class StopBounds:
         R, o = link_frames(chain, q)
         layer = "ramp" if category in ("1", "2") else "energy" if by_energy else "pieces" if len(tubes) > 1 else "tube"
         return StopBound(
-            category, True, BY_ENERGY if by_energy else "", time=time,
+            category, certified=True, why=BY_ENERGY if by_energy else "", time=time,
             forward=np.maximum(np.max([t.d_hi.max(axis=0) for t in tubes], axis=0), 0.0),
             back=np.maximum(-np.min([t.d_lo.min(axis=0) for t in tubes], axis=0), 0.0),
             speed=np.max([fastest(t) for t in tubes], axis=0),

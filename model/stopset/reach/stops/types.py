@@ -54,6 +54,7 @@ class StopBound:
     motion: PointSets | None = None
     capsules: Array | None = None
     extrapolated: str = ""
+    here: tuple[str, ...] = ()  # those of the assumptions that are about this state alone
 
     @property
     def angle(self) -> Array | None:

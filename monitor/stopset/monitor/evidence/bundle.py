@@ -19,7 +19,7 @@ from stopset.monitor.evidence.rows import messages, nanoseconds
 from stopset.monitor.evidence.trace import Window
 
 if TYPE_CHECKING:
-    from stopset.monitor.watch import Deviation
+    from stopset.monitor.verdict import Deviation
 
 MARGIN = 0.1  # [s] of the bus's log before the first row
 AT_ONCE = 8  # messages written before the loop may have the interpreter

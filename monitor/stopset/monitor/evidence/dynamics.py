@@ -15,7 +15,7 @@ from stopset.types import Array
 if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.monitor.evidence.trace import Window
-    from stopset.monitor.watch import Quantum
+    from stopset.monitor.sample import Quantum
 
 STARTS = 150  # predictions that one look begins at most
 LONGEST = 25  # steps over which a torque is averaged at most

@@ -34,7 +34,8 @@ from stopset.types import Array
 if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.monitor.config import Records
-    from stopset.monitor.watch import Deviation, Quantum, Sample, Verdict
+    from stopset.monitor.sample import Quantum, Sample
+    from stopset.monitor.verdict import Deviation, Verdict
 
 AFTER = 0.6  # [s] of readings after the first contradiction that the class is taken from
 PATIENCE = 1.0  # [s] beyond that in which they must have come

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.monitor.watch import Sample, Verdict
+from stopset.monitor.sample import Sample
+from stopset.monitor.verdict import Verdict
 from stopset.types import Array
 
 ROOM = 4096  # cycles kept at most, which is 16 s at 250 Hz

@@ -17,17 +17,10 @@ from urllib.parse import parse_qsl
 import can
 
 from stopset.errors import BusError
-from stopset.monitor.links.hub import Frame, Hub, HubClient
-from stopset.monitor.links.stamps import Stamps
+from stopset.monitor.links.batch import Frame, Listener
+from stopset.monitor.links.hub import Hub, HubClient
 
 GROUP = "stopset.links"
-
-
-class Listener(Protocol):
-    """A bus as the monitor sees it: there is nothing here to send with."""
-
-    def recv(self, timeout: float) -> Frame | None: ...
-    def close(self) -> None: ...
 
 
 class Talker(Protocol):
@@ -105,7 +98,6 @@ class _CanListener:
     def __init__(self, spec: str) -> None:
         interface = parse(spec)[0]
         self._bus = _python_can(spec, **({"listen_only": True} if interface == "slcan" else {}))
-        self._stamps = Stamps()
 
     def recv(self, timeout: float) -> Frame | None:
         try:
@@ -116,7 +108,7 @@ class _CanListener:
             return None
         if m.is_error_frame:
             raise BusError("error frame on the bus; check termination and bit rate")
-        return Frame(m.arbitration_id, m.data, self._stamps(m.timestamp, time.time()))
+        return Frame(m.arbitration_id, m.data, m.timestamp)
 
     def close(self) -> None:
         self._bus.shutdown()

@@ -1,6 +1,6 @@
-"""The arm's CANopen frames as a table of structs: canopen reads the DCF once, the loop only unpacks.
+"""The arm's CANopen frames as a table: canopen reads the DCF once, the loop only unpacks.
 
-`Decoder` turns PDOs of one SYNC into one `Cycle`; `Encoder` is its mirror for replay.
+`Encoder` makes frames of samples, for replay; the way back is `stopset.monitor.links.decoder`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from canopen.objectdictionary import ObjectDictionaryError, datatypes
 
 from stopset.errors import BusError
-from stopset.monitor.nodes import HEARTBEAT, OPERATIONAL, Nodes
+from stopset.monitor.nodes import HEARTBEAT, OPERATIONAL
 from stopset.monitor.profile import AXIS, SIGNALS, SLOW, Profile
 from stopset.types import Array
 
@@ -27,10 +27,8 @@ FORMATS = {
     datatypes.UNSIGNED8: "B", datatypes.UNSIGNED16: "H", datatypes.UNSIGNED32: "I", datatypes.UNSIGNED64: "Q",
     datatypes.REAL32: "f", datatypes.REAL64: "d", datatypes.BOOLEAN: "?",
 }  # fmt: skip
-HOLD = 0.2  # [s] in which a frame that was missed may still come
-APART = 2e-5  # [s] a frame takes longer than this on any CAN bus: what is stamped closer together has changed places
+LONGEST = 8  # bytes of a frame
 FIRST_OF_AXES = 0x6000  # objects below are the device's
-LATEST = 0.9  # of a period after its SYNC: frames that come later may be the next one's
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,127 +116,12 @@ def _frame_map(
         targets.append(target)
         if target is not None:
             found[target] = pdo.cob_id
-    return FrameMap(pdo.cob_id, struct.Struct(codes), tuple(targets), codes[1:], synchronous)
-
-
-@dataclass(frozen=True, slots=True)
-class Cycle:
-    """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent."""
-
-    counter: int | None
-    t: float
-    values: Array
-
-
-@dataclass(slots=True)
-class Decoder:
-    """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
-
-    A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
-    serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given
-    out if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period
-    after their SYNC, perhaps by the next one's frames, and for `HOLD` after a loss all, because what was lost may still come.
-    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's.
-    """
-
-    profile: Profile
-    cycle_s: float = 0.0
-    maps: dict[int, FrameMap] = field(init=False)
-    nodes: Nodes = field(init=False)
-    incomplete: int = 0
-    unknown: int = 0
-    _scale: Array = field(init=False)
-    _raw: Array = field(init=False)
-    _seen: set[int] = field(init=False)
-    _frames: int = field(init=False)  # that make a cycle
-    _sync: tuple[int | None, float] | None = None
-    _doubtful: bool = False
-    _held: Cycle | None = None
-    _held_at: float = 0.0
-    _hold: int = 0  # SYNCs to come in which all cycles are held back
-
-    def __post_init__(self) -> None:
-        self.cycle_s = self.cycle_s or self.profile.cycle_s
-        self.maps = frame_maps(self.profile)
-        self.nodes = Nodes(self.profile.nodes, self.profile.heartbeat_s)
-        n = len(self.profile.nodes)
-        self._scale = np.ones((len(SIGNALS), n))
-        for name, s in self.profile.signals.items():
-            self._scale[SIGNALS.index(name)] = s.scale
-        self._raw = np.full((len(SIGNALS), n), np.nan)
-        self._seen, self._frames = set(), sum(m.synchronous for m in self.maps.values())
-        for m in self.maps.values():
-            for target in m.targets:
-                if target is not None and not m.synchronous and SIGNALS[target[0]] == "status":
-                    self._raw[target] = 0.0  # as long as it has not said so, a drive is not in operation
-
-    def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> Cycle | None:
-        """Take one frame received at ``t`` [s]; returns the cycle it completes, if it does."""
-        if cob_id == self.profile.sync_id:
-            return self._next_sync(data[0] if len(data) else None, t)
-        frame = self.maps.get(cob_id)
-        if frame is None:
-            self.unknown += 1
-            self.nodes.frame(cob_id, data, t)
-            return None
-        if not frame.synchronous:
-            self._changed(frame, data)
-            return None
-        if self._sync is None:  # heard before any SYNC: the next cycle may hold a late one of these
-            self._doubtful = True
-            return None
-        if cob_id in self._seen or len(data) != frame.layout.size:
-            self._spoilt()
-            self._sync = None
-            return None
-        self._seen.add(cob_id)
-        for target, value in zip(frame.targets, frame.layout.unpack(data), strict=True):
-            if target is not None:
-                self._raw[target] = value
-        if len(self._seen) < self._frames:
-            return None
-        if self._doubtful:
-            self._doubtful = False
-            return None
-        cycle = Cycle(self._sync[0], self._sync[1], self._raw * self._scale)
-        if t - cycle.t > LATEST * self.cycle_s or self._hold:
-            self._held, self._held_at = cycle, t
-            return None
-        return cycle
-
-    def _changed(self, frame: FrameMap, data: bytes | bytearray) -> None:
-        """A drive tells what has changed; it holds until it tells again."""
-        if len(data) != frame.layout.size:
-            self.incomplete += 1
-            return
-        for target, value in zip(frame.targets, frame.layout.unpack(data), strict=True):
-            if target is not None:
-                self._raw[target] = value
-
-    def quiet(self, now: float) -> Cycle | None:
-        """No frame has come up to ``now`` [s]: gives out a cycle that was held back, if the next one is overdue."""
-        if self._held is None or now - self._held_at < self.cycle_s:
-            return None
-        held, self._held = self._held, None
-        return held
-
-    def _next_sync(self, counter: int | None, t: float) -> Cycle | None:
-        held, self._held = self._held, None
-        self._hold = max(0, self._hold - 1)
-        if self._sync is not None and len(self._seen) < self._frames:
-            self._spoilt()
-        overflow = self.profile.sync_overflow
-        lost = overflow and held is not None and held.counter is not None and counter != held.counter % overflow + 1
-        if held is not None and (lost or t - self._held_at < APART):
-            held = None
-            self._spoilt()
-        self._sync = (counter, t)
-        self._seen.clear()
-        return held
-
-    def _spoilt(self) -> None:
-        self.incomplete += 1
-        self._doubtful, self._held, self._hold = True, None, round(HOLD / self.cycle_s)
+    layout = struct.Struct(codes)
+    if layout.size > LONGEST:
+        raise BusError(
+            f"{dcf}: the PDO on 0x{pdo.cob_id:03X} maps {layout.size} bytes; expected at most {LONGEST}: mend its mapping"
+        )
+    return FrameMap(pdo.cob_id, layout, tuple(targets), codes[1:], synchronous)
 
 
 @dataclass(slots=True)

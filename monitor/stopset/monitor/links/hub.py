@@ -11,18 +11,9 @@ import socket
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from stopset.errors import BusError
-
-
-class Frame(NamedTuple):
-    """One classic CAN frame; ``t``: reception, seconds since the epoch."""
-
-    cob_id: int
-    data: bytes | bytearray
-    t: float
-
+from stopset.monitor.links.batch import SIZE, Batch, Frame
 
 # python-can's client expects the last answer of the greeting alone in one read
 _QUIET_AFTER_GREETING = 0.2
@@ -165,6 +156,12 @@ class HubClient:
         self._text = b""
         self._ready: list[Frame] = []
         self._next = 0
+
+    def fill(self, batch: Batch, timeout: float) -> None:
+        """As many frames as are there, of which the first is waited for."""
+        batch.clear()
+        while batch.count < SIZE and (frame := self.recv(0.0 if batch.count else timeout)) is not None:
+            batch.put(frame)
 
     def recv(self, timeout: float) -> Frame | None:
         if self._next < len(self._ready):

@@ -11,7 +11,7 @@ from typing import TextIO
 import can
 
 from stopset.errors import RecordingError
-from stopset.monitor.links.hub import Frame
+from stopset.monitor.links.batch import Frame
 
 LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
 

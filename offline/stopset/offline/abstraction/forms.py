@@ -46,7 +46,7 @@ class Dynamics:
     def algebra(self) -> Algebra:
         return self.M[0][0].algebra
 
-    def expanded(self, q_a: Array, order: int, inverse: bool) -> Dynamics:
+    def expanded(self, q_a: Array, order: int, *, inverse: bool) -> Dynamics:
         """Taylor polynomials about ``q_a`` (n,): M to ``order``, C to one less; ``inverse``: are quotients to follow?"""
         n = len(self.M)
         centre = np.concatenate([np.sin(q_a[1:]), np.cos(q_a[1:])])

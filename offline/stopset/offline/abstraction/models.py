@@ -54,9 +54,11 @@ def build(kind: int, order: int, robot: Robot, rotor: Array, viscous: Array, q_a
     _guard(kind, order, n, viscous.shape[1])
     forms = dynamics(robot, rotor)
     if kind == 3:
-        return Abstraction(3, order, Minv, tau_nu, acceleration=_acceleration(forms.expanded(at, order - 1, True), tau_nu, order))
+        return Abstraction(
+            3, order, Minv, tau_nu, acceleration=_acceleration(forms.expanded(at, order - 1, inverse=True), tau_nu, order)
+        )
     if order < coriolis_degree(forms):  # else the polynomials are exact, and written about zero they are far shorter
-        forms = forms.expanded(at, order - 1, False)
+        forms = forms.expanded(at, order - 1, inverse=False)
     return Abstraction(2, order, Minv, tau_nu, coriolis=tuple(_quadratic(C, forms) for C in forms.C))
 
 

@@ -107,13 +107,15 @@ def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) 
 
     def miss(x: Array) -> Array:
         # a motion goes on changing its speed as before the request, or less when it reaches its constant speed meanwhile
-        speeds = _shape(kind, t, v0, float(x[0]), float(np.exp(x[1])), before * float(x[2]))[1]
-        prior = [] if usual is None else [SOFT * (x[0] - usual[0]) / usual[1]]
+        control, size, pace = x
+        _, speeds = _shape(kind, t, v0, float(control), float(np.exp(size)), before * float(pace))
+        prior = [] if usual is None else [SOFT * (control - usual[0]) / usual[1]]
         return np.concatenate([(v - speeds).ravel(), prior])
 
     bounds = ([0.0, -np.inf, 0.0], [0.5 * float(t[-1]), np.inf, 1.0])
     fit = least_squares(miss, [START, np.log(guess), 0.5], bounds=bounds, loss="soft_l1", f_scale=SOFT, max_nfev=80)
-    return Fit(float(fit.x[0]), float(np.exp(fit.x[1])), before * float(fit.x[2]), float(2.0 * fit.cost))
+    control, size, pace = fit.x.tolist()
+    return Fit(control, float(np.exp(size)), before * pace, float(2.0 * fit.cost))
 
 
 def _motion(r: Recording) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,14 @@ def _sensitivity(q: float, v: float, w: Array, c: Array, dt: float, cut: int) ->
     S, end_q, end_v = np.empty((2, 3)), ffi.new("double *", q), ffi.new("double *", v)
     lib.stopset_corner_sensitivity(end_q, end_v, len(w), view(given(w)), len(c), view(given(c)), dt, cut, view(S))
     return end_q[0], end_v[0], S
+
+
+class Beyond(NamedTuple):
+    """Readings beyond one side of the tube: the worst per age and state (H + 1, 2), where it is, and which starts are outside."""
+
+    worst: Array
+    at: Index
+    outside: list[NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +85,7 @@ class JointProblem:
         speed = z[NOISE_HI] if sign > 0 else -z[NOISE_LO]
         return np.array([self.noise[0], speed if self.both else np.inf])
 
-    def excess(self, z: Array, sign: float, which: Sequence[Index]) -> tuple[Array, Index, list[NDArray[np.bool_]]]:
+    def excess(self, z: Array, sign: float, which: Sequence[Index]) -> Beyond:
         """Worst reading beyond one side per age (H + 1, 2), where it is, and which of the starts are outside."""
         best = np.full((self.horizon + 1, 2), -np.inf)
         at = np.zeros((self.horizon + 1, 2, 2), np.int64)
@@ -96,12 +105,12 @@ class JointProblem:
                 flags_of(flags),
             )  # fmt: skip
             outside.append(flags)
-        return best, at, outside
+        return Beyond(best, at, outside)
 
     def conformant(self, z: Array, which: Sequence[Index] | None = None) -> bool:
         """Whether every reading from these starts (all, if left out) lies inside."""
         chosen = [self.starts(len(x), 1) for x in self.x] if which is None else which
-        return not any(flags.any() for sign in (1.0, -1.0) for flags in self.excess(z, sign, chosen)[2])
+        return not any(flags.any() for sign in (1.0, -1.0) for flags in self.excess(z, sign, chosen).outside)
 
     def planes(self, z: Array, sign: float, which: Sequence[Index]) -> tuple[list[Array], list[float], float]:
         """Rows ``a . z' >= b`` from the worst ages of one side at ``z``, and by how much it is outside."""

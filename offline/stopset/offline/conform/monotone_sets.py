@@ -92,7 +92,7 @@ def scaled(problem: JointProblem, z: Array, factor: float) -> Array:
 def verified(problem: JointProblem, z: Array) -> tuple[Array, float]:
     """``z`` with the smallest common factor (>= 1, by bisection to 1e-4) under which every window start is enclosed."""
     every = [problem.starts(len(x), 1) for x in problem.x]
-    flags = [a | b for a, b in zip(*(problem.excess(z, sign, every)[2] for sign in (1.0, -1.0)), strict=True)]
+    flags = [a | b for a, b in zip(*(problem.excess(z, sign, every).outside for sign in (1.0, -1.0)), strict=True)]
     left = [s[f] for s, f in zip(every, flags, strict=True)]  # what is inside stays inside while the sets grow
     if not any(len(s) for s in left):
         return z, 1.0

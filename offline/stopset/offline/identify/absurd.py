@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,18 @@ MOVES = 5.0  # a joint moves if it is faster than so many times its noise
 RANGES = 3.0  # an open-loop prediction that errs by more than so many of the joint's ranges has diverged
 
 
+@dataclass(frozen=True, slots=True)
+class Oddity:
+    """What cannot be, in a sentence: a ``grave`` one is no model to go out unless asked for."""
+
+    grave: bool
+    what: str
+
+    @property
+    def says(self) -> str:
+        return f"{'absurd' if self.grave else 'wide'}: {self.what}"
+
+
 def late(found: Survey, joints: Sequence[str]) -> list[str]:
     """One sentence for each joint whose speed is not read when its positions are."""
     n = len(joints)
@@ -27,8 +40,8 @@ def late(found: Survey, joints: Sequence[str]) -> list[str]:
     ]
 
 
-def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[str]:
-    """One sentence for each joint of which the sets say less after 0.1 s than that it moves as it always did."""
+def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[Oddity]:
+    """One for each joint of which the sets say less after 0.1 s than that it moves as it always did."""
     n, out = len(joints), []
     fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
     for k, j in enumerate(joints):
@@ -38,30 +51,30 @@ def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[s
                 f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {fastest[k]:.3g} "
                 "rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
             )
-    return [f"{'absurd' if 2 * len(out) > n else 'wide'}: {x}" for x in out]
+    return [Oddity(grave=2 * len(out) > n, what=x) for x in out]
 
 
-def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[str]:
-    """One sentence for each joint and contradiction; ``errors``: joint -> RMS errors of the model."""
+def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[Oddity]:
+    """One for each joint and contradiction; ``errors``: joint -> RMS errors of the model."""
     n, out = len(errors), []
     fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
     for k, (j, row) in enumerate(errors.items()):
         wrong = max(-float(sets.V.lo[n + k]), float(sets.V.hi[n + k]))
         if sets.conform == "all" and wrong > fastest[k] > MOVES * found.readings.least.hi[n + k]:
             out.append(
-                f"absurd: speeds of {j} would be read wrong by up to {wrong:.3g} rad/s, and it was never faster than "
+                f"speeds of {j} would be read wrong by up to {wrong:.3g} rad/s, and it was never faster than "
                 f"{fastest[k]:.3g} rad/s; look at how dq is made (`stopset inspect`)"
             )
         far, span = row["position_rmse"], float(found.q.width[k])
         if far is not None and far > RANGES * max(span, 1.0):
             out.append(
-                f"absurd: open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: the model diverges; "
+                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: the model diverges; "
                 "check the torque's sign and unit, and the inertia of its drive"
             )
         torque, width = row["torque_rmse"], float(sets.U.width[k])
         if torque is not None and width < 0.5 * torque:
             out.append(
-                f"absurd: the torque set of {j} is {width:.3g} N m wide where the model's torque errs by {torque:.3g} N m RMS; "
+                f"the torque set of {j} is {width:.3g} N m wide where the model's torque errs by {torque:.3g} N m RMS; "
                 "its deviations sit in another set: look at the velocity signal"
             )
-    return out
+    return [Oddity(grave=True, what=x) for x in out]

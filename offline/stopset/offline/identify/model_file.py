@@ -88,7 +88,7 @@ def packed(
         by_band = {name: widened(s, nominal.uncertain_torque) for name, s in by_band.items()}
     tightness = tight(result.sets)
     odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found)]
-    said = (*late(found, robot.joints), *tightness.words(robot.joints), *odd)
+    said = (*late(found, robot.joints), *tightness.words(robot.joints), *(o.says for o in odd))
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
     total = widths | _sums(errors)
@@ -106,7 +106,7 @@ def packed(
         provenance=_provenance(run, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
-    return Identification(model, result, found, run.settings, tightness, tuple(x for x in odd if x.startswith("absurd")))
+    return Identification(model, result, found, run.settings, tightness, tuple(o.says for o in odd if o.grave))
 
 
 def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:

@@ -104,8 +104,7 @@ def identified(
     try:
         out = _with_sets(run, nominal, tell, scheduler, tally if keep == "sums" else None)
     except NotConformant as e:
-        limited = [note for note in nominal.notes if note.startswith("held at")]
-        raise NotConformant("; ".join([str(e), *limited])) from e
+        raise NotConformant("; ".join([str(e), *nominal.limited])) from e
     out = stopped(out, stops, tell)
     return replace(out, kept=Signals(campaign, found.places, known)) if keep == "signals" else out
 

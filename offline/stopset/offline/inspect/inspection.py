@@ -16,7 +16,7 @@ from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
-from stopset.offline.inspect.needs import Need, needs
+from stopset.offline.inspect.needs import Need, Recorded, needs
 from stopset.offline.inspect.tally import MOVING, Tally
 from stopset.offline.inspect.units import Sample, degrees
 from stopset.offline.nominal.delay import estimate_delay
@@ -206,8 +206,10 @@ def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]
     repeats = max((c for (_, p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
     motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
-    speed = np.column_stack([low, top])
-    return needs(campaign.phases(), paired, speed, limit, "temp" in campaign.channels, meta.effort, repeats, motions)
+    return needs(Recorded(
+        phases=campaign.phases(), paired_poses=paired, speed=np.column_stack([low, top]), limit=limit,
+        temperature="temp" in campaign.channels, effort=meta.effort, repeats=repeats, motions=motions,
+    ))  # fmt: skip
 
 
 def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str, Any]:

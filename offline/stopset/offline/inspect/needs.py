@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from stopset.offline.conform.guarantee import FEWEST_MOTIONS, HELD_OUT_EVERY, split
@@ -33,21 +33,25 @@ def upper_bound(motions: int, confidence: float = 0.95) -> float:
     return 1.0 if motions == 0 else 1.0 - (1.0 - confidence) ** (1.0 / motions)
 
 
-def needs(
-    phases: Mapping[str, Mapping[str, int]],
-    paired_poses: int,
-    speed: Array,
-    limit: Array | None,
-    temperature: bool,
-    effort: str,
-    repeats: int,
-    motions: int,
-) -> list[Need]:
-    """``phases``: phase -> counts; ``paired_poses``: poses from both sides; ``speed`` (n, 2): lowest fast, highest speed
-    of the joints as the campaign has them; ``limit`` (n,) [rad/s] of the robot if known; ``repeats``: most trials of an
-    open-loop suite; ``motions``: independent ones in open loop, of which suites may be several starts."""
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What recordings hold, as far as identification wants it."""
+
+    phases: Collection[str]
+    paired_poses: int  # approached from both sides
+    speed: Array  # (n, 2) [rad/s] lowest and highest of each joint in motion
+    limit: Array | None  # (n,) [rad/s] of the robot if known
+    temperature: bool
+    effort: str
+    repeats: int  # most trials of an open-loop suite
+    motions: int  # independent ones in open loop, of which suites may be several starts
+
+
+def needs(r: Recorded) -> list[Need]:
+    """What identification wants and these recordings do not have, in the order of the identification."""
     out: list[Need] = []
-    if effort == "compensated_torque":
+    phases, motions = r.phases, r.motions
+    if r.effort == "compensated_torque":
         out.append(
             Need(
                 "gravity, Coulomb friction",
@@ -55,18 +59,18 @@ def needs(
                 "record motor torque to identify them",
             )
         )
-    elif paired_poses < POSES:
-        seen = f"{paired_poses} static poses approached from both sides, {POSES} wanted"
+    elif r.paired_poses < POSES:
+        seen = f"{r.paired_poses} static poses approached from both sides, {POSES} wanted"
         out.append(
             Need("gravity", seen, "add phase static: each pose once from below, once from above; friction cancels in the mean")
         )
     moving = [p for p in ("closed_loop", "open_loop") if p in phases]
-    if not moving or not (speed[:, 1] > MOVING).any():
+    if not moving or not (r.speed[:, 1] > MOVING).any():
         out.append(
             Need("inertia, friction", "no recording in motion", "add phase closed_loop: excitation and PTP, slow and fast")
         )
-    elif limit is not None:
-        out += _speeds(speed, limit)
+    elif r.limit is not None:
+        out += _speeds(r.speed, r.limit)
     if motions == 0:
         out.append(
             Need(
@@ -76,8 +80,8 @@ def needs(
             )
         )
     else:
-        if repeats < REPEATS:
-            seen = f"at most {repeats} trial{'s' if repeats != 1 else ''} per open-loop suite, {REPEATS} wanted"
+        if r.repeats < REPEATS:
+            seen = f"at most {r.repeats} trial{'s' if r.repeats != 1 else ''} per open-loop suite, {REPEATS} wanted"
             out.append(Need("what does not repeat", seen, "repeat each suite from the same start with the same torques"))
         held = len(split(range(motions)).held)
         if held < MOTIONS_1_PERCENT:
@@ -89,7 +93,7 @@ def needs(
     for phase, what in (("stop0", "brake delay, rise and torque; sets of STOP 0"), ("stop1", "sets of STOP 1")):
         if phase not in phases:
             out.append(Need(what, f"no {phase} recording", f"add phase {phase}: stops at several speeds, with stop_trigger"))
-    if not temperature:
+    if not r.temperature:
         out.append(
             Need(
                 "thermal friction", "no joint temperatures", "record temp_<joint>; warming then shows only over the trial number"

@@ -44,6 +44,7 @@ class Fit:
     rms: Array
     rms_before: Array
     notes: tuple[str, ...]
+    limited: tuple[str, ...]  # those of the notes that say what a limit decided
 
 
 @dataclass(slots=True)
@@ -96,9 +97,10 @@ def assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Arra
 
 def _solve(
     p: _Problem, H: Array, b: Array, limits: Limits, floor: Floor, speed: Array, reference: Array
-) -> tuple[Array, list[str]]:
-    """Parameters under all limits, and what the limits did."""
+) -> tuple[Array, list[str], list[str]]:
+    """Parameters under all limits, what was done, and of that what a limit decided."""
     notes: list[str] = []
+    limited: list[str] = []
     n = p.layout.n
     theta, active = solve_qp(H, b, limits.A, limits.lower, limits.upper)
     weak = floor.binding(theta, np.asarray(np.linalg.inv(H), np.float64))
@@ -114,17 +116,19 @@ def _solve(
     names = p.layout.names()
     held = {names[k] for row in limits.A[active] for k in np.flatnonzero(row)}
     if held:
-        notes.append(f"held at a limit (admissible range, or friction that would push): {', '.join(sorted(held))}")
+        limited.append(f"held at a limit (admissible range, or friction that would push): {', '.join(sorted(held))}")
+        notes.append(limited[-1])
     if not consistent(theta[: 10 * n].reshape(n, 10), reference):
         theta = solve_consistent(H, b, limits.A, limits.lower, limits.upper, reference)
         notes.append("inertias moved to the nearest that bodies can have (positive definite pseudo-inertia)")
     for j in dict.fromkeys(weak.joint):
         why = next(w for k, w in zip(weak.joint, weak.why, strict=True) if k == j)
-        notes.append(
+        limited.append(
             f"held at a physical floor: the rotor inertia of {p.layout.joints[j]} at {theta[10 * n + j]:.3g} kg m^2; these recordings "
             f"determine it too weakly, and with less {why}"
         )
-    return theta, notes
+        notes.append(limited[-1])
+    return theta, notes, limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +184,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
         weighed.variance, weighed.variance_still, weighed.inflation, weighed.scale, weighed.H, weighed.b
     )  # fmt: skip
     limits = ranges(layout) + passivity(layout, *_seen(data))
-    theta, notes = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
+    theta, notes, limited = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
     if scale > 1.5:
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less")
     if weighed.loaded:
@@ -188,7 +192,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
         theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, weighed.precision, rms,
-        _before(p, prior, rows), tuple(notes),
+        _before(p, prior, rows), tuple(notes), tuple(limited),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from stopset.artifact.inputs import effect_torques
 from stopset.effects.base import Fitted, Signals
 from stopset.effects.registry import get
+from stopset.effects.signals import Samples
 from stopset.recording import Recording
 from stopset.robot import Robot
 
@@ -47,5 +48,5 @@ def plain(r: Recording, robot: Robot, known: Sequence[Fitted], warm: float) -> R
     if torques:
         # what acts on accelerations (a motor that two joints share) needs them; their noise passes the torque's own filter later
         ddq = np.gradient(r.dq, r.t, axis=0) if any("ddq_other" in get(f.effect).needs for f in torques) else None
-        tau -= effect_torques(robot, torques, r.q, r.dq, ddq, temp=r.temp, warm=warm, t=r.t)
+        tau -= effect_torques(robot, torques, Samples(r.q, r.dq, ddq, r.temp, warm, r.t))
     return replace(r, tau=tau)

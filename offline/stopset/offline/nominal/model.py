@@ -48,6 +48,7 @@ class NominalPart:
     data: NormalEquations | None = None
     uncertain_torque: Array = field(default_factory=lambda: np.zeros(1))
     chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
+    limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
 
 
@@ -158,6 +159,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     uncertain_torque = of_regression(cad, nominal, found.sample)
     return NominalPart(
+<<<<<<< HEAD
         arm,
         nominal.rotor,
         (*nominal.friction, *known),
@@ -168,6 +170,11 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
         chosen,
         nominal.taken_out(),
     )
+=======
+        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen, nominal.limited,
+        nominal.taken_out(),
+    )  # fmt: skip
+>>>>>>> main
 
 
 def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:

@@ -61,6 +61,7 @@ class Nominal:
     base_parameters: int
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
+    limited: tuple[str, ...]  # those of the notes that say what a limit decided
     data: NormalEquations
     prior: Prior  # as it counted: a description that the recordings contradict counts for less
 
@@ -238,7 +239,12 @@ def _nominal(
         inflation=result.inflation,
         base_parameters=base_count(robot),
         undetermined=undetermined(robot, data, prior, result),
+<<<<<<< HEAD
         notes=(*notes, *result.notes, *skipped),
+=======
+        notes=(*notes, *skipped),
+        limited=result.limited,
+>>>>>>> main
         data=data,
         prior=replace(prior, precision=result.precision),
     )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stopset.effects import Effect, get
 from stopset.effects.selection import base
-from stopset.effects.signals import arm_signals
+from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import EffectError, RecordingError
 from stopset.offline.nominal.preprocess import Motion, Pose, Preprocessing, motions, pose_of
 from stopset.recording.types import Recording
@@ -274,7 +274,7 @@ def friction_columns(
     needs = {s for cs in layout.columns for c in cs for s in c.effect.needs}
     if "temp" in needs and m.temp is None:
         raise RecordingError("an effect needs joint temperatures (temp_<joint>) that this recording does not have; leave it out")
-    signals = arm_signals(robot, m.q, m.dq, m.ddq, temp=m.temp, t=m.t, needs=needs or {"dq"})
+    signals = arm_signals(robot, Samples(m.q, m.dq, m.ddq, m.temp, t=m.t), needs or {"dq"})
     # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
     signals = tuple(
         replace(s, way=np.clip(s.dq / still, -1.0, 1.0) if direction is None else np.full(len(m.t), direction)) for s in signals
@@ -312,7 +312,7 @@ def _pose_rows(out: NormalEquations, robot: Robot, pose: Pose) -> Array:
     X[:, : 10 * n] = regressors(robot.chain, pose.q, zero, zero).mean(axis=0)
     needs = {s for cs in out.layout.columns for c in cs for s in c.effect.needs}
     # creeping speed: the sign says from which side the pose was reached
-    signals = arm_signals(robot, pose.q, 1e-6 * pose.direction, zero, needs=(needs & {"load"}) or {"dq"})
+    signals = arm_signals(robot, Samples(pose.q, 1e-6 * pose.direction), (needs & {"load"}) or {"dq"})
     for j, columns in enumerate(out.layout.columns):
         place = 10 * n + 1
         for effect in dict.fromkeys(c.effect for c in columns):

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import UncertaintySets
-from stopset.effects.signals import arm_signals
+from stopset.effects.signals import Samples, arm_signals
 from stopset.offline.nominal import Nominal
 from stopset.recording import Recording
 from stopset.robot import Robot
@@ -48,7 +48,7 @@ def of_regression(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -
     q, dq, ddq = recombined(sample)
     layout, n = nominal.data.layout, robot.n
     needs = {s for cs in layout.columns for c in cs for s in c.effect.needs}
-    signals = arm_signals(robot, q, dq, ddq, needs=needs or {"dq"})
+    signals = arm_signals(robot, Samples(q, dq, ddq), needs or {"dq"})
     Y = regressors(robot.chain, q, dq, ddq)
     out = np.empty(n)
     for j, columns in enumerate(layout.columns):

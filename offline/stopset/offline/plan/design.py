@@ -18,8 +18,13 @@ from stopset.offline.nominal.expect import expected_covariance
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Prior, prior_of
+<<<<<<< HEAD
 from stopset.offline.nominal.unidentifiable import determined
 from stopset.offline.plan.excitation import excitations
+=======
+from stopset.offline.nominal.unidentifiable import told
+from stopset.offline.plan.excitation import Series, excitations
+>>>>>>> main
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
@@ -101,7 +106,9 @@ def design(
     tell("static poses")
     poses = static_poses(robot, e, wishes.poses, rng)
     tell("excitation")
-    waves, condition, blind = excitations(robot, e, wishes.excitations, wishes.period, wishes.rate, wishes.evaluations, rng, tell)
+    waves, condition, blind = excitations(
+        robot, e, Series(wishes.excitations, wishes.period, wishes.rate, wishes.evaluations), rng, tell
+    )
     goals = random_goals(robot, e, wishes.motions, rng)
     fast = []
     for k, (a, b) in enumerate(pairwise(goals)):

@@ -9,6 +9,8 @@ Source: Swevers et al. (1997), Optimal robot excitation and identification; Pres
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
@@ -107,22 +109,29 @@ def condition(G: Array) -> float:
     return float(np.sqrt(values[-1] / max(values[0], 1e-30)))
 
 
+@dataclass(frozen=True, slots=True)
+class Series:
+    """What is asked: ``count`` series of one ``period`` [s] at ``rate`` [1/s], each the best of so many ``evaluations``."""
+
+    count: int
+    period: float
+    rate: float
+    evaluations: int
+
+
 def excitations(
     robot: Robot,
     e: Envelope,
-    count: int,
-    period: float,
-    rate: float,
-    evaluations: int,
+    asked: Series,
     rng: np.random.Generator,
     tell: Tell = silent,
 ) -> tuple[list[Path], float, float]:
-    """``count`` trajectories of one ``period`` [s] each, together as well conditioned as the search finds.
+    """The trajectories asked for, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
     Each next trajectory is optimised for what those before it tell together with it; ``tell`` is told how far the search is.
     """
-    n = robot.n
+    n, count, period, evaluations = robot.n, asked.count, asked.period, asked.evaluations
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
     V = directions(robot, e, weight, rng)
     middle = centre(robot, e, rng)
@@ -131,11 +140,11 @@ def excitations(
     blind = total.copy()
     paths: list[Path] = []
 
-    def cost(x: Array, told: Array) -> tuple[float, Array]:
+    def cost(x: Array, known: Array) -> tuple[float, Array]:
         q, dq, ddq = _faded(x, period, e, t, middle)
         G = information(robot, q, dq, ddq, weight, V)
         low = 0.0 if e.floor is None else max(e.floor - float(heights(robot, q[::4]).min()), 0.0)
-        return np.log(condition(told + G)) + 50 * low, G
+        return np.log(condition(known + G)) + 50 * low, G
 
     for k in range(count):
         tell(f"excitation {k + 1} of {count}", k / count)
@@ -159,6 +168,6 @@ def excitations(
                 tell(f"excitation {k + 1} of {count}", (k + (tries + i) / evaluations) / count)
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
-        fine = np.arange(0.0, period + 0.5 / rate, 1 / rate)
+        fine = np.arange(0.0, period + 0.5 / asked.rate, 1 / asked.rate)
         paths.append(fitted(robot, e, _above(robot, e, Path(fine, *_faded(best, period, e, fine, middle)), middle)))
     return paths, condition(total), condition(blind)

@@ -51,13 +51,13 @@ def number(x: Any, digits: int = 3) -> str:
 
 def _words(column: Sequence[Any]) -> bool:
     """Whether most cells of a column that say anything are words rather than figures, ranges or shares."""
-    told = [str(c) for c in column if c is not None and str(c) not in ("", "-", "–")]
-    if not told:
+    said = [str(c) for c in column if c is not None and str(c) not in ("", "-", "–")]
+    if not said:
         return "" in column  # a column of dashes is one of figures
-    return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in told) < len(told)
+    return 2 * sum(bool(_FIGURE.fullmatch(c)) for c in said) < len(said)
 
 
-def _cell(value: Any, words: bool, shade: int | None = None) -> dict[str, Any]:
+def _cell(value: Any, *, words: bool, shade: int | None = None) -> dict[str, Any]:
     text = number(value)
     return {"text": text, "look": ("" if len(text) > SHORT else "s") if words else "n", "shade": shade}
 
@@ -110,7 +110,7 @@ class Page:
     def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
         """Columns of figures are set to the right, columns of words to the left."""
         words = [_words([row[k] for row in rows]) for k in range(len(head))]
-        cells = [[_cell(c, w) for c, w in zip(row, words, strict=True)] for row in rows]
+        cells = [[_cell(c, words=w) for c, w in zip(row, words, strict=True)] for row in rows]
         heads = [_head(h, w) for h, w in zip(head, words, strict=True)]
         self._put(
             "table",
@@ -125,7 +125,7 @@ class Page:
         """A heat-map of shares (rows, columns), 0 to 1: percents in shaded cells."""
         percent = np.round(100 * share).astype(int)
         cells = [
-            [_cell(name, True), *(_cell(int(p), False, min(int(p), 60)) for p in line)]
+            [_cell(name, words=True), *(_cell(int(p), words=False, shade=min(int(p), 60)) for p in line)]
             for name, line in zip(rows, percent, strict=True)
         ]
         heads = [_head(h, k == 0) for k, h in enumerate(("", *columns))]

@@ -80,20 +80,20 @@ class Document:
         """``widths``: shares of the text width. A long last cell goes on below; every page repeats the head."""
         scale = (WIDTH - 2 * MARGIN) / sum(widths)
         self._room(4.2 * size)
-        self._line(head, widths, scale, size, True)
+        self._line(head, widths, scale, size, bold=True)
         for row in rows:
             letters = max(8, int(widths[-1] * scale / (0.46 * size)))
             last = textwrap.wrap(row[-1], letters) or [""]
             if self._y - 1.4 * size * len(last) < MARGIN:
                 self._new_page()
-                self._line(head, widths, scale, size, True)
+                self._line(head, widths, scale, size, bold=True)
             for k, part in enumerate(last):
                 cells = [*row[:-1], part] if k == 0 else [""] * (len(row) - 1) + [part]
-                self._line(cells, widths, scale, size, False, rule=k == len(last) - 1)
+                self._line(cells, widths, scale, size, rule=k == len(last) - 1)
         self._y -= size
 
     def _line(
-        self, row: Sequence[str], widths: Sequence[float], scale: float, size: float, bold: bool, rule: bool = True
+        self, row: Sequence[str], widths: Sequence[float], scale: float, size: float, *, bold: bool = False, rule: bool = True
     ) -> None:
         self._y -= 1.4 * size
         x = MARGIN
@@ -113,8 +113,8 @@ class Document:
 
     def _plot(self, p: Plot, left: float, width: float, height: float) -> None:
         x0, y0, w = left + 34.0, self._y - 18.0 - height, width - 34.0
-        xs = [v for c in p.curves for v in c[1]] + list(p.points[0])
-        ys = [v for c in p.curves for v in c[2]] + list(p.points[1])
+        xs = [v for _, x, _ in p.curves for v in x] + list(p.points[0])
+        ys = [v for _, _, y in p.curves for v in y] + list(p.points[1])
         steps = _step(max(xs, default=1.0)), _step(max(ys, default=1.0))
         x1, y1 = (step * max(1, math.ceil(max(v, default=1.0) / step - 1e-9)) for step, v in zip(steps, (xs, ys), strict=True))
         page = self._pages[-1]

@@ -117,10 +117,10 @@ def by_evidence(
     for name in names:
         mine = [k for k, e in enumerate(found) if e.name == name]
         if not mine:
-            judged.append(Judged(name, errors[0], errors[0], False, "", NO_TRACE))
+            judged.append(Judged(name, errors[0], errors[0], helps=False, enters="", why=NO_TRACE))
             continue
         enters = entry(get(name.partition(":")[0]))
-        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], True, enters))
+        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], helps=True, enters=enters))
     return Verdict(tuple(judged), errors[0], more, taken, answer.words)
 
 

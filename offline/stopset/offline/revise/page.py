@@ -70,8 +70,8 @@ def _history(out: Page, model: Model) -> None:
         out.next(
             "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
         )
-    shown = [(key, title, *_chain(model, key)) for key, title in FIGURES]
-    shown = [row for row in shown if len(row[3]) > 1]
+    chains = ((key, title, *_chain(model, key)) for key, title in FIGURES)
+    shown = [(key, title, names, values) for key, title, names, values in chains if len(values) > 1]
     if shown:
         out.figure(
             _waterfalls(model, shown),

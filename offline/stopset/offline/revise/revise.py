@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,15 +17,14 @@ import numpy as np
 from stopset.artifact import Model, Revision
 from stopset.effects.selection import parse_effect
 from stopset.errors import EffectError, ModelFileError, NotCovered
-from stopset.offline.campaign.conditions import one_condition, tagged
+from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import hold_out
-from stopset.offline.campaign.source import campaign_of
+from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
 from stopset.progress import Tell, silent
 from stopset.reach.stops import stop
-from stopset.recording import read_meta
 from stopset.robot import Robot
 
 if TYPE_CHECKING:
@@ -55,23 +53,27 @@ class Revised:
 
 
 def add(
-    model: Model, effect: str | Sequence[str], joint: str | None, paths: Sequence[str | Path], force: bool = False,
-    tell: Tell = silent, keep: Keep = None, conditions: Sequence[str] = (),
-) -> Revised:  # fmt: skip
-    """A revision of ``model`` with ``effect`` (at ``joint``, or wherever its scope says), identified from ``paths``.
+    model: Model,
+    effects: Sequence[str],
+    campaign: Campaign,
+    *,
+    force: bool = False,
+    tell: Tell = silent,
+    keep: Keep = None,
+) -> Revised:
+    """A revision of ``model`` with ``effects``, identified from the recordings of ``campaign``.
 
-    Several effects are given as ``effect`` or ``effect:joint`` each, in the order to try them; ``joint`` is then left out.
+    They are ``effect:joint`` each, or ``effect`` wherever its scope says, in the order to try them.
     ``keep``: also keep what later recordings can be added to (`stopset.offline.update.update`).
     Raises `EffectError` if an effect or joint is unknown or already part of the model.
     """
     robot, settings = model.robot.as_described, settings_of(model)
-    names = _names(effect, joint, robot, settings)
-    campaign = tagged(campaign_of(robot, paths), conditions, paths)
+    names = _names(effects, robot, settings)
     if not settings.mixed:
         one_condition(r.condition for r in campaign.trials())
     surveyed = survey(campaign.trials)
     judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, tell)
-    first = _judged_before(model, paths)
+    first = _judged_before(model, campaign)
     verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
@@ -108,14 +110,9 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     )
 
 
-def _names(effect: str | Sequence[str], joint: str | None, robot: Robot, settings: Settings) -> tuple[str, ...]:
+def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[str, ...]:
     """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
-    wanted = (effect,) if isinstance(effect, str) else tuple(effect)
-    if joint and (len(wanted) > 1 or ":" in wanted[0]):
-        raise EffectError(
-            f"{' '.join(wanted)} with --joint {joint}: expected a joint for one effect only; write {wanted[0].partition(':')[0]}:{joint}"
-        )
-    names = tuple(f"{w}:{joint}" if joint else w for w in wanted)
+    names = tuple(effects)
     for k, name in enumerate(names):
         parse_effect(name, robot)
         if name in settings.effects:
@@ -125,9 +122,9 @@ def _names(effect: str | Sequence[str], joint: str | None, robot: Robot, setting
     return names
 
 
-def _judged_before(model: Model, paths: Sequence[str | Path]) -> dict[str, float] | None:
+def _judged_before(model: Model, campaign: Campaign) -> dict[str, float] | None:
     """Held-out errors of this very model on these very recordings, where its last revision was judged on them."""
-    same = set(dict(model.provenance.get("data", {})).values()) == {sha for p in paths for _, sha in read_meta(p).sources}
+    same = set(dict(model.provenance.get("data", {})).values()) == {sha for _, sha in campaign.meta.sources}
     tool = model.provenance.get("tool") == f"stopset {version('stopset')}"
     last = dict(model.revisions[-1].after) if model.revisions else {}
     found = {k: v for k, v in last.items() if k.partition(":")[0] in HELD_OUT}

@@ -10,7 +10,7 @@ import numpy as np
 from stopset.offline.stops.sampling import ANGLE_ERROR, DT, SPEED_ERROR, draw, inverse_inertia, start_of
 from stopset.reach.stops import Ramp, StopBound, StopBounds
 from stopset.robot.rigid import Chain, link_frames
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 CHANGES = 6  # of a failing joint's speed before power is taken
@@ -75,7 +75,7 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
         shares = _shares(ramp, dq, rng)
         before = np.vstack([np.zeros(n), np.cumsum(shares * v0 * DT, axis=0)])
         qs, vs = simulate_stop(
-            chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0 + before[-1], shares[-1] * v0, DT, steps, x.u
+            StoppingArm(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0 + before[-1], shares[-1] * v0, DT, steps, x.u
         )  # fmt: skip
         d = np.vstack([before, qs - q0])
         v = np.vstack([shares * v0, vs])

@@ -35,6 +35,22 @@ Errors = tuple[Array, Array]  # (n,) [rad], [rad/s] by which the arm may be off 
 
 
 @dataclass(frozen=True, slots=True)
+class Passed:
+    """What a stop passes: ``poses`` and ``speeds`` (K, n) in ``time`` [s], ``spacing`` apart in s at a ``rate`` of at most [1/s].
+
+    ``first``, ``second``: (n,) bounds of ``|dp/ds|`` and ``|d2p/ds2|`` there.
+    """
+
+    poses: Array
+    speeds: Array
+    time: float
+    spacing: float
+    rate: float
+    first: Array
+    second: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Path:
     """``p(s, order)`` gives angles (n,) or their derivatives by ``s`` for ``s`` in ``[0, length]``.
 
@@ -140,27 +156,26 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
     time = float(np.max(ramp.control.hi)) + float(np.sum(2.0 * np.diff(profile[0]) / (profile[1][1:] + profile[1][:-1])))
     spacing = max(begin - s0, 0.0) / (GRID - 1), shortest / GRID / DENSE
     fastest = max(ds, float(profile[1].max()))
-    steepest = path.steepest(s0, begin + shortest)
-    bound = _judged(bounds, setting, ramp, poses, speeds, time, max(spacing), fastest, steepest)
+    passed = Passed(poses, speeds, time, max(spacing), fastest, *path.steepest(s0, begin + shortest))
+    bound = _judged(bounds, setting, ramp, passed)
     return PathStop(begin - s0 + shortest, time, poses, room, bound)
 
 
-def _judged(
-    bounds: StopBounds, setting: Setting, ramp: Ramp, poses: Array, speeds: Array, time: float, spacing: float, rate: float,
-    steepest: tuple[Array, Array],
-) -> StopBound:  # fmt: skip
+def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed) -> StopBound:
     """The bound, or why there is none: outside the domain, no time to rest known, not held."""
-    seen = (beyond_domain(bounds.model, q, v) for q, v in zip(poses, speeds, strict=True))
+    seen = (beyond_domain(bounds.model, q, v) for q, v in zip(passed.poses, passed.speeds, strict=True))
     beyond = next((x for x in seen if x), None)
     if beyond and not bounds.extrapolate_state:
-        return StopBound("1", False, f"not covered, the path leads there: {beyond}; {UNSEEN}", assumptions=setting.assumptions)
+        return StopBound(
+            "1", certified=False, why=f"not covered, the path leads there: {beyond}; {UNSEEN}", assumptions=setting.assumptions
+        )
     if ramp.after is None:
-        return StopBound("1", False, NO_REST, assumptions=setting.assumptions)
+        return StopBound("1", certified=False, why=NO_REST, assumptions=setting.assumptions)
     off = ramp.q_error + setting.noise.radius[: bounds.model.n]
-    margin = np.minimum(bounds.margin(poses[0], off), bounds.margin(poses[-1], off))
+    margin = np.minimum(bounds.margin(passed.poses[0], off), bounds.margin(passed.poses[-1], off))
     if margin.min() <= 0:
-        return bounds.refused_for("1", margin, poses[-1])
-    bound = _bound(bounds.model, setting, ramp, poses, time + ramp.after, spacing, rate, steepest)
+        return bounds.refused_for("1", margin, passed.poses[-1])
+    bound = _bound(bounds.model, setting, ramp, passed, passed.time + ramp.after)
     return bounds.marked(replace(bound, holding_margin=margin), beyond)
 
 
@@ -307,39 +322,30 @@ def _dense(setting: Setting, path: Path, begin: float, profile: tuple[Array, Arr
     return poses, np.array(speeds), left
 
 
-def _bound(
-    model: Model,
-    setting: Setting,
-    ramp: Ramp,
-    poses: Array,
-    time: float,
-    spacing: float,
-    rate: float,
-    steepest: tuple[Array, Array],
-) -> StopBound:
-    """Displacements and speeds over the poses passed, ``spacing`` apart in s at a rate of at most ``rate`` [1/s].
+def _bound(model: Model, setting: Setting, ramp: Ramp, passed: Passed, time: float) -> StopBound:
+    """Displacements and speeds over the poses passed, at rest after ``time`` [s].
 
     What lies between two poses is within half their spacing of one of them.
     """
-    first, second = steepest
+    poses, spacing, rate, first, second = passed.poses, passed.spacing, passed.rate, passed.first, passed.second
     robot, n = model.robot, model.n
     between = 0.5 * spacing * first
     travel = poses - poses[0]
     ends = np.array([_ends(model, setting, q) for q in poses])  # (P, n + 1, 3), the tool last
     reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + max(map(np.linalg.norm, (setting.payload_com, robot.tip))))
     slack = reach * float(np.sum(between + ramp.q_error + setting.noise.radius[:n]))
-    way = ends - ends[0]
-    far = np.linalg.norm(way, axis=2).max(axis=0) + slack
+    moved = ends - ends[0]
+    far = np.linalg.norm(moved, axis=2).max(axis=0) + slack
     # chords are shorter than arcs: by no more than the bend of the tool's path allows
     bend = reach * float(first.sum() ** 2 + second.sum())
     pace = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=0) / spacing + spacing * bend
     speed = rate * pace + reach * float(ramp.dq_error.sum())
     return StopBound(
-        "1", True, "", time=np.full(n, time),
+        "1", certified=True, why="", time=np.full(n, time),
         forward=np.maximum(travel.max(axis=0), 0.0) + between + ramp.q_error,
         back=np.maximum(-travel.min(axis=0), 0.0) + between + ramp.q_error,
         speed=rate * first + ramp.dq_error, tcp=float(far[-1]), tcp_speed=float(speed[-1]),
-        tcp_box=np.stack([way[:, -1].min(axis=0) - slack, way[:, -1].max(axis=0) + slack], axis=1),
+        tcp_box=np.stack([moved[:, -1].min(axis=0) - slack, moved[:, -1].max(axis=0) + slack], axis=1),
         links=far[:-1], link_speed=speed[:-1], layer="ramp",
         assumptions=(
             *setting.assumptions, *ramp_assumptions(ramp, "1"),

@@ -15,7 +15,7 @@ import numpy as np
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.robot.rigid import link_frames, mass_matrix
-from stopset.simulation.stop import simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
 DT = 0.5e-3  # [s] between checks, and the step of the simulation
@@ -146,7 +146,7 @@ def sample_stops(
         x = draw(plant, kind, sign, W, rng)
         q0, v0 = start_of(x, kind, q, dq, q_radius, dq_radius, rng)
         qs, vs = simulate_stop(
-            plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise, q0, v0, DT, steps, x.u
+            StoppingArm(plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0, v0, DT, steps, x.u
         )  # fmt: skip
         R, o = link_frames(plant.chain, np.vstack([q0[None], qs[::8], qs[-1:]]))
         p = o[:, -1] + R[:, -1] @ tip

@@ -22,7 +22,7 @@ from stopset.offline.stops.poses import Poses
 from stopset.progress import Tell, counted, silent
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
-from stopset.reach.stops.setting import HEAVIEST, OUTSIDE, beyond_domain, beyond_payload
+from stopset.reach.stops.setting import HEAVIEST, beyond_domain, beyond_payload
 from stopset.types import Array
 
 SHARES = (33, 66, 100)
@@ -70,8 +70,8 @@ class Row:
             "category", "joint", "speed_percent", "payload_percent", "extension_percent", "time_s", "angle_rad", "tcp_m",
             "certified", "why",
         )  # fmt: skip
-        told = {k: getattr(self, k) for k in keys}
-        return told | {"extrapolated": True, "assumptions": list(self.assumptions)} if self.extrapolated else told
+        row = {k: getattr(self, k) for k in keys}
+        return row | {"extrapolated": True, "assumptions": list(self.assumptions)} if self.extrapolated else row
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +186,10 @@ def stop_table(model: Model, question: Question, tell: Tell = silent) -> Table:
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
         outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
         for share in SHARES:
-            told = _worst_direction(bounds, q, group, speed * share / 100.0, question.categories)
-            for bound, dq in told:
-                rows.append(_row(model, bound, group, q, dq, share, percent, kg, extension))
-                stated = tuple(a for a in bound.assumptions if not a.startswith(OUTSIDE))
+            of = Shares(share, percent, kg, extension)
+            for bound, dq in _worst_direction(bounds, q, group, speed * share / 100.0, question.categories):
+                rows.append(_row(model, bound, group, q, dq, of))
+                stated = tuple(a for a in bound.assumptions if a not in bound.here)
                 assumptions += tuple(a for a in stated if a not in assumptions)
     order = {c: i for i, c in enumerate(CATEGORIES)}
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
@@ -216,24 +216,24 @@ def _worst_direction(
 ) -> list[tuple[StopBound, Array]]:
     """For each category the worst of all directions: both of one axis, every combination of several.
 
-    Of directions in which recordings have not seen such speeds nothing is told; where there are others the bound says so.
+    Of directions in which recordings have not seen such speeds nothing is said; where there are others the bound says so.
     """
     worst: dict[Category, tuple[StopBound, Array]] = {}
-    ways = []
+    directions = []
     for signs in product((1.0, -1.0), repeat=len(group)):
         dq = np.zeros(len(q))
         dq[list(group)] = np.array(signs) * speed[list(group)]
-        ways.append(dq)
-    covered = [dq for dq in ways if bounds.extrapolate_state or not beyond_domain(bounds.model, q, dq)] or ways
+        directions.append(dq)
+    covered = [dq for dq in directions if bounds.extrapolate_state or not beyond_domain(bounds.model, q, dq)] or directions
     for dq in covered:
         for c in categories:
             bound = bounds.bound(q, dq, c)
             known = worst.get(c)
             if known is None or _badness(bound, group) > _badness(known[0], group):
                 worst[c] = (bound, dq)
-    if len(covered) == len(ways):
+    if len(covered) == len(directions):
         return [worst[c] for c in categories]
-    only = f"not covered in {len(ways) - len(covered)} of {len(ways)} directions, in which no recording is as fast"
+    only = f"not covered in {len(directions) - len(covered)} of {len(directions)} directions, in which no recording is as fast"
     return [(replace(b, why="; ".join(x for x in (b.why, only) if x)), dq) for b, dq in (worst[c] for c in categories)]
 
 
@@ -242,18 +242,25 @@ def _badness(bound: StopBound, group: Sequence[int]) -> float:
     return float("inf") if angle is None else float(angle[list(group)].max())
 
 
-def _row(
-    model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Array, share: float, percent: float, kg: float,
-    extension: float,
-) -> Row:  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """In percent, of the largest each: speed, payload (``kg`` of it) and extension of one row."""
+
+    speed: float
+    payload: float
+    kg: float
+    extension: float
+
+
+def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Array, of: Shares) -> Row:
     angle = bound.angle
     far = bound.tcp if bound.tcp is None or bound.links is None else max(bound.tcp, float(bound.links.max()))
     fast = bound.tcp_speed
     if fast is not None and bound.link_speed is not None:
         fast = max(fast, float(bound.link_speed.max()))
     return Row(
-        category=bound.category, joint="+".join(model.joints[j] for j in group), speed_percent=float(share),
-        payload_percent=percent, extension_percent=float(extension), speed=float(dq[group[0]]), payload=kg,
+        category=bound.category, joint="+".join(model.joints[j] for j in group), speed_percent=float(of.speed),
+        payload_percent=of.payload, extension_percent=float(of.extension), speed=float(dq[group[0]]), payload=of.kg,
         time_s=None if bound.time is None else _up(float(bound.time.max())),
         angle_rad=None if angle is None else _up(float(angle[list(group)].max())),
         tcp_m=None if bound.tcp is None else _up(bound.tcp), tcp_speed=bound.tcp_speed, certified=bound.certified,
@@ -282,15 +289,15 @@ def at_pose(model: Model, q: Array, dq: Array, question: Question) -> tuple[list
     tip = model.robot.tip if question.payload_com is None else question.payload_com
     percent, kg = loads(model, question)[-1]
     bounds = prepared(model, kg, question)
-    told = {c: bounds.bound(q, dq, c) for c in question.categories}
+    found = {c: bounds.bound(q, dq, c) for c in question.categories}
     extension = 100.0 * Poses.of(model.robot, tip, model.domain.q).extension_of(q)
     rows = []
-    for bound in told.values():
+    for bound in found.values():
         for j in range(model.n):
-            row = _row(model, bound, [j], q, dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension)
+            row = _row(model, bound, [j], q, dq, Shares(100.0 * abs(dq[j]) / limit[j], percent, kg, extension))
             own = None if bound.time is None else _up(float(bound.time[j]))
             rows.append(replace(row, speed=float(dq[j]), time_s=own))
-    return rows, told
+    return rows, found
 
 
 def along_path(
@@ -313,7 +320,9 @@ def along_path(
     extension = 100.0 * Poses.of(model.robot, tip, model.domain.q).extension_of(q)
     limit = top_speed(model)
     rows = [
-        replace(_row(model, found.bound, [j], q, dq, 100.0 * abs(dq[j]) / limit[j], percent, kg, extension), speed=float(dq[j]))
+        replace(
+            _row(model, found.bound, [j], q, dq, Shares(100.0 * abs(dq[j]) / limit[j], percent, kg, extension)), speed=float(dq[j])
+        )
         for j in range(model.n)
     ]  # fmt: skip
     return rows, {"1": found.bound}

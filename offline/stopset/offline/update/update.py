@@ -39,8 +39,6 @@ from stopset.recording import Recording, suite_label
 
 __all__ = ["from_scratch", "load_state", "save_state", "update"]
 
-UPDATED = "updated: "  # begins the note of an update
-
 
 def save_state(path: str | Path, kept: Kept | Signals, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
@@ -128,7 +126,7 @@ def _folded(model: Model, kept: Kept, paths: Sequence[str | Path], tell: Tell, s
     assert isinstance(fresh.kept, Kept)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
-        f"{UPDATED}{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
+        f"{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
         f"{', '.join(dict.fromkeys(name for name, _ in kept.meta.sources[: kept.fitted_files]))}"
     )
     if trials:
@@ -191,9 +189,9 @@ def _revised(old: Model, fresh: Model, added: str, note: str) -> Model:
     """``fresh`` as the next revision of ``old``, with what no recording tells anything about; the note is among its notes too."""
     fresh = replace(
         fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
-        notes=(*fresh.notes, note),
+        notes=(*fresh.notes, f"updated: {note}"),
     )  # fmt: skip
-    return _next_revision(old, fresh, added, note.removeprefix(UPDATED))
+    return _next_revision(old, fresh, added, note)
 
 
 def _next_revision(old: Model, fresh: Model, added: str, note: str) -> Model:

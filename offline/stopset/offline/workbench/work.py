@@ -17,6 +17,8 @@ import numpy as np
 from stopset.artifact import Model, save_model
 from stopset.errors import OutputError, StopsetError
 from stopset.files import writable, write_text
+from stopset.offline.campaign.conditions import tagged
+from stopset.offline.campaign.source import campaign_of
 from stopset.offline.compare.compare import answer, compare, inputs
 from stopset.offline.compare.dependence import explained
 from stopset.offline.compare.page import page as compare_page
@@ -135,7 +137,9 @@ def _add(order: Order, model: Model, send: Send) -> None:
     assert order.target is not None
     tell = _Teller(send)
     target = writable(order.target)
-    done = add(model, str(effect or ""), joint or None, order.data, bool(force), tell, conditions=order.conditions)
+    name = f"{effect or ''}:{joint}" if joint else str(effect or "")
+    campaign = tagged(campaign_of(model.robot.as_described, order.data), order.conditions, order.data)
+    done = add(model, [name], campaign, force=bool(force), tell=tell)
     row = {
         "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
         "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),

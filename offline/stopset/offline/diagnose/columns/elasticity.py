@@ -13,7 +13,7 @@ from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.rows.prepare import Mask
 from stopset.offline.diagnose.rows.smooth import calm
-from stopset.robot.rigid import bent_torques
+from stopset.robot.rigid import Bend, bent_torques
 from stopset.types import Array
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
@@ -111,7 +111,8 @@ def _bend(source: Source, joint: int, x: Array, dx: Array, ddx: Array, lowest: i
     d = source.data
 
     def part(r: slice) -> None:
-        bent_torques(source.robot.chain, source.robot.pi, d.q[r], d.dq[r], d.ddq[r], joint, x[r], dx[r], ddx[r], lowest, out[r])
+        bend = Bend(joint, x[r], dx[r], ddx[r])
+        bent_torques(source.robot.chain, source.robot.pi, (d.q[r], d.dq[r], d.ddq[r]), bend, lowest, out[r])
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(part, (slice(len(x) // 2), slice(len(x) // 2, None))))

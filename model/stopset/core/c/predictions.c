@@ -1,0 +1,205 @@
+/* Predictions from past samples: all of them one step on, and a new sample against each at its age.
+ *
+ * Most rows are well inside. Which are not is seen from few operations that compilers make into vectors, and only those are
+ * looked at with all roundings in place; so what is told has the same bits as if every row had been.
+ *
+ * Source: Liu & Althoff (2018), Def. 2 and eq. (17)-(21).
+ */
+#include <string.h>
+
+#include "stopset.h"
+
+enum { J = STOPSET_JOINTS, X = 2 * STOPSET_JOINTS };
+
+#if defined(__GNUC__)
+#define UNROLLED static inline __attribute__((always_inline)) /* where n is a number the loops below become straight lines */
+#else
+#define UNROLLED static inline
+#endif
+
+static const double inf = 1.0 / 0.0, least = 1e-300;
+
+static double absolute(double x) { return x < 0.0 ? -x : x; }
+
+/* One step for every row: residual and growth of what is unknown (2n,), and the matrices of the states' own step: where a joint's
+ * position and speed depend on nothing but these two, rows (4, n) of position by position and speed, speed by position and
+ * speed, and their sizes; else columns of Ad (2n, 2n) and their sizes. `look` (2n,): part of `reach` beyond which a row is looked
+ * at closely. */
+typedef struct {
+    int apart, widen, outside;
+    double residual[X], growth[X], look[X], worst[2][X], own[X * X], size[X * X];
+} Step;
+
+static int on_their_own(const StopsetPredictions *s, double *own) {
+    const int n = s->states / 2, n2 = 2 * n;
+    for (int i = 0; i < n2; i++)
+        for (int j = 0; j < n2; j++)
+            if (s->Ad[i * n2 + j] != 0.0 && j % n != i % n) return 0;
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < 4; k++) own[k * n + i] = s->Ad[(k / 2 * n + i) * n2 + k % 2 * n + i];
+    return 1;
+}
+
+void stopset_centre(const StopsetPredictions *s) {
+    for (int64_t k = 0; k < s->ages * s->states; k++) {
+        const double lo = s->lo[k], hi = s->hi[k], size = absolute(lo) > absolute(hi) ? absolute(lo) : absolute(hi);
+        const int bounded = size < inf;
+        s->middle[k] = bounded ? 0.5 * lo + 0.5 * hi : 0.0;
+        /* less by what rounding of these, and of a difference to them, may amount to */
+        s->reach[k] = bounded ? 0.5 * hi - 0.5 * lo - 0x1p-49 * size : lo == -inf && hi == inf ? inf : -inf;
+    }
+}
+
+/* Two states at once: what compilers do not see in loops as short as these. */
+typedef double Pair __attribute__((vector_size(16)));
+typedef int64_t Pair_of_flags __attribute__((vector_size(16)));
+
+UNROLLED Pair two(const double *x) {
+    Pair out;
+    memcpy(&out, x, sizeof out);
+    return out;
+}
+
+/* e <- own e + r. */
+UNROLLED void step_apart(const int n, const double *own, const double *r, double *e) {
+    int i = 0;
+    for (; i + 1 < n; i += 2) {
+        const Pair q = two(e + i), v = two(e + n + i);
+        const Pair next_q = two(r + i) + two(own + i) * q + two(own + n + i) * v;
+        const Pair next_v = two(r + n + i) + two(own + 2 * n + i) * q + two(own + 3 * n + i) * v;
+        memcpy(e + i, &next_q, sizeof next_q);
+        memcpy(e + n + i, &next_v, sizeof next_v);
+    }
+    for (; i < n; i++) {
+        const double q = e[i], v = e[n + i];
+        e[i] = r[i] + own[i] * q + own[n + i] * v;
+        e[n + i] = r[n + i] + own[2 * n + i] * q + own[3 * n + i] * v;
+    }
+}
+
+UNROLLED void step_coupled(const int n2, const double *columns, const double *r, double *restrict e) {
+    double new[X];
+    for (int i = 0; i < n2; i++) new[i] = r[i];
+    for (int j = 0; j < n2; j++)
+        for (int i = 0; i < n2; i++) new[i] += columns[j * n2 + i] * e[j];
+    for (int i = 0; i < n2; i++) e[i] = new[i];
+}
+
+UNROLLED void step_row(const Step *step, const int n, const int apart, double *e, double *w) {
+    if (apart) {
+        step_apart(n, step->own, step->residual, e);
+        if (step->widen) step_apart(n, step->size, step->growth, w);
+    } else {
+        step_coupled(2 * n, step->own, step->residual, e);
+        if (step->widen) step_coupled(2 * n, step->size, step->growth, w);
+    }
+}
+
+/* Row p against the tube at its age. `final`: what is outside is counted, else only the distance to the bounds is taken. */
+static void look_closely(const StopsetPredictions *s, int64_t p, int64_t age, const double *e, const double *w, int final, Step *step) {
+    const int n2 = s->states;
+    const double *lo = s->lo + age * n2, *hi = s->hi + age * n2;
+    for (int i = 0; i < n2; i++) {
+        const double low = lo[i] - w[i], high = hi[i] + w[i], width = high - low, over = e[i] - high, under = low - e[i];
+        /* written so that what is not a number is outside */
+        if (final && !(over <= 0.0 || high == inf) && !(over / width <= step->worst[0][i])) {
+            step->worst[0][i] = over / width;
+            s->row[i] = p;
+        }
+        if (final && !(under <= 0.0 || low == -inf) && !(under / width <= step->worst[1][i])) {
+            step->worst[1][i] = under / width;
+            s->row[n2 + i] = p;
+        }
+        if (width > 0.0 && width < inf) {
+            const double room = -2.0 * (over > under ? over : under) / width;
+            if (room < s->room[i]) {
+                s->room[i] = room;
+                s->nearest[i] = p;
+            }
+        }
+        /* less by more than the divisions round; what is outside is looked at in any case */
+        const double part = (1.0 - s->room[i]) * (1.0 - 1e-9) - 1e-12;
+        step->look[i] = part > 1.0 - 1e-9 ? 1.0 - 1e-9 : part > least ? part : least;
+    }
+}
+
+/* Whether a row asks for a closer look. What is not a number does. */
+UNROLLED int remarkable(const double *look, const int n2, const double *e, const double *w, const double *middle, const double *reach) {
+    const Pair_of_flags all = {-1, -1}, size = {INT64_MAX, INT64_MAX};
+    Pair_of_flags inside = all;
+    for (int i = 0; i < n2; i += 2) {
+        const Pair off = two(e + i) - two(middle + i), limit = two(look + i) * (two(reach + i) + two(w + i));
+        inside &= (Pair)((Pair_of_flags)off & size) < limit;
+    }
+    return (inside[0] & inside[1]) == 0;
+}
+
+UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int apart, Step *step, int64_t seen[2]) {
+    const int n2 = 2 * n;
+    int64_t live = 0;
+    for (int64_t p = 0; p < s->rows; p++) {
+        if (s->age[p] < 0) continue;
+        const int64_t age = ++s->age[p];
+        if (age >= s->ages) {
+            s->age[p] = -1;
+            continue;
+        }
+        live++;
+        if (age > seen[0]) seen[0] = age;
+        if (step->outside) s->foreign[p] = 1;
+        double *e = s->e + p * n2, *w = s->w + p * n2;
+        step_row(step, n, apart, e, w);
+        if (remarkable(step->look, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, p, age, e, w, 1, step);
+    }
+    return live;
+}
+
+/* The rows that were nearest to a bound at the last sample tell where to look now. */
+static void look_ahead(const StopsetPredictions *s, Step *step) {
+    const int n2 = s->states;
+    int64_t last[X], before = -1;
+    memcpy(last, s->nearest, (size_t)n2 * sizeof *last);
+    for (int i = 0; i < n2; i++) {
+        const int64_t p = last[i];
+        if (p == before || p < 0 || p >= s->rows || s->age[p] < 0 || s->age[p] + 1 >= s->ages) continue;
+        double e[X], w[X];
+        memcpy(e, s->e + p * n2, (size_t)n2 * sizeof *e);
+        memcpy(w, s->w + p * n2, (size_t)n2 * sizeof *w);
+        step_row(step, n2 / 2, step->apart, e, w);
+        look_closely(s, p, s->age[p] + 1, e, w, 0, step);
+        before = p;
+    }
+}
+
+int64_t stopset_advance(const StopsetPredictions *s, const double *x, const double *before, const double *u, const double *du, int outside,
+                        int widen, int64_t seen[2]) {
+    const int n2 = s->states, n = n2 / 2;
+    Step step = {.widen = widen, .outside = outside, .worst = {{0}}};
+    if (n < 1 || n > J) return -1;
+    seen[0] = seen[1] = 0;
+    for (int i = 0; i < n2; i++) {
+        double sum = 0.0, push = 0.0, more = 0.0;
+        for (int j = 0; j < n2; j++) sum += s->Ad[i * n2 + j] * before[j];
+        for (int j = 0; j < n; j++) {
+            push += s->Bd[i * n + j] * u[j];
+            more += absolute(s->Bd[i * n + j]) * du[j];
+        }
+        step.residual[i] = x[i] - sum - push;
+        step.growth[i] = more;
+        step.look[i] = least;
+        s->room[i] = inf;
+        s->row[i] = s->row[n2 + i] = -1;
+    }
+    step.apart = on_their_own(s, step.own);
+    for (int k = 0; !step.apart && k < n2 * n2; k++) step.own[k] = s->Ad[k % n2 * n2 + k / n2];
+    for (int k = 0; k < (step.apart ? 4 * n : n2 * n2); k++) step.size[k] = absolute(step.own[k]);
+    look_ahead(s, &step);
+    const int64_t live = step.apart && n == 6   ? step_all(s, 6, 1, &step, seen)
+                         : step.apart && n == 7 ? step_all(s, 7, 1, &step, seen)
+                         : step.apart           ? step_all(s, n, 1, &step, seen)
+                                                : step_all(s, n, 0, &step, seen);
+    for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
+    for (int i = 0; i < n2; i++)
+        if (s->room[i] == inf) s->room[i] = 1.0; /* no bound: as far from one as can be */
+    return live;
+}

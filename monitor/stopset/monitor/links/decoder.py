@@ -1,0 +1,148 @@
+"""Frames in, complete cycles out: the PDOs of one SYNC as the readings of one instant, taken apart by the core."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stopset.artifact.taped import Kept
+from stopset.core.library import ffi, lib
+from stopset.monitor.links.batch import Batch, Frame
+from stopset.monitor.links.canopen_map import FrameMap, frame_maps
+from stopset.monitor.nodes import Nodes
+from stopset.monitor.profile import SIGNALS, Profile
+from stopset.types import Array
+
+KINDS = {
+    "b": lib.STOPSET_I8, "h": lib.STOPSET_I16, "i": lib.STOPSET_I32, "q": lib.STOPSET_I64, "B": lib.STOPSET_U8, "H": lib.STOPSET_U16,
+    "I": lib.STOPSET_U32, "Q": lib.STOPSET_U64, "f": lib.STOPSET_F32, "d": lib.STOPSET_F64, "?": lib.STOPSET_BOOL,
+}  # fmt: skip
+FRAME = struct.Struct("=Ii8sd")  # as the core's `StopsetFrame`
+BYTES = {"b": 1, "h": 2, "i": 4, "q": 8, "B": 1, "H": 2, "I": 4, "Q": 8, "f": 4, "d": 8, "?": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent."""
+
+    counter: int | None
+    t: float
+    values: Array
+
+
+@dataclass(slots=True)
+class Decoder:
+    """Frames in, complete cycles out; the sampling instant is the SYNC, not the frames after it.
+
+    A frame that comes after the next SYNC would be counted there, so after an incomplete or doubled cycle the next one only
+    serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given
+    out if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period
+    after their SYNC, perhaps by the next one's frames, and for 0.2 s after a loss all, because what was lost may still come.
+    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's; ``room``: frames kept.
+    """
+
+    profile: Profile
+    cycle_s: float = 0.0
+    room: int = 1
+    maps: dict[int, FrameMap] = field(init=False)
+    nodes: Nodes = field(init=False)
+    _struct: Any = field(init=False)  # the core's `StopsetDecoder`
+    _kept: Kept = field(init=False)  # what it points at
+    _log: Any = field(init=False)
+    _values: Array = field(init=False)
+    _one: Batch = field(default_factory=Batch)
+
+    def __post_init__(self) -> None:
+        self.cycle_s = self.cycle_s or self.profile.cycle_s
+        self.maps = frame_maps(self.profile)
+        self.nodes = Nodes(self.profile.nodes, self.profile.heartbeat_s)
+        n, maps, kept = len(self.profile.nodes), list(self.maps.values()), Kept([])
+        shape = (len(SIGNALS), n)
+        scale, raw = np.ones(shape), np.full(shape, np.nan)
+        for name, s in self.profile.signals.items():
+            scale[SIGNALS.index(name)] = s.scale
+        for m in maps:
+            for target in m.targets:
+                if target is not None and not m.synchronous and SIGNALS[target[0]] == "status":
+                    raw[target] = 0.0  # as long as it has not said so, a drive is not in operation
+        place = np.full(lib.STOPSET_IDS, -1, np.int32)
+        pdos: list[tuple[int, bool, int, int]] = []
+        fields: list[tuple[int, int, int]] = []
+        for k, m in enumerate(maps):
+            place[m.cob_id], first = k, len(fields)
+            fields += _fields(m, n)
+            pdos.append((m.layout.size, m.synchronous, first, len(fields) - first))
+        place[self.profile.sync_id] = lib.STOPSET_SYNC
+        self._values, self._log = np.empty(shape), ffi.new("StopsetFrame[]", self.room)
+        structs = ffi.new("StopsetPdo[]", pdos), ffi.new("StopsetField[]", fields)
+        kept.held.extend(structs)
+        self._struct = ffi.new("StopsetDecoder *", {
+            "n": n, "signals": len(SIGNALS), "pdos": len(maps), "synchronous": sum(m.synchronous for m in maps),
+            "overflow": self.profile.sync_overflow, "cycle_s": self.cycle_s, "place": kept.array(place, np.int32),
+            "pdo": structs[0], "field": structs[1], "scale": kept.array(scale), "raw": kept.array(raw),
+            "held": kept.array(np.empty(shape)), "values": kept.shared(self._values), "came": kept.array(np.zeros(len(maps)), np.uint8),
+            "node": kept.shared(self.nodes.standing), "heard": kept.shared(self.nodes.heard), "patience": self.nodes.patience,
+            "foreign": -1, "shift": np.inf, "log": self._log, "room": self.room,
+        })  # fmt: skip
+        self._kept = kept
+
+    @property
+    def incomplete(self) -> int:
+        """Cycles that lacked a frame, or had one twice."""
+        return int(self._struct.incomplete)
+
+    @property
+    def unknown(self) -> int:
+        """Frames of no signal that is looked at."""
+        return int(self._struct.unknown)
+
+    @property
+    def frames(self) -> int:
+        """Frames seen."""
+        return int(self._struct.frames)
+
+    @property
+    def nodes_good(self) -> bool:
+        """Whether all drives were, as of the cycle given out last."""
+        return bool(self._struct.nodes_good)
+
+    def take(self, batch: Batch, now: float) -> Cycle | None:
+        """Look at the frames of ``batch``, received by ``now`` [s], until one completes a cycle, or none are left."""
+        s = self._struct
+        while what := lib.stopset_decode(s, batch.frames, batch.count, now, batch.taken):
+            if what == lib.STOPSET_CYCLE:
+                counter = s.out_counter
+                return Cycle(None if counter < 0 else counter, s.out_t, self._values.copy())
+            self.nodes.frame(*self._frame(s.frames - 1))
+        return None
+
+    def frame(self, cob_id: int, data: bytes | bytearray, t: float) -> Cycle | None:
+        """Take one frame received at ``t`` [s]; returns the cycle it completes, if it does."""
+        self._one.clear()
+        self._one.put(Frame(cob_id, data, t))
+        return self.take(self._one, t)
+
+    def _frame(self, number: int) -> Frame:
+        f = self._log[number % self.room]
+        return Frame(f.id, bytes(ffi.buffer(f.data, min(f.length, 8))), f.t)
+
+    def heard(self) -> list[tuple[float, int, bytes]]:
+        """The frames kept, the oldest first, as (time [s], identifier, bytes)."""
+        seen, rows = (
+            self.frames,
+            [(t, x, data[:length]) for x, length, data, t in FRAME.iter_unpack(bytes(ffi.buffer(self._log)))],
+        )
+        return rows[:seen] if seen <= self.room else [*rows[seen % self.room :], *rows[: seen % self.room]]
+
+
+def _fields(m: FrameMap, n: int) -> list[tuple[int, int, int]]:
+    """(byte, kind of number, place among the values) of every value that is wanted."""
+    out, at = [], 0
+    for code, target in zip(m.codes, m.targets, strict=True):
+        if target is not None:
+            out.append((at, KINDS[code], target[0] * n + target[1]))
+        at += BYTES[code]
+    return out

@@ -1,0 +1,44 @@
+"""One reading of an arm, and what the bus itself adds to its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
+
+    ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
+    ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s]; ``powered``: the drives
+    hold torque (else no verdict: another regime); ``doubt``: what the drives themselves say against it, empty if nothing,
+    and ``bad_nodes``: bit i set = joint i's.
+    """
+
+    k: int
+    t: float
+    q: Array
+    dq: Array
+    tau: Array | None = None
+    temp: Array | None = None
+    powered: bool = True
+    doubt: str = ""
+    bad_nodes: int = 0
+    off: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Quantum:
+    """Greatest error the bus itself adds to ``q, dq, tau`` (n,): half a count [rad, rad/s, N m]; zero where it adds none."""
+
+    q: Array
+    dq: Array
+    tau: Array
+
+    @classmethod
+    def none(cls, n: int) -> Quantum:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
