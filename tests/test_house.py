@@ -182,18 +182,6 @@ MANY_ARGUMENTS = {
     "fmu.variables._joints": 9,
     "monitor.evidence.bundle._write": 8,
     "monitor.evidence.bundle.write_bundle": 10,
-<<<<<<< HEAD
-    "offline.inspect.needs.needs": 8,
-    "offline.plan.excitation.excitations": 8,
-    "offline.revise.revise.add": 8,
-    "offline.stops.path._bound": 8,
-    "offline.stops.path._judged": 9,
-=======
-    "offline.compare.tubes._band": 8,
-    "offline.diagnose.columns.elasticity._led": 9,
-    "offline.diagnose.columns.elasticity._swung": 10,
-    "offline.nominal.nominal._nominal": 8,
->>>>>>> main
     "offline.stops.sampling.sample_stops": 9,
     "reach.stops.bounds.of": 8,
     "reach.stops.failed.failed_stops": 8,

@@ -65,7 +65,8 @@ def _left(found: Comparison) -> str:
 
 def in_full(row: Mapping[str, Any]) -> float | None:
     """A joint's torque error [N m] with all that the model knows; what its abstraction leaves out besides is known, and in U."""
-    return row.get("torque_rmse_known") or row["torque_rmse"]
+    error: float | None = row.get("torque_rmse_known") or row["torque_rmse"]
+    return error
 
 
 def above(row: Mapping[str, Any]) -> float | None:
@@ -88,7 +89,7 @@ def _worst(found: Comparison) -> tuple[str, bool]:
     if times <= AT_THE_FLOOR:
         return "", all(above(r) is not None or not r["torque_rmse"] for r in found.figures.values())
     how = "The model fails most at" if times >= FLOORS else "The model errs most at"
-    error, whole = in_full(row), row["torque_rmse"]
+    error, whole = times * row["torque_rmse_floor"], row["torque_rmse"]
     left_out = f"; with what the abstraction leaves out, {whole:.3g} N m" if whole > AT_THE_FLOOR * error else ""
     return (
         f"{how} {joint}: its torque errs by {error:.3g} N m, {times:.1f} times what repetitions of the same torques "

@@ -159,22 +159,9 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     uncertain_torque = of_regression(cad, nominal, found.sample)
     return NominalPart(
-<<<<<<< HEAD
-        arm,
-        nominal.rotor,
-        (*nominal.friction, *known),
-        abstraction,
-        notes,
-        nominal.data,
-        uncertain_torque,
-        chosen,
-        nominal.taken_out(),
-    )
-=======
-        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen, nominal.limited,
+        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, uncertain_torque, chosen, nominal.limited,
         nominal.taken_out(),
     )  # fmt: skip
->>>>>>> main
 
 
 def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:

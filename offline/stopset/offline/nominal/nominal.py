@@ -239,12 +239,8 @@ def _nominal(
         inflation=result.inflation,
         base_parameters=base_count(robot),
         undetermined=undetermined(robot, data, prior, result),
-<<<<<<< HEAD
         notes=(*notes, *result.notes, *skipped),
-=======
-        notes=(*notes, *skipped),
         limited=result.limited,
->>>>>>> main
         data=data,
         prior=replace(prior, precision=result.precision),
     )

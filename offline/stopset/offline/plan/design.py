@@ -18,13 +18,8 @@ from stopset.offline.nominal.expect import expected_covariance
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Prior, prior_of
-<<<<<<< HEAD
 from stopset.offline.nominal.unidentifiable import determined
-from stopset.offline.plan.excitation import excitations
-=======
-from stopset.offline.nominal.unidentifiable import told
 from stopset.offline.plan.excitation import Series, excitations
->>>>>>> main
 from stopset.offline.plan.motion import Envelope, Path, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
