@@ -31,6 +31,7 @@ from scipy.stats import beta
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.recording import read_recordings
 
@@ -205,11 +206,11 @@ def wander(folder: Path) -> None:
         if label["effects"] and not walks:
             continue
         robot = load_robot(folder / name / "robot.urdf")
-        engine = Engine.build(robot, read_recordings(folder / name / "recording.parquet", robot))
-        hyper, p = engine.fit()
-        joints = range(engine.data.n)
-        slow = [round(slow_excess(engine, p.theta, hyper, j), 2) for j in joints]
-        rows = [round(engine.excess(j, p.theta, hyper.sigma[j], 1.0), 2) for j in joints]
+        now = Hypothesis(Engine.build(robot, read_recordings(folder / name / "recording.parquet", robot)))
+        hyper, p = now.fit()
+        joints = range(now.engine.data.n)
+        slow = [round(slow_excess(now, p.theta, hyper, j), 2) for j in joints]
+        rows = [round(now.excess(j, p.theta, hyper.sigma[j], 1.0), 2) for j in joints]
         true = " ".join(f"walk at {'+'.join(e['joints'])} {e['level']} x{e['ratio']:.2f}" for e in walks) or "healthy"
         print(f"{name} {label['arm']} {true}: half-second sums {slow}, rows {rows}", flush=True)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stopset.files import write_text
 from stopset.offline.diagnose.thresholds import TABLE
-from stopset.offline.nominal.prior import DOUBT, Tolerance
+from stopset.offline.nominal.prior import IDENTIFICATION, Tolerance
 
 ROOT = Path(__file__).parents[1]
 # a page and the table between its marks
@@ -39,7 +39,7 @@ def description() -> str:
         ("its inertia", 100 * one.inertia, "%", "chosen"),
         ("inertia of a rotor", 100 * one.rotor, "%", "data sheets 4 % off at most are 2.3 % off in the mean square"),
     ):
-        rows.append(f"| {what} | {size:.3g} {unit} | {DOUBT * size:.3g} {unit} | {why} |")
+        rows.append(f"| {what} | {size:.3g} {unit} | {IDENTIFICATION * size:.3g} {unit} | {why} |")
     head = "| standard deviation of | diagnosis, times what evidence says | identification | why |"
     return "\n".join((head, "|---|---|---|---|", *rows))
 

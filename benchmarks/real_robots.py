@@ -55,7 +55,7 @@ def rows(trials: Sequence[Recording]) -> list[tuple[np.ndarray, ...]]:
     out = []
     for r in trials:
         for m in motions(r, Preprocessing()):
-            k = m.kept[np.abs(m.dq[m.kept]).max(axis=1) > MOVING]
+            k = m.retained[np.abs(m.dq[m.retained]).max(axis=1) > MOVING]
             out.append((*(np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau)), m.t[k]))
     return out
 
@@ -95,7 +95,7 @@ def ours(model: Model, test: Sequence[Recording]) -> np.ndarray:
             whole = Recording("closed_loop", 0, 0, 0, m.t, q, dq, m.raw_tau)
             u = model.input(q, dq, m.raw_tau, m.temp, 0.0, m.t)
             left = m.smooth(left_over(model, whole, u, float("nan"), ddq, window=1))
-            out.append(left[m.kept[np.abs(dq[m.kept]).max(axis=1) > MOVING]])
+            out.append(left[m.retained[np.abs(dq[m.retained]).max(axis=1) > MOVING]])
     return np.sqrt(np.mean(np.concatenate(out) ** 2, axis=0))
 
 

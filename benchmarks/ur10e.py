@@ -161,7 +161,7 @@ def figaroh(urdf: Path, robot: Robot, fit: Recordings, test: Sequence[Recording]
     left, dq, moving = [], [], []
     for r in test:
         for m in motions(r, settings):
-            k = m.kept
+            k = m.retained
             W = build_regressor_basic(run.robot, m.q[k], m.dq[k], m.ddq[k], config)[:, active][:, list(run._base_indices)]
             left.append(m.tau[k] - (W @ run.phi_base).reshape(6, -1).T)
             dq.append(m.dq[k])
@@ -173,7 +173,7 @@ def _rows(r: Recording, settings: Preprocessing) -> tuple[np.ndarray, ...]:
     """Signals of the rows that stopset fits, of an arm in motion."""
     parts = []
     for m in motions(r, settings):
-        k = m.kept[np.abs(m.dq[m.kept]).max(axis=1) > MOVING]
+        k = m.retained[np.abs(m.dq[m.retained]).max(axis=1) > MOVING]
         parts.append((m.q[k], m.dq[k], m.ddq[k], m.tau[k]))
     return tuple(np.concatenate([p[i] for p in parts]) for i in range(4))
 

@@ -87,7 +87,7 @@ def our_sums(robot: Robot, r: Recording) -> tuple[Any, Sums]:
     G, rows = np.zeros((robot.n, *data.still.shape[1:])), 0
     for m in motions(r, Preprocessing()):
         X, _ = moving_rows(data, robot, m)
-        arm = np.abs(m.dq[m.kept]).max(axis=1) > ur10e.MOVING
+        arm = np.abs(m.dq[m.retained]).max(axis=1) > ur10e.MOVING
         G += np.array([x[arm].T @ x[arm] for x in X])
         rows += int(arm.sum())
     return data, (G, rows)

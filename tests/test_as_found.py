@@ -23,7 +23,7 @@ from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
-from stopset.offline.diagnose.explain.doubt import doubt
+from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
@@ -290,13 +290,13 @@ def test_a_revision_that_widens_the_torque_sets_is_refused() -> None:
 
 def test_what_is_no_claim() -> None:
     delay, heating, load, gear = map(get, ("delay", "self_heating", "load_coulomb", "elasticity"))
-    assert "twice its error" in doubt(delay, {"d": 0.051}, {"d": 0.082}, 60.0)
-    assert "at the end" in doubt(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 0.5}, {"k_v": 1.7, "k_c": 0.1}, 60.0)
-    assert "longer than" in doubt(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 300.0}, {"k_v": 1.7, "k_c": 0.1}, 9.0)
-    assert "beyond what it can be" in doubt(load, {"k_lift": 0.2, "k_lower": -0.2}, {"k_lift": 0.02, "k_lower": 0.02}, 60.0)
+    assert "twice its error" in objection(delay, {"d": 0.051}, {"d": 0.082}, 60.0)
+    assert "at the end" in objection(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 0.5}, {"k_v": 1.7, "k_c": 0.1}, 60.0)
+    assert "longer than" in objection(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 300.0}, {"k_v": 1.7, "k_c": 0.1}, 9.0)
+    assert "beyond what it can be" in objection(load, {"k_lift": 0.2, "k_lower": -0.2}, {"k_lift": 0.02, "k_lower": 0.02}, 60.0)
     shape = {"K": 6588.0, "D": 199.0}
-    assert "times what such a gear makes" in doubt(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
-    assert doubt(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""
+    assert "times what such a gear makes" in objection(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
+    assert objection(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""
 
 
 @pytest.mark.shared

@@ -13,6 +13,7 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.identify.pipeline import Settings, identified
+from stopset.progress import silent
 from stopset.recording import Recordings
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.plant import SimulatedPlant
@@ -47,7 +48,7 @@ def pair() -> Pair:
     healthy = prepare(robot_from_text(ARM), ["none"], 3, "short", cad="wrong")
     recordings = recorded(healthy)
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
-    return Pair(healthy, identified(healthy.robot, campaign, Settings(), lambda _: None, None, (), None).model)
+    return Pair(healthy, identified(healthy.robot, campaign, Settings(), silent, None, (), None).model)
 
 
 def test_of_a_healthy_arm_nothing_is_said(pair: Pair) -> None:

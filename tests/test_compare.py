@@ -160,17 +160,22 @@ def test_the_first_sentence_names_the_joint_that_fails_though_the_sets_hold(plan
     found = compare(load_model(folder / "m.model.json"), [folder / "rec.parquet"])
     assert not found.violations
     figures = {
-        j: row | {"torque_rmse": (0.4 if k else 0.1), "torque_rmse_floor": 0.1}
+        j: row | {"torque_rmse": (0.6 if k else 0.9), "torque_rmse_known": (0.4 if k else 0.1), "torque_rmse_floor": 0.1}
         for k, (j, row) in enumerate(found.figures.items())
-    }
+    }  # the first joint's abstraction leaves more out, which is known
     said = verdict(dataclasses.replace(found, figures=figures))
     assert said.kind == ""
-    assert JOINTS[1] in said.text and "4.0 times" in said.text and "diagnose" in said.next
+    assert JOINTS[1] in said.text and "4.0 times" in said.text and "leaves out, 0.6 N m" in said.text and "diagnose" in said.next
     assert said.text.startswith(f"The model fails most at {JOINTS[1]}"), "the joint comes before the arm"
-    explained = {j: row | {"torque_rmse": 0.11, "torque_rmse_floor": 0.1} for j, row in found.figures.items()}
+    explained = {
+        j: row | {"torque_rmse": 0.11, "torque_rmse_known": 0.11, "torque_rmse_floor": 0.1} for j, row in found.figures.items()
+    }
     assert verdict(dataclasses.replace(found, figures=explained)).kind == "good"
     for rmse, floor in ((0.13, 0.1), (0.1, None)):  # above its floor, or no repetitions that would tell one: not green
-        odd = {j: row | {"torque_rmse": rmse, "torque_rmse_floor": floor} for j, row in found.figures.items()}
+        odd = {
+            j: row | {"torque_rmse": rmse, "torque_rmse_known": rmse, "torque_rmse_floor": floor}
+            for j, row in found.figures.items()
+        }
         assert verdict(dataclasses.replace(found, figures=odd)).kind == ""
     beyond = tuple(dataclasses.replace(r, inside_domain=False) for r in found.rows)
     said = verdict(dataclasses.replace(found, figures=explained, rows=beyond))

@@ -6,7 +6,7 @@ import pytest
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose.columns.ripple import _power, _products
 from stopset.offline.diagnose.evidence.evidence import JointGram
-from stopset.offline.diagnose.levers import levers
+from stopset.offline.diagnose.gravity import gravity_moments
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.robot import rigid
@@ -28,7 +28,7 @@ def test_a_bent_joint_is_that_joint_elsewhere(joint: int) -> None:
 
 
 def test_levers_give_gravity_its_tilt_and_its_stiffness() -> None:
-    chain, found = ARM.chain, levers(ARM.chain, ARM.pi, Q)
+    chain, found = ARM.chain, gravity_moments(ARM.chain, ARM.pi, Q)
     for g in (chain.gravity, np.array([3.0, -2.0, 5.0])):
         turned = chain._replace(gravity=g)
         assert np.allclose(found.torque(g), rigid.gravity_torques(turned, ARM.pi, Q), atol=1e-10)

@@ -47,7 +47,7 @@ WORDS = {2: "two", 4: "four", 5: "five", 6: "six", 8: "eight", 10: "ten", 12: "t
 IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "with fewer than {} motions on every", FOLDS),
     ("diagnosis", "(of {} seconds, where", PART),
-    ("diagnosis", "it takes {} as much", prior.DOUBT),
+    ("diagnosis", "it takes {} as much", prior.IDENTIFICATION),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
     ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
     ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
@@ -102,7 +102,7 @@ def test_one_tolerance_of_a_description() -> None:
     from stopset.offline import diagnose
 
     assert diagnose.Tolerance is prior.Tolerance
-    wide = prior.Tolerance().times(prior.DOUBT)
+    wide = prior.Tolerance().times(prior.IDENTIFICATION)
     assert (wide.mass, wide.centre, wide.inertia, wide.rotor) == pytest.approx((0.072, 0.0036, 0.2, 0.06))
     assert wide.rotor_unknown == prior.Tolerance().rotor_unknown
 

@@ -179,10 +179,6 @@ def test_modules_and_functions_stay_readable() -> None:
 
 # functions that take more than seven arguments still, and how many: none may join them, none may grow
 MANY_ARGUMENTS = {
-    "offline.compare.tubes._band": 8,
-    "offline.diagnose.columns.elasticity._led": 9,
-    "offline.diagnose.columns.elasticity._swung": 10,
-    "offline.nominal.nominal._nominal": 8,
     "reach.stops.bounds.of": 8,
     "reach.stops.failed.failed_stops": 8,
     "reach.stops.ramp._ramp_torques": 9,

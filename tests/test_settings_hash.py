@@ -59,7 +59,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
     ("stopset.offline.diagnose.diagnose", "SINCE SINGLE", WORDS),
     ("stopset.offline.diagnose.standing", "MOVE", WORDS),
-    ("stopset.offline.diagnose.evidence.engine", "KEPT", BUDGET),
+    ("stopset.offline.diagnose.evidence.engine", "CACHED RECENT", BUDGET),
     ("stopset.offline.diagnose.explain.identifiable",
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),

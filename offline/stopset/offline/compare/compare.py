@@ -128,11 +128,11 @@ def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> C
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
         out += rows[-1].violation is not None
-    told = figures.result(model.joints)
+    by_joint = figures.result(model.joints)
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):
-        told[j]["torque_rmse_known"] = None if known is None else float(known[k])
-    return Comparison(told, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
+        by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
+    return Comparison(by_joint, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
 
 
 class _Linear:

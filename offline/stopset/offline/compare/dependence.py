@@ -57,14 +57,14 @@ def foreign(variable: str) -> bool:
 def telling_first(found: Explained) -> NDArray[np.intp]:
     """Numbers of the variables, the ones that tell most first, without those that say the same as one before them."""
     order = np.argsort(-found.share.max(axis=0) + np.array([TIE * foreign(v) for v in found.variables]), kind="stable")
-    kept: list[int] = []
+    retained: list[int] = []
     for k in order:
         same = [
-            m for m in kept if np.allclose(found.share[:, m], found.share[:, k], atol=SAME) and found.share[:, k].max() > SAME
+            m for m in retained if np.allclose(found.share[:, m], found.share[:, k], atol=SAME) and found.share[:, k].max() > SAME
         ]
         if not same:
-            kept.append(int(k))
-    return np.array(kept, dtype=np.intp)
+            retained.append(int(k))
+    return np.array(retained, dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, telling_first
 from stopset.offline.compare.tubes import chosen, left, tubes
-from stopset.offline.compare.verdict import above, by_failure, verdict
+from stopset.offline.compare.verdict import above, by_failure, in_full, verdict
 from stopset.offline.conform.bands import narrower
 from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
@@ -65,6 +65,7 @@ def _errors(out: Page, found: Comparison) -> None:
     head = [
         "joint",
         "torque RMS [N m]",
+        "in full [N m]",
         "repeatability floor [N m]",
         "times the floor",
         "velocity RMS [rad/s]",
@@ -73,8 +74,9 @@ def _errors(out: Page, found: Comparison) -> None:
     keys = ("velocity_rmse", "position_rmse")
     out.table(
         head,
-        [[j, r["torque_rmse"], r["torque_rmse_floor"], above(r), *(r[k] for k in keys)] for j, r in rows],
+        [[j, r["torque_rmse"], in_full(r), r["torque_rmse_floor"], above(r), *(r[k] for k in keys)] for j, r in rows],
         "Torque is averaged over 0.2 s; velocity and position are those of the open-loop prediction from each trial's start. "
+        "In full is the model with all it knows; what the abstraction leaves out besides is in U. "
         "The floor is the scatter between repetitions of the same torques: no model without a new variable gets below it.",
     )
 

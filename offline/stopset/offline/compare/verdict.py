@@ -63,14 +63,21 @@ def _left(found: Comparison) -> str:
     )
 
 
+def in_full(row: Mapping[str, Any]) -> float | None:
+    """A joint's torque error [N m] with all that the model knows; what its abstraction leaves out besides is known, and in U."""
+    error: float | None = row.get("torque_rmse_known") or row["torque_rmse"]
+    return error
+
+
 def above(row: Mapping[str, Any]) -> float | None:
-    """How many times a joint's torque error is what repetitions of the same torques differ by; None where that is unknown."""
-    return row["torque_rmse"] / row["torque_rmse_floor"] if row["torque_rmse"] and row["torque_rmse_floor"] else None
+    """How many times a joint's error `in_full` is what repetitions of the same torques differ by; None where that is unknown."""
+    error, floor = in_full(row), row["torque_rmse_floor"]
+    return error / floor if error and floor else None
 
 
 def by_failure(found: Comparison) -> list[tuple[str, Mapping[str, Any]]]:
     """The joints with their figures, the one that errs most over its floor first; those without a floor last, by their error."""
-    return sorted(found.figures.items(), key=lambda x: (-(above(x[1]) or 0.0), -(x[1]["torque_rmse"] or 0.0)))
+    return sorted(found.figures.items(), key=lambda x: (-(above(x[1]) or 0.0), -(in_full(x[1]) or 0.0)))
 
 
 def _worst(found: Comparison) -> tuple[str, bool]:
@@ -82,7 +89,9 @@ def _worst(found: Comparison) -> tuple[str, bool]:
     if times <= AT_THE_FLOOR:
         return "", all(above(r) is not None or not r["torque_rmse"] for r in found.figures.values())
     how = "The model fails most at" if times >= FLOORS else "The model errs most at"
+    error, whole = times * row["torque_rmse_floor"], row["torque_rmse"]
+    left_out = f"; with what the abstraction leaves out, {whole:.3g} N m" if whole > AT_THE_FLOOR * error else ""
     return (
-        f"{how} {joint}: its torque errs by {row['torque_rmse']:.3g} N m, {times:.1f} times what repetitions of the same torques "
-        f"differ by ({row['torque_rmse_floor']:.3g} N m). "
+        f"{how} {joint}: its torque errs by {error:.3g} N m, {times:.1f} times what repetitions of the same torques "
+        f"differ by ({row['torque_rmse_floor']:.3g} N m){left_out}. "
     ), False

@@ -38,7 +38,7 @@ class Ranked:
     unit: str = "N m"  # of the errors: rad where a simulation is judged
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
     change: Change | None = None  # of a level that the model had
-    doubt: str = ""  # why it is no finding after all
+    objection: str = ""  # why it is no finding after all
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
@@ -55,8 +55,8 @@ class Ranked:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are in
-    doubt, with the reason of each."""
+    """What is left of a joint: ``size`` [N m] held-out torque error, ``depends_on`` variables, ``resembles`` claims that are no
+    finding, with the reason of each."""
 
     joint: str
     size: float

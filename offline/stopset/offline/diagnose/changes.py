@@ -35,7 +35,7 @@ PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
 }  # fmt: skip
-Told = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
+Column = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class _Candidate:
 
     joint: int | None
     columns: Array
-    terms: tuple[Told, ...]
+    terms: tuple[Column, ...]
     least: tuple[float, ...]
 
 
@@ -87,7 +87,7 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         candidate, _, theta, std, before, after = best
         where = range(model.n) if candidate.joint is None else [candidate.joint]
         worst = max(where, key=lambda j: before[j] - after[j])
-        told = [
+        certain = [
             Change(
                 effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
                 level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
@@ -96,9 +96,9 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
             if abs(theta[k]) > max(SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
         found = [c for c in found if c is not candidate]
-        if not told:
+        if not certain:
             continue
-        out += told
+        out += certain
         left = left - np.einsum("rjk,k->rj", candidate.columns, theta)
     return tuple(out[:MOST])
 
@@ -112,7 +112,7 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     for r in moving:
         for piece in (r,) if whole else blocks(r):
             for m in motions(piece, Preprocessing()):
-                k = m.kept
+                k = m.retained
                 q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
                 temp = None if m.temp is None else m.temp[k]
                 u = model.input(q, dq, tau, temp, 0.0, m.t[k])
@@ -147,16 +147,16 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        out.append(_Candidate(j, friction, (_told(dry_law, *dry), _told(damping, *wet)), (DAILY * dry[0], DAILY * wet[0])))
-        out.append(_Candidate(j, at(np.ones(len(q))), (_told(offset),), (DAILY * dry[0],)))
-        out.append(_Candidate(j, at(rigid[:, j]), (_told(scale),), (LEAST_GAIN,)))
+        out.append(_Candidate(j, friction, (_column(dry_law, *dry), _column(damping, *wet)), (DAILY * dry[0], DAILY * wet[0])))
+        out.append(_Candidate(j, at(np.ones(len(q))), (_column(offset),), (DAILY * dry[0],)))
+        out.append(_Candidate(j, at(rigid[:, j]), (_column(scale),), (LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = tuple(_told(body, term=k) for k in range(4))
+    load = tuple(_column(body, term=k) for k in range(4))
     out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
     return out
 
 
-def _told(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Told:
+def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Column:
     """What a column says."""
     return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 

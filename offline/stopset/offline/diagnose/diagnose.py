@@ -11,7 +11,9 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
-from stopset.offline.diagnose.evidence.engine import Engine, Known, Scored
+from stopset.offline.diagnose.evidence.candidate import Scored
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
@@ -53,17 +55,17 @@ def diagnose(
 def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     """The answer that an examination gives; ``names``: of these effects only, whatever else was found beside them."""
     engine, found, left = x.engine, x.found, x.left
-    ranked = tuple(r for r in x.ranked if not r.doubt and (names is None or r.effect in names))
+    ranked = tuple(r for r in x.ranked if not r.objection and (names is None or r.effect in names))
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        verdict = "unknown" if any(r.doubt for r in x.ranked) else "none"
-    blind = blind_spots(engine, found.hyper, [s.candidate for s in found.left], names)
+        verdict = "unknown" if any(r.objection for r in x.ranked) else "none"
+    blind = blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names)
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
-        shown = pattern(engine, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
+        shown = pattern(found.now, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
         "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
         "missing": lambda: advice.to_decide(rivals),
@@ -119,20 +121,20 @@ def diagnose_model(
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
 
 
-def _with_changes(found: Diagnosis, told: Sequence[Change]) -> Diagnosis:
+def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
     """The answer with what changed since identification: that is the verdict where nothing is missing besides."""
-    if not told:
+    if not changed:
         return found
     if found.verdict == "missing":
-        return replace(found, changed=tuple(told))
+        return replace(found, changed=tuple(changed))
     ranked = tuple(
         Ranked(
             c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
             {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c,
         )
-        for c in told
+        for c in changed
     )  # fmt: skip
-    return replace(found, verdict="changed", ranked=ranked, changed=tuple(told), next_experiment=SINCE)
+    return replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE)
 
 
 def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Sequence[str]) -> tuple[str, ...]:
@@ -143,15 +145,17 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
 
 
 def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
-    """What is left at each joint that holds more than its sensors' noise, or a claim in doubt."""
-    sound = [k for k, r in enumerate(x.ranked) if not r.doubt]
+    """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding."""
+    sound = [k for k, r in enumerate(x.ranked) if not r.objection]
     error = x.errors(sound)[-1]
     out = []
     for j, joint in enumerate(x.engine.data.joints):
-        doubted = tuple(f"{r.label}: {r.doubt}" for r in x.ranked if r.doubt and joint in (r.joints or x.engine.data.joints[:1]))
-        if x.found.excess[j] > limit.QUIET or j in x.left.depends or doubted:
+        refuted = tuple(
+            f"{r.label}: {r.objection}" for r in x.ranked if r.objection and joint in (r.joints or x.engine.data.joints[:1])
+        )
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or refuted:
             names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
-            out.append(Unexplained(joint, float(error[j]), names, doubted))
+            out.append(Unexplained(joint, float(error[j]), names, refuted))
     return tuple(out)
 
 

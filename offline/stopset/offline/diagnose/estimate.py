@@ -13,7 +13,7 @@ import numpy as np
 
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.evidence.engine import Known
+from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves

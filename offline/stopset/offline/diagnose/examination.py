@@ -9,8 +9,11 @@ from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter, Ranked
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Known, Scored
-from stopset.offline.diagnose.explain.doubt import doubt, within
+from stopset.offline.diagnose.evidence.candidate import Scored
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
+from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
@@ -27,11 +30,14 @@ from stopset.types import Array
 class Examination:
     """The search over recordings that move, and what it left: all that answers, judgements and estimates are taken from."""
 
-    engine: Engine
+    already: Hypothesis  # the base with the effects that the model has
     found: Found
-    already: tuple[Candidate, ...]  # effects that the model has
     left: Left
     ranked: tuple[Ranked, ...]
+
+    @property
+    def engine(self) -> Engine:
+        return self.already.engine
 
     def matching(self, effect: str, joints: Sequence[str] | None) -> tuple[int, ...]:
         """Which claims are of an effect, at these joints (None: wherever it acts)."""
@@ -39,12 +45,12 @@ class Examination:
         return tuple(
             k
             for k, r in enumerate(self.ranked)
-            if r.effect == effect and not r.doubt and (wanted is None or set(r.joints) == wanted)
+            if r.effect == effect and not r.objection and (wanted is None or set(r.joints) == wanted)
         )
 
     def errors(self, claims: Sequence[int]) -> list[Array]:
         """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
-        return _errors(self.engine, self.found, self.already, [self.found.claims[k] for k in claims])
+        return _errors(self.found, self.already, [self.found.claims[k] for k in claims])
 
 
 def examine(
@@ -57,17 +63,17 @@ def examine(
     """
     tell(f"{len(recordings)} recordings; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)
-    _include(engine, fitted)
-    already = tuple(engine.active)
+    already = _with_own(Hypothesis(engine), fitted)
     tell(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
-    found = search(engine, names, tell=tell)
+    found = search(already, names, tell=tell)
     tell("what is left, and what these recordings cannot tell")
-    left = left_of(found, engine)
-    return Examination(engine, found, already, left, _ranked(engine, found, already, left))
+    left = left_of(found)
+    return Examination(already, found, left, _ranked(found, already, left))
 
 
-def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
-    """The model's own effects become part of the base."""
+def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
+    """The model's own effects beside the base."""
+    engine = now.engine
     for f in fitted:
         effect = get(f.effect)
         if effect.base:
@@ -84,59 +90,60 @@ def _include(engine: Engine, fitted: Sequence[Fitted]) -> None:
             shapes |= {"exact": 1.0, "begun": 1.0}
         candidate = engine.add(effect, place, shapes)
         if candidate is not None:
-            engine.active.append(candidate)
+            now = now.plus(candidate)
+    return now
 
 
-def _errors(engine: Engine, found: Found, already: Sequence[Candidate], claims: Sequence[Claim]) -> list[Array]:
+def _errors(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[Array]:
     """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
     if not claims:
         return [found.before]
-    active, out = list(engine.active), [found.before]
-    for k in range(len(claims)):
-        engine.active = [*already, *(c.scored.candidate for c in claims[: k + 1])]
-        out.append(held_out(engine, found.hyper))
-    engine.active = active
+    out = [found.before]
+    for claim in claims:
+        already = already.plus(claim.scored.candidate)
+        out.append(held_out(already, found.hyper))
     return out
 
 
-def _ranked(engine: Engine, found: Found, already: Sequence[Candidate], left: Left) -> tuple[Ranked, ...]:
-    """Every claim with its numbers, one entry each; errors before and after count those without doubt only, in this order."""
+def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]:
+    """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
+    engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
-    deviation = deviations(engine, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
     numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
-    doubts = []
+    objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
-        doubts.append(doubt(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(doubts) if not why][: limit.HANDFUL]
-    errors = dict(zip([-1, *sound], _errors(engine, found, already, [found.claims[k] for k in sound]), strict=True))
+        objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
+    sound = [k for k, why in enumerate(objections) if not why][: limit.HANDFUL]
+    errors = dict(zip([-1, *sound], _errors(found, already, [found.claims[k] for k in sound]), strict=True))
     out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):
         c, after = claim.scored.candidate, errors.get(k, before)
         where = list(c.joints) or list(range(len(joints)))
         worst = max(where, key=lambda j: before[j] - after[j])
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
-        why = doubts[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        why = objections[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
-                c.effect.look_at, _says(c.effect, given), points=partial(engine, left.hyper, left.theta, c, worst), doubt=why,
+                c.effect.look_at, _says(c.effect, given), points=partial(found.now, left.hyper, left.theta, c, worst), objection=why,
             )
         )  # fmt: skip
         before = after
     return tuple(out)
 
 
-def _says(effect: Effect, told: Mapping[str, Parameter]) -> str:
+def _says(effect: Effect, numbers: Mapping[str, Parameter]) -> str:
     """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
-    m = told["m"] if effect.carried else None
+    m = numbers["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std
     text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
     if abs(m.value) < half:
         return f"{text}."
-    centre = ", ".join(f"{told[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
+    centre = ", ".join(f"{numbers[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
     return f"{text}, centre at ({centre}) m in the last link's frame."
 
 

@@ -50,7 +50,7 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
             out.table(
                 ("joint", "leftover variance over sensor noise", "scatter of friction from trial to trial"),
                 [(j, x, found.friction_scatter[j]) for j, x in found.excess.items()],
-                f"A healthy joint stays below {limit.QUIET} and {limit.RESTLESS}.",
+                f"A healthy joint stays below {limit.QUIET} and {limit.FRICTION_SCATTER}.",
             )
     if found.not_identifiable:
         with out.fold(f"Not identifiable from these recordings: {len(found.not_identifiable)} effects"):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.evidence.hypothesis import Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
 from stopset.offline.diagnose.search.search import Claim, Found
 from stopset.types import Array
@@ -14,7 +14,7 @@ from stopset.types import Array
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What the claims leave: ``depends`` by joint, best variable first; ``loud`` joints have too much variance, in rows or slowly.
+    """What the claims leave: ``depends`` by joint, best variable first; ``noisy`` joints have too much variance, in rows or slowly.
 
     ``hyper``, ``theta``: the whole model refitted with the claims; ``ranking``: all variables by joint.
     """
@@ -23,46 +23,47 @@ class Left:
     theta: Array
     ranking: dict[int, list[Dependence]]
     depends: dict[int, list[Dependence]]
-    loud: tuple[int, ...]
+    noisy: tuple[int, ...]
     contradicted: tuple[int, ...]  # joints whose own claims leave much of what they should have explained
-    restless: tuple[int, ...]
+    scattering: tuple[int, ...]
 
     @property
     def worst(self) -> int | None:
         if self.depends:
             return max(self.depends, key=lambda j: self.depends[j][0].gain)
-        return next(iter((*self.loud, *self.restless)), None)
+        return next(iter((*self.noisy, *self.scattering)), None)
 
 
-def left_of(found: Found, engine: Engine) -> Left:
-    hyper, p = engine.fit(found.hyper)
+def left_of(found: Found) -> Left:
+    now, engine = found.now, found.now.engine
+    hyper, p = now.fit(found.hyper)
     depends, contradicted, wandering = {}, [], []
     ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
     for j in range(engine.data.n):
         if len(engine.rows[j].take) < 100:
             continue
-        ranked = ranking[j] = dependences(engine, p.theta, hyper, j)
-        if slow_excess(engine, p.theta, hyper, j) > limit.WANDER:
+        ranked = ranking[j] = dependences(now, p.theta, hyper, j)
+        if slow_excess(now, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
         claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
         if ranked[0].gain > limit.PATTERN:
             depends[j] = ranked
             if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
                 contradicted.append(j)
-    loud = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
-    restless = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.RESTLESS)
-    return Left(hyper, p.theta, ranking, depends, loud, tuple(contradicted), restless)
+    noisy = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
+    scattering = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.FRICTION_SCATTER)
+    return Left(hyper, p.theta, ranking, depends, noisy, tuple(contradicted), scattering)
 
 
 def verdict_of(found: Found, left: Left) -> str:
     """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
     if left.contradicted:
         return "unknown"
-    if (left.depends or left.loud) and not _telling(found.claims):
+    if (left.depends or left.noisy) and not _telling(found.claims):
         return "unknown"
     if found.claims:
         return "missing"
-    return "unknown" if left.restless else "none"
+    return "unknown" if left.scattering else "none"
 
 
 def _telling(claims: Sequence[Claim]) -> bool:

@@ -37,11 +37,12 @@ from stopset.offline.conform import (
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
-from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, priors
-from stopset.offline.diagnose.explain import doubt, uncertainty
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
+from stopset.offline.diagnose.evidence import forms as law_forms
+from stopset.offline.diagnose.explain import objection, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
-from stopset.offline.diagnose.search import refine, search, wanted
+from stopset.offline.diagnose.search import refine, wanted
 from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
@@ -92,7 +93,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
-    ("shared motors", pair_choice, "TELLS LOOKED_AT"),
+    ("shared motors", pair_choice, "LOWERED LOOKED_AT"),
     ("friction laws", friction_choice, "GAINS LOADS NEVER"),
     ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR CLEARLY"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
@@ -101,7 +102,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
     ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
     ("physical", physical, "MARGIN SMALL"),
-    ("prior", prior, "DOUBT CARRIED CARRIED_AT"),
+    ("prior", prior, "IDENTIFICATION CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("scale", scale, "SHARE"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
@@ -150,12 +151,13 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
     ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "GIVEN SAME"),
+    ("diagnosis engine", engine, "SAME"),
+    ("diagnosis engine", hypothesis, "GIVEN"),
     ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
     ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
-    ("diagnosis doubt", doubt, "SURE EDGE WHOLE"),
+    ("diagnosis objection", objection, "SURE EDGE WHOLE"),
     ("diagnosis refinement", refine, "CONTENDERS"),
-    ("diagnosis search", search, "UNHEARD"),
+    ("diagnosis forms", law_forms, "DEGREE"),
     ("diagnosis wanted", wanted, "LAGS"),
     ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
 )

@@ -82,8 +82,10 @@ def packed(
     assert u_hull is not None
     seen = result.sets
     if few_motions(result.guarantee.calibration_motions):  # with more, the margin is what unseen motions asked for
-        result = replace(result, sets=widened(seen, nominal.doubt), other=widened(result.other, nominal.doubt))
-        by_band = {name: widened(s, nominal.doubt) for name, s in by_band.items()}
+        result = replace(
+            result, sets=widened(seen, nominal.uncertain_torque), other=widened(result.other, nominal.uncertain_torque)
+        )
+        by_band = {name: widened(s, nominal.uncertain_torque) for name, s in by_band.items()}
     tightness = tight(result.sets)
     odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found)]
     said = (*late(found, robot.joints), *tightness.words(robot.joints), *(o.says for o in odd))

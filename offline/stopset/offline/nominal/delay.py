@@ -41,7 +41,7 @@ class Delay:
     hold: float
 
 
-def apart(delay: Delay, period: float) -> NDArray[np.bool_]:
+def has_own_lag(delay: Delay, period: float) -> NDArray[np.bool_]:
     """(n,) which joints' torque is late or early on its own: a slow drive or a filter rather than two clocks; ``period`` [s]."""
     sure = np.isfinite(delay.joint) & np.isfinite(delay.std) & np.isfinite(delay.common_std)
     off, std = np.abs(delay.joint - delay.common), np.hypot(delay.std, delay.common_std)

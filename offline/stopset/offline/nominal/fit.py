@@ -240,9 +240,9 @@ def _weighed(p: _Problem, scores: Sequence[_Scores | None], prior: Prior, scale:
             if rows_still[j]:
                 variance_still[j] = residual(p.still[j], own) / rows_still[j]
         left = np.linalg.inv(H)[np.ix_(judged, judged)]
-        told = float(len(judged) - np.sum(own_precision / scale**2 * left))
+        judged_rank = float(len(judged) - np.sum(own_precision / scale**2 * left))
         off = theta[:m] - prior.mean
-        scale = float(np.clip(np.sqrt(off[judged] @ own_precision @ off[judged] / max(told, 1.0)), 1.0, WIDEST_PRIOR))
+        scale = float(np.clip(np.sqrt(off[judged] @ own_precision @ off[judged] / max(judged_rank, 1.0)), 1.0, WIDEST_PRIOR))
     counted = float(np.sum(rows / TOGETHER * np.log(np.maximum(variance, 1e-12))))
     counted += float(np.sum(rows_still * np.log(np.maximum(variance_still, 1e-12))))
     unlikely = counted + float(off @ precision @ off) + float(np.linalg.slogdet(H)[1] - np.linalg.slogdet(precision)[1])

@@ -46,8 +46,8 @@ def dry(effect: Effect) -> NDArray[np.bool_]:
     """(terms,) which columns are still there when the joint creeps: Coulomb friction of any kind, not viscous torque."""
     if not set(effect.needs) <= {"dq", "load"}:
         return np.zeros(len(effect.terms), bool)
-    way, load = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, 1.0, -1.0])  # each quadrant has columns of its own
-    creeping = _values(effect, Signals(dq=CREEP * way, load=load), 4)
+    direction, load = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, 1.0, -1.0])  # each quadrant has columns of its own
+    creeping = _values(effect, Signals(dq=CREEP * direction, load=load), 4)
     return np.asarray(np.abs(creeping).max(axis=0) >= DRY)
 
 

@@ -81,7 +81,7 @@ def choose(
         (j, x): p for j in range(robot.n) for x in laws
         if f"{x}:{robot.joints[j]}" not in barred and len(p := ladder.places(j, x))
     }  # fmt: skip
-    return tuple(ladder.kept(ladder.whole_arm(laws, allowed), allowed))
+    return tuple(ladder.retained(ladder.whole_arm(laws, allowed), allowed))
 
 
 def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
@@ -129,7 +129,7 @@ class _Ladder:
         subsets = [of(some) for k in range(len(laws) + 1) for some in combinations(laws, k)]
         return min(subsets, key=lambda some: self._value(some.values()))
 
-    def kept(self, places: Places, allowed: Places) -> list[Gain]:
+    def retained(self, places: Places, allowed: Places) -> list[Gain]:
         """From ``places`` on, laws of single joints taken in and out as long as that lowers the held-out error and its price.
 
         A law that helps others only, and not the joint it acts at, stands for something else: it is left out.
@@ -138,7 +138,7 @@ class _Ladder:
         now = {key: p for key, p in places.items() if key in pool}
         while True:
             now = self._lowest(now, pool)
-            gains = {key: self._told(key, now) for key in now}
+            gains = {key: self._gain(key, now) for key in now}
             idle = [key for key, g in gains.items() if g.after > (1 - GAINS) * g.before]
             if not idle:
                 return list(gains.values())
@@ -164,7 +164,7 @@ class _Ladder:
         errors = [self._errors(j, some).sum() / self._rows[j] for j in range(self._robot.n) if self._rows[j]]
         return 0.5 * float(np.sum(np.log(np.maximum(errors, 1e-300))))
 
-    def _told(self, key: tuple[int, str], left: Places) -> Gain:
+    def _gain(self, key: tuple[int, str], left: Places) -> Gain:
         j, effect = key
         columns = ([p for k, p in left.items() if k != key or here] for here in (False, True))
         before, after = (float(np.sqrt(self._errors(j, c).sum() / self._rows[j])) for c in columns)

@@ -37,7 +37,7 @@ NO_TRACE = "these recordings show no trace of it, so its numbers cannot be estim
 class NominalPart:
     """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was.
 
-    ``doubt`` (n,) [N m]: torque that the recordings leave open, see `stopset.offline.nominal.parameter_uncertainty`.
+    ``uncertain_torque`` (n,) [N m]: torque that the recordings leave open, see `stopset.offline.nominal.parameter_uncertainty`.
     """
 
     robot: Robot
@@ -46,7 +46,7 @@ class NominalPart:
     abstraction: Abstraction
     notes: tuple[str, ...]
     data: NormalEquations | None = None
-    doubt: Array = field(default_factory=lambda: np.zeros(1))
+    uncertain_torque: Array = field(default_factory=lambda: np.zeros(1))
     chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
     limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
@@ -116,8 +116,15 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
             if not f.determined
         ),
     )
-    doubt = of_lags(np.array([f.std for f in fits]), sample)
-    return NominalPart(robot, robot.rotor, (*viscous, *(e for f in fits for e in f.effects)), abstraction, notes, doubt=doubt)
+    uncertain_torque = of_lags(np.array([f.std for f in fits]), sample)
+    return NominalPart(
+        robot,
+        robot.rotor,
+        (*viscous, *(e for f in fits for e in f.effects)),
+        abstraction,
+        notes,
+        uncertain_torque=uncertain_torque,
+    )
 
 
 def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
@@ -150,9 +157,9 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
     notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
-    doubt = of_regression(cad, nominal, found.sample)
+    uncertain_torque = of_regression(cad, nominal, found.sample)
     return NominalPart(
-        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, doubt, chosen, nominal.limited,
+        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, uncertain_torque, chosen, nominal.limited,
         nominal.taken_out(),
     )  # fmt: skip
 

@@ -14,7 +14,7 @@ import numpy as np
 from stopset.effects import Effect, Fitted
 from stopset.effects.selection import base
 from stopset.errors import RecordingError
-from stopset.offline.nominal.delay import Delay, apart, estimate_delay, joint_reduced, lag_weights
+from stopset.offline.nominal.delay import Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
 from stopset.offline.nominal.floor import floor_of
 from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
@@ -161,12 +161,11 @@ def solve_nominal(
             "expected motor torque over at least one motion of a second, or poses approached from both sides"
         )
     prior = prior_of(robot, tolerance)
-    lag, applied, notes = _delay(data, prior, delay)
-    moving, still = _at_lag(data, applied)
+    late = _delay(data, prior, delay)
+    moving, still = _at_lag(data, late[1])
     result = fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)
     heldout, covariance = leave_out(data, moving, still, prior, result)
-    result = replace(result, covariance=covariance)
-    return _nominal(robot, data, prior, result, heldout, lag, applied, (*notes, *result.notes))
+    return _nominal(robot, data, prior, replace(result, covariance=covariance), heldout, late)
 
 
 def _at_lag(data: NormalEquations, applied: Array) -> tuple[Array, Array]:
@@ -187,7 +186,7 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
     if not lag.common_std <= DELAY_TRUSTED:
         return lag, np.zeros(n), [f"delay of torque against motion undetermined ({found}): none is assumed"]
     notes = [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
-    own = apart(lag, data.period)
+    own = has_own_lag(lag, data.period)
     notes += [
         f"{data.layout.joints[j]}: its torque is {lag.joint[j] * 1e3:.1f} +- {lag.std[j] * 1e3:.1f} ms apart from the motion, unlike the "
         "other joints'; that is taken out of the fit, but predictions get the torque as it comes"
@@ -202,11 +201,10 @@ def _nominal(
     prior: Prior,
     result: Fit,
     heldout: Array,
-    lag: Delay,
-    applied: Array,
-    notes: tuple[str, ...],
+    late: tuple[Delay, Array, list[str]],
 ) -> Nominal:
-    n, layout = robot.n, data.layout
+    """All that was found, under its names; ``late``: what `_delay` says."""
+    n, layout, (lag, applied, notes) = robot.n, data.layout, late
     std = np.sqrt(np.diag(result.covariance))
     friction = []
     for j, columns in enumerate(layout.columns):
@@ -241,7 +239,7 @@ def _nominal(
         inflation=result.inflation,
         base_parameters=base_count(robot),
         undetermined=undetermined(robot, data, prior, result),
-        notes=(*notes, *skipped),
+        notes=(*notes, *result.notes, *skipped),
         limited=result.limited,
         data=data,
         prior=replace(prior, precision=result.precision),

@@ -234,7 +234,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
             out.rows_moving[g, j] += len(rows)
         out.speed = _hull(out.speed, np.column_stack([m.dq.min(axis=0), m.dq.max(axis=0)]))
         out.span = _hull(out.span, np.column_stack([m.q.min(axis=0), m.q.max(axis=0)]))
-        used += len(m.kept)
+        used += len(m.retained)
         period = m.period
     if used:
         out.period = float(np.nan_to_num(out.period) * out.recordings + period) / (out.recordings + 1)
@@ -246,7 +246,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
 
 def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, NDArray[np.bool_]]:
     """(n, rows, c) regression rows of every joint, and (rows, n) which of them count."""
-    k, n = m.kept, robot.n
+    k, n = m.retained, robot.n
     Y = regressors(robot.chain, m.q[k], m.dq[k], m.ddq[k])
     if out.compensated:  # eq. (11): gravity is not in u
         zero = np.zeros_like(m.q[k])
@@ -265,23 +265,25 @@ def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, N
 
 
 def friction_columns(
-    layout: Layout, robot: Robot, m: Motion, still: float, way: float | None = None
+    layout: Layout, robot: Robot, m: Motion, still: float, direction: float | None = None
 ) -> tuple[list[list[Array]], Array | None]:
     """Each joint's friction columns at the kept rows, through the torque's filter, and the load if it was needed.
 
-    ``way``: direction of motion to assume in place of that of ``dq``.
+    ``direction``: direction of motion to assume in place of that of ``dq``.
     """
     needs = {s for cs in layout.columns for c in cs for s in c.effect.needs}
     if "temp" in needs and m.temp is None:
         raise RecordingError("an effect needs joint temperatures (temp_<joint>) that this recording does not have; leave it out")
     signals = arm_signals(robot, Samples(m.q, m.dq, m.ddq, m.temp, t=m.t), needs or {"dq"})
     # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
-    signals = tuple(replace(s, way=np.clip(s.dq / still, -1.0, 1.0) if way is None else np.full(len(m.t), way)) for s in signals)
+    signals = tuple(
+        replace(s, way=np.clip(s.dq / still, -1.0, 1.0) if direction is None else np.full(len(m.t), direction)) for s in signals
+    )
     raw: list[Array] = []
     for j, columns in enumerate(layout.columns):
         for effect in dict.fromkeys(c.effect for c in columns):
             raw += [np.broadcast_to(np.asarray(c, float), m.t.shape) for c in effect.columns(signals[j])]
-    smooth = m.smooth(np.column_stack(raw))[m.kept] if raw else np.zeros((len(m.kept), 0))
+    smooth = m.smooth(np.column_stack(raw))[m.retained] if raw else np.zeros((len(m.retained), 0))
     edges = np.cumsum([0, *(len(c) for c in layout.columns)])
     out = [[smooth[:, k] for k in range(lo, hi)] for lo, hi in pairwise(edges)]
     load = np.column_stack([s.load for s in signals]) if "load" in needs else None

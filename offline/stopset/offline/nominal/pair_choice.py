@@ -21,7 +21,7 @@ from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
 
-TELLS = 0.2  # share by which the law must lower the held-out torque error of one of the joints
+LOWERED = 0.2  # share by which the law must lower the held-out torque error of one of the joints
 LOOKED_AT = 16  # trials
 
 
@@ -36,7 +36,7 @@ def coupled(robot: Robot, trials: Callable[[], Iterable[Recording]], sample: Seq
     for (a, b), name in product(pairwise(range(robot.n)), usual("pair")):
         before, after = (_held_out(parts, (a, b), law) for law in (None, get(name)))
         gain = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
-        if gain.max() > TELLS and gain.min() > 0:
+        if gain.max() > LOWERED and gain.min() > 0:
             k = int(gain.argmax())
             out.append(Gain(name, f"{robot.joints[a]}+{robot.joints[b]}", float(np.sqrt(before[k])), float(np.sqrt(after[k]))))
     return tuple(out)

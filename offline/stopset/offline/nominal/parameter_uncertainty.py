@@ -67,9 +67,9 @@ def of_lags(std: Array, sample: Sequence[Recording]) -> Array:
     return np.asarray(ERRORS * np.sqrt(np.quantile(variance, SHARE, axis=0)))
 
 
-def widened(sets: UncertaintySets, doubt: Array) -> UncertaintySets:
-    """``sets`` with U of each joint at least ``doubt`` (n,) [N m] to both sides of its centre."""
-    lack = np.maximum(doubt - sets.U.radius, 0.0)
+def widened(sets: UncertaintySets, uncertain_torque: Array) -> UncertaintySets:
+    """``sets`` with U of each joint at least ``uncertain_torque`` (n,) [N m] to both sides of its centre."""
+    lack = np.maximum(uncertain_torque - sets.U.radius, 0.0)
     if not lack.any():
         return sets
     if sets.zonotope is None:

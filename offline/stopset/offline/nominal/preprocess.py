@@ -48,7 +48,7 @@ class Preprocessing:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One even piece of a trial: ``q, dq, ddq, tau`` (N, n) filtered at full rate, ``kept`` the rows of the regression.
+    """One even piece of a trial: ``q, dq, ddq, tau`` (N, n) filtered at full rate, ``retained`` the rows of the regression.
 
     ``moving`` (N, n): joint not within the stiction band or its ringing; ``raw_tau`` (N, n) before filtering.
     """
@@ -61,7 +61,7 @@ class Motion:
     raw_tau: Array
     moving: NDArray[np.bool_]
     temp: Array | None
-    kept: NDArray[np.intp]
+    retained: NDArray[np.intp]
     sos: Array
 
     @property
@@ -75,7 +75,7 @@ class Motion:
     def delayed(self, x: Array, delays: Array) -> Array:
         """``x(t - d)`` (kept rows, n, len(delays)) of a filtered, hence smooth, signal (N, n); the ends repeat."""
         last = len(x) - 1
-        out = np.empty((len(self.kept), x.shape[1], len(delays)))
+        out = np.empty((len(self.retained), x.shape[1], len(delays)))
         for k, d in enumerate(delays):
             steps = float(d) / self.period
             whole = int(np.floor(steps))
@@ -87,7 +87,7 @@ class Motion:
                 (1 - w) * (2 - w) * (1 + w) / 2,
                 -(1 - w) * (2 - w) * w / 6,
             )
-            at = self.kept - whole
+            at = self.retained - whole
             out[:, :, k] = sum(f * x[np.clip(at + s, 0, last)] for s, f in zip((-2, -1, 0, 1), c, strict=True))
         return out
 
@@ -166,8 +166,8 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
         still = np.abs(dq) < settings.still
         moving = ~_dilated(still, ring)
         every = max(1, round(1 / (h * settings.rate)))
-        kept = np.arange(2 * ring, len(t) - 2 * ring, every)
-        yield Motion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, kept, sos)
+        retained = np.arange(2 * ring, len(t) - 2 * ring, every)
+        yield Motion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, retained, sos)
 
 
 def _dilated(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from stopset.types import Array
 class Tolerance:
     """How well a robot description is known, one standard deviation each; the one place that says it.
 
-    The diagnosis finds by evidence how many times this a description is off; an identification cannot, and takes `DOUBT` times.
+    The diagnosis finds by evidence how many times this a description is off; an identification cannot, and takes `IDENTIFICATION` times.
     """
 
     mass: float = 0.036  # of each link's mass: masses 2 to 5 % off are 3.6 % off in the mean square
@@ -34,7 +34,7 @@ class Tolerance:
 
 # Data win over a wide prior, not over one that is too narrow: on 29 recordings (28 labelled sets, UR10e) twice the tolerance leaves
 # the held-out torque error within 1 % of what 4 %, 5 mm, 20 % and 10 % leave; once raises it by up to 19 % (a rotor off its sheet).
-DOUBT = 2.0
+IDENTIFICATION = 2.0
 
 # A tool or load that the description does not have, one standard deviation: share of the arm's mass, and how far out
 CARRIED = 0.2
@@ -75,9 +75,9 @@ def tensor(P: Array) -> Array:
 def prior_of(robot: Robot, tolerance: Tolerance | None = None) -> Prior:
     """The robot description as a prior: independent errors of mass, centre and central inertia of every link.
 
-    ``tolerance``: `DOUBT` times the usual one if left out.
+    ``tolerance``: `IDENTIFICATION` times the usual one if left out.
     """
-    tolerance = tolerance or Tolerance().times(DOUBT)
+    tolerance = tolerance or Tolerance().times(IDENTIFICATION)
     n = robot.n
     precision = np.zeros((11 * n, 11 * n))
     for i in range(n):

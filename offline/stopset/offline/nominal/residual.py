@@ -50,20 +50,20 @@ def residuals(nominal: Nominal, robot: Robot, recording: Recording) -> list[Resi
             index = data.layout.index(j)
             model[:, j] = X[j, :, : len(index)] @ nominal.theta[index]
         left = measured - model
-        here, ahead, back = (_dry_torque(nominal, view, m, way) for way in (None, 1.0, -1.0))
+        here, ahead, back = (_dry_torque(nominal, view, m, direction) for direction in (None, 1.0, -1.0))
         held = left + here
         beyond = np.where(moving, left, held - np.clip(held, np.minimum(ahead, back), np.maximum(ahead, back)))
-        k = m.kept
+        k = m.retained
         temp = None if m.temp is None else m.temp[k]
         out.append(Residual(m.t[k], m.q[k], m.dq[k], m.ddq[k], measured, left, beyond, moving, temp))
     return out
 
 
-def _dry_torque(nominal: Nominal, view: Robot, m: Motion, way: float | None) -> Array:
-    """(rows, n) dry friction of the model along a motion, or while creeping in the direction ``way``."""
+def _dry_torque(nominal: Nominal, view: Robot, m: Motion, direction: float | None) -> Array:
+    """(rows, n) dry friction of the model along a motion, or while creeping in the direction ``direction``."""
     layout = nominal.data.layout
-    columns, _ = friction_columns(layout, view, m, nominal.data.settings.still, way)
-    out = np.zeros((len(m.kept), layout.n))
+    columns, _ = friction_columns(layout, view, m, nominal.data.settings.still, direction)
+    out = np.zeros((len(m.retained), layout.n))
     for j, mine in enumerate(layout.columns):
         theta = nominal.theta[layout.index(j)[10 * layout.n + 1 :]]
         effects = dict.fromkeys(c.effect for c in mine)

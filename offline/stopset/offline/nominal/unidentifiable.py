@@ -47,7 +47,7 @@ def base_count(robot: Robot) -> int:
     return int(base_directions(robot).shape[1])
 
 
-def told(robot: Robot, precision: Array, covariance: Array, ratio: float = OPEN) -> tuple[int, int]:
+def determined(robot: Robot, precision: Array, covariance: Array, ratio: float = OPEN) -> tuple[int, int]:
     """How many base parameters the data told (variance fell below ``ratio`` of the prior's), of how many there are."""
     n = robot.n
     V = base_directions(robot) / parameter_scale(robot)[:, None]  # functionals of pi
@@ -59,7 +59,7 @@ def told(robot: Robot, precision: Array, covariance: Array, ratio: float = OPEN)
     return int(np.sum(left < ratio)), len(left)
 
 
-def kept(robot: Robot, precision: Array, covariance: Array) -> dict[str, list[str]]:
+def left_at_prior(robot: Robot, precision: Array, covariance: Array) -> dict[str, list[str]]:
     """By joint, the link parameters that torques could show but these data did not: their variance is still the prior's."""
     n = robot.n
     V = base_directions(robot)
@@ -79,9 +79,9 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
             out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
-    known, count = told(robot, result.precision, result.covariance)
+    known, count = determined(robot, result.precision, result.covariance)
     if known < count:
-        left = kept(robot, result.precision, result.covariance)
+        left = left_at_prior(robot, result.precision, result.covariance)
         of = "; ".join(f"{joint}: {', '.join(p)}" for joint, p in left.items())
         out.append(
             f"{count - known} of {count} base parameters of the links stayed at the CAD, these motions do not show them"

@@ -18,7 +18,7 @@ from stopset.offline.nominal.expect import expected_covariance
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import Prior, prior_of
-from stopset.offline.nominal.unidentifiable import told
+from stopset.offline.nominal.unidentifiable import determined
 from stopset.offline.plan.excitation import Series, excitations
 from stopset.offline.plan.motion import MotionLimits, PlannedMotion, envelope, violations
 from stopset.offline.plan.poses import static_poses
@@ -224,7 +224,7 @@ def _tells(robot: Robot, data: NormalEquations, prior: Prior, sigma: Array) -> d
     """Base parameters whose error at least halves, and the mean expected errors of rotor and friction."""
     n = robot.n
     C = expected_covariance(data, prior, sigma)
-    count, of = told(robot, prior.precision, C, HALVED)
+    count, of = determined(robot, prior.precision, C, HALVED)
     std = np.sqrt(np.diag(C))
     names = data.layout.names()
     known = [k for k in range(n) if prior.mean[10 * n + k] > 0]

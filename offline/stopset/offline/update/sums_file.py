@@ -56,7 +56,7 @@ def save_sums(path: str | Path, kept: RetainedSums, model: Model) -> None:
         "settings_sha256": settings_sha256(settings_of(model)),
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
-        "doubt": kept.nominal.doubt.tolist(),
+        "doubt": kept.nominal.uncertain_torque.tolist(),
         "learnt": sorted(kept.learnt),
         "fitted_files": kept.fitted_files,
         "session": asdict(kept.session),

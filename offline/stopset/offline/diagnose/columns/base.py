@@ -24,7 +24,7 @@ def base_columns(source: Source, rows: JointRows) -> Array:
     """y (against the description), rigid body, all drives' scale, and the joint's rotor, friction, friction left in the poses, stamps."""
     d, j = source.data, rows.joint
     y = d.tau[:, j] - source.link[:, j] - source.robot.rotor[j] * d.ddq[:, j]
-    moving = [y, d.ddq[:, j], d.way[:, j], d.dq[:, j], np.zeros(len(d.q)), -source.rigid(j).dtau]
+    moving = [y, d.ddq[:, j], d.direction[:, j], d.dq[:, j], np.zeros(len(d.q)), -source.rigid(j).dtau]
     still = np.zeros((len(d.q_still), len(moving)))
     still[:, 0] = d.tau_still[:, j] - (0.0 if source.compensated else 1.0) * source.load_still[:, j]
     still[:, 4] = 1.0

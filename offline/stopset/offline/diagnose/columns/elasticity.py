@@ -65,11 +65,22 @@ class _Filter:
 
     def __call__(self, link: Array, x0: Array, dx0: Array) -> tuple[Array, Array, Array]:
         """Position, speed, acceleration (N,) of the swing that ``link`` [N m] drives, from its state at each trial's first row."""
-        return _swung(link, self.M, self.g, self.first, x0, dx0, self.K, self.D, self.dt, SUBSTEPS)
+        out, rate, acc = np.empty((3, len(link)))
+        start, found = (view(given(x0)), view(given(dx0))), (view(out), view(rate), view(acc))
+        lib.stopset_swung(self._struct(), len(link), view(given(link)), *start, self.dt, SUBSTEPS, *found)  # by Newmark's rule
+        return out, rate, acc
 
     def at_rest(self, link: Array) -> tuple[Array, Array]:
         """(N,) state at each trial's first row where the trial began at rest; bent by the present torque where it began in motion."""
-        return _led(link, self.M, self.g, self.first, self.rest, self.lead, self.K, self.D, self.dt / SUBSTEPS)
+        h, (x0, dx0) = self.dt / SUBSTEPS, np.empty((2, len(link)))
+        lead = round(self.lead / h)
+        lib.stopset_led(self._struct(), len(link), view(given(link)), view(given(self.rest)), lead, h, view(x0), view(dx0))
+        return x0, dx0
+
+    def _struct(self) -> Any:
+        if not self.M.shape == self.g.shape == self.first.shape:
+            raise ValueError(f"inertia {self.M.shape} and stiffness {self.g.shape} for {self.first.shape} rows")
+        return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D))
 
 
 def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = False) -> Array:
@@ -111,20 +122,20 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
     """(N,) state at each trial's first row that its own torque speaks for; swings as large as later ones are expected.
 
     What the link did before is in no channel, and a swing that is hardly damped lasts longer than a stop.  Two numbers for each
-    trial fit a part of anything: this is for a gear whose elasticity is beyond doubt.
+    trial fit a part of anything: this is for a gear whose elasticity is certain.
     """
     d, (x0, dx0) = source.data, (part.copy() for part in state)
     j, first, nothing = joint, np.flatnonzero(source.first), np.zeros(len(d.q))
     K, M = filtered.K, float(np.median(filtered.M))
     x, dx, _ = filtered(driving, x0, dx0)
     # beside rotor and friction the motor carries the gear, which is bent by -x
-    own = np.stack([d.ddq[:, j], d.way[:, j], d.dq[:, j]], axis=1) @ source.drive[j]
+    own = np.stack([d.ddq[:, j], d.direction[:, j], d.dq[:, j]], axis=1) @ source.drive[j]
     left = d.tau[:, j] - own + K * x + filtered.D * dx
     usual = max(float(np.std((K * x + driving)[d.ok[:, j]])), 1e-9)  # torque of the swing beyond that of a rigid gear
     unit = np.where(source.first, usual / K, 0.0)
     free = [filtered(nothing, unit, nothing), filtered(nothing, nothing, unit * np.sqrt(K / M))]
     torques = [-K * x - filtered.D * dx for x, dx, _ in free]
-    A = np.stack([*torques, d.way[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
+    A = np.stack([*torques, d.direction[:, j], d.dq[:, j], np.ones(len(d.q))], axis=1)
     noise = float(np.median(d.torque_noise[:, j]) * np.linalg.norm(d.kernel.h))
     for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
         rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
@@ -133,33 +144,4 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
             found = np.linalg.lstsq(np.vstack([A[rows], expected]), np.append(left[rows], np.zeros(2)), rcond=RATHER_NOT)[0]
             x0[at] += found[0] * unit[at]
             dx0[at] += found[1] * unit[at] * np.sqrt(K / M)
-    return x0, dx0
-
-
-def _struct(M: Array, g: Array, first: Mask, K: float, D: float) -> Any:
-    if M.shape != first.shape or g.shape != first.shape:
-        raise ValueError(f"inertia {M.shape} and stiffness {g.shape} for {first.shape} rows")
-    return ffi.new("StopsetSwing *", (view(M), view(g), flags(first), K, D))
-
-
-def _swung(
-    link: Array, M: Array, g: Array, first: Mask, x0: Array, dx0: Array, K: float, D: float, dt: float, sub: int
-) -> tuple[Array, Array, Array]:
-    """Position, speed, acceleration of the link against the motor, by Newmark's rule."""
-    out, rate, acc = np.empty((3, len(link)))
-    lib.stopset_swung(
-        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(x0)), view(given(dx0)), dt, sub, view(out), view(rate),
-        view(acc),
-    )  # fmt: skip
-    return out, rate, acc
-
-
-def _led(
-    link: Array, M: Array, g: Array, first: Mask, rest: Array, lead: float, K: float, D: float, h: float
-) -> tuple[Array, Array]:
-    """State at the first rows: from rest, ``lead`` [s] under the torque of the row; see `Source.start`."""
-    x0, dx0 = np.empty((2, len(link)))
-    lib.stopset_led(
-        _struct(M, g, first, K, D), len(link), view(given(link)), view(given(rest)), round(lead / h), h, view(x0), view(dx0)
-    )
     return x0, dx0

@@ -60,8 +60,8 @@ def _at_rest(source: Source, effect: Effect, joint: int, shapes: Mapping[str, fl
     P = len(source.data.q_still)
     rest = replace(source.still(joint), memory=tuple(np.zeros(P) for _ in effect.states))
 
-    def law(way: float) -> Array:
-        made = effect.columns(replace(rest, way=np.full(P, way), memory=tuple(np.full(P, way) for _ in effect.states)), shapes)
+    def law(sign: float) -> Array:
+        made = effect.columns(replace(rest, way=np.full(P, sign), memory=tuple(np.full(P, sign) for _ in effect.states)), shapes)
         return np.stack([np.broadcast_to(np.asarray(c, float), (P,)) for c in made], axis=1)
 
     none, both = law(0.0), 0.5 * (law(1.0) + law(-1.0))

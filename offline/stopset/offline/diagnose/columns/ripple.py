@@ -9,7 +9,8 @@ import numpy as np
 
 from stopset.core.library import flags, given, lib, view
 from stopset.effects import Effect
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.noise import Whitening
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.diagnose.search.wanted import Wanted
@@ -35,17 +36,17 @@ class Ripples:
     effect: Effect
     _power: dict[int, tuple[JointRows, Power]] = field(default_factory=dict)
 
-    def strongest(self, theta: Array, hyper: Hyper) -> list[Wanted]:
-        """The strongest two cycles per turn in each joint's residual, beyond what chance gives."""
+    def strongest(self, now: Hypothesis, theta: Array, hyper: Hyper) -> list[Wanted]:
+        """The strongest two cycles per turn in each joint's residual of ``now``, beyond what chance gives."""
         out: list[Wanted] = []
-        view, d = self.engine.view(), self.engine.data
+        view, d = now.view(), self.engine.data
         full = np.concatenate([[1.0], -theta])
         spread = d.kernel.dt * np.sqrt(np.sum(d.kernel.h * np.arange(-d.kernel.half, d.kernel.half + 1) ** 2))
         for j, rows in enumerate(self.engine.rows):
             k = len(rows.take)
             if k < 100:
                 continue
-            gram = view.grams[j]
+            gram = view.engine.grams[j]
             r = gram.residual(full[gram.index], hyper.sigma[j], hyper.kappa[j])[:k]
             q, fade = d.q[rows.take, j], 0.5 * (d.dq[rows.take, j] * spread) ** 2
             if j not in self._power or self._power[j][0] is not rows:

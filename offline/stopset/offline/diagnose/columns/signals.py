@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
-from stopset.offline.diagnose.levers import Levers, levers
+from stopset.offline.diagnose.gravity import GravityMoments, gravity_moments
 from stopset.offline.diagnose.rows.prepare import CREEP, Mask, Prepared
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.offline.diagnose.thresholds import DRIVES
@@ -32,7 +32,7 @@ class Source:
     drive: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) rotor, Coulomb and viscous friction by the last fit
     _cache: dict[str, Array] = field(default_factory=dict)
     _signals: dict[int, Signals] = field(default_factory=dict)
-    _levers: dict[bool, Levers] = field(default_factory=dict)
+    _moments: dict[bool, GravityMoments] = field(default_factory=dict)
 
     def set_friction(self, friction: Array) -> None:
         """Coulomb and viscous coefficients (n, 2), which the modelled torque then holds; what of it the poses show."""
@@ -83,23 +83,23 @@ class Source:
     def load_fine(self) -> Array:
         """(M, n) gravity torque at the recording's rate [N m]."""
         chain, pi = self.robot.chain, self.robot.pi
-        return self._get("load", lambda: levers(chain, pi, self.data.q_fine).torque(chain.gravity))
+        return self._get("load", lambda: gravity_moments(chain, pi, self.data.q_fine).torque(chain.gravity))
 
     @property
     def load_still(self) -> Array:
         """(P, n) gravity torque of the poses [N m]."""
         return self._get("load_still", lambda: self.regressor_still @ self.robot.pi.ravel())
 
-    def levers(self, still: bool) -> Levers:
-        """Levers of gravity in the poses (``still``) or the rows."""
-        if still not in self._levers:
-            self._levers[still] = levers(self.robot.chain, self.robot.pi, self.data.q_still if still else self.data.q)
-        return self._levers[still]
+    def moments(self, still: bool) -> GravityMoments:
+        """Moments of gravity in the poses (``still``) or the rows."""
+        if still not in self._moments:
+            self._moments[still] = gravity_moments(self.robot.chain, self.robot.pi, self.data.q_still if still else self.data.q)
+        return self._moments[still]
 
     @property
     def gravity(self) -> Array:
         """(N, n) gravity torque of the rows [N m]."""
-        return self._get("g", lambda: self.levers(False).torque(self.robot.chain.gravity))
+        return self._get("g", lambda: self.moments(False).torque(self.robot.chain.gravity))
 
     @property
     def swift(self) -> Array:
@@ -130,18 +130,18 @@ class Source:
         """(N or P, n, 2) derivative of the torques by roll and pitch of the base; exact, as gravity enters linearly."""
         gx, gy, gz = self.robot.chain.gravity
         turned = (-np.array([0.0, -gz, gy]), -np.array([gz, 0.0, -gx]))
-        return self._get(f"tilt{still}", lambda: np.stack([self.levers(still).torque(g) for g in turned], axis=-1))
+        return self._get(f"tilt{still}", lambda: np.stack([self.moments(still).torque(g) for g in turned], axis=-1))
 
     def stiff(self, joint: int, still: bool) -> Array:
         """(N or P, n): derivative of every joint's gravity torque by the position of ``joint`` [N m/rad]."""
-        return self._get(f"stiff{joint}{still}", lambda: self.levers(still).stiffness(self.robot.chain.gravity, joint))
+        return self._get(f"stiff{joint}{still}", lambda: self.moments(still).stiffness(self.robot.chain.gravity, joint))
 
     def fine(self, joint: int) -> Signals:
         """Signals at the recording's rate, for laws of position, speed, direction, temperature and load."""
         d = self.data
         kelvin = 0.0 if d.temp_fine is None else d.temp_fine[:, joint] - REFERENCE_TEMPERATURE
         return Signals(
-            q=d.q_fine[:, joint], dq=d.dq_fine[:, joint], way=d.way_fine[:, joint], temp=kelvin,
+            q=d.q_fine[:, joint], dq=d.dq_fine[:, joint], way=d.direction_fine[:, joint], temp=kelvin,
             warm=d.warm_fine, load=self.load_fine[:, joint], t=d.t_fine,
         )  # fmt: skip
 
@@ -155,11 +155,11 @@ class Source:
         d, Y = self.data, self.regressor
         rotor = self.robot.rotor[joint] * d.ddq[:, joint]
         friction = self.friction[joint] if len(self.friction) else np.zeros(2)
-        tau = self.link[:, joint] + rotor + friction[0] * d.way[:, joint] + friction[1] * d.dq[:, joint]
+        tau = self.link[:, joint] + rotor + friction[0] * d.direction[:, joint] + friction[1] * d.dq[:, joint]
         smooth = self.link[:, joint] + rotor + friction[1] * d.dq[:, joint]
         still, swift = self.gravity[:, joint], self.swift[:, joint]
         return Signals(
-            q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], way=d.way[:, joint], load=still, tau=tau,
+            q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], way=d.direction[:, joint], load=still, tau=tau,
             dtau=self._rate(calm(smooth, self.first)), link=self.link[:, joint], tip=tuple(Y[:, joint, -10:].T),
             tilt=tuple(self.tilt(False)[:, joint].T), stiff=self.stiff(joint, False)[:, joint],
             inertia=self.mass[:, joint, joint], coriolis=swift - still, t=d.t, warm=d.warm,

@@ -47,6 +47,15 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
+class Form:
+    """What a claimed law leaves where its form is not quite true; ``cols``: global columns, each the law's torque times one
+    function of what it looks at."""
+
+    of: tuple[str, tuple[int, ...]]
+    cols: Index
+
+
+@dataclass(frozen=True, slots=True)
 class Scored:
     """A candidate against the current model: ``score`` twice the log Bayes factor; ``theta``, ``cov`` of its terms."""
 

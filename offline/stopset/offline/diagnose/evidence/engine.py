@@ -1,9 +1,9 @@
-"""The engine of the diagnosis: rows and columns of all joints, the current model, and its fit by evidence."""
+"""The engine of the diagnosis: rows and columns of all joints, computed once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,37 +15,24 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
-from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, Projection, project
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
-from stopset.offline.diagnose.rows.prepare import Index, Mask, Prepared, prepare
+from stopset.offline.diagnose.rows.prepare import Index, Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
 
-__all__ = ["FOLDS", "Candidate", "Engine", "Hyper", "Known", "Scored"]
-
 SAME = 0.01  # prior deviation of the torque's scale from that of the recordings that a model is from
-GIVEN = 1e-7  # prior deviation of a coefficient that is given
-KEPT = 64  # columns of tried shapes that are kept: a search comes back to them
-
-
-@dataclass(frozen=True, slots=True)
-class Hyper:
-    """What evidence chooses: friction scale ``sigma`` and noise variance ``kappa`` per joint; ``scale``, ``rotor``: how far the
-    description's links and the data sheet's inertias are off, in units of their tolerance."""
-
-    sigma: tuple[float, ...]
-    kappa: tuple[float, ...]
-    scale: float
-    rotor: float = 1.0
+RECENT = 8  # laws whose columns are kept
+CACHED = 64  # columns of tried shapes that are kept: a search comes back to them
 
 
 @dataclass(slots=True)
 class Engine:
-    """Everything computed once: rows, columns and their sums; the base model and what has been added to it."""
+    """Everything computed once: rows, columns and their sums; what is assumed of them stands in a `Hypothesis`."""
 
     robot: Robot
     data: Prepared
@@ -53,7 +40,7 @@ class Engine:
     rows: list[JointRows]
     fold_of_trial: Index
     friction: Array  # (n, 2) F_c, F_v of the first fit
-    told: Array  # (n, 2) the part of it that was taken off the rows beforehand
+    taken_off: Array  # (n, 2) the part of it that was taken off the rows beforehand
     grams: list[JointGram]
     prior_sd: Array  # (1 + base columns,) of y (unused) and the base model; inf: flat
     cad: Index  # base columns whose prior is the robot description
@@ -62,11 +49,9 @@ class Engine:
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...] = limit.SCALES
     rotor_scales: tuple[float, ...] = limit.ROTOR_SCALES
-    active: list[Candidate] = field(default_factory=list)
-    held: tuple[int, ...] = ()  # base columns held at zero
     _level: dict[int, float] = field(default_factory=dict)
+    _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
-    _small: tuple[list[int], Engine] | None = field(default=None, init=False)  # the last `view`, and of which columns
 
     # -- building ---------------------------------------------------------------------------------------------------
 
@@ -87,8 +72,8 @@ class Engine:
         sd = np.full(2 + 15 * n, np.inf)
         sd[-1] = 1e-6 if compensated else SAME if known else limit.DRIVES  # torque constants off on all joints alike
         sd[base] = link_tolerance(robot, tol).ravel()
-        told = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
-        sd[own[:, 0]] = np.where(told, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
+        taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
+        sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
         sd[own[:, 4]] = 0.5 * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
         friction, grams = np.zeros((n, 2)), []
         for j in range(n):
@@ -97,7 +82,7 @@ class Engine:
                 sd[own[j, 1:3]] = np.maximum(known.spread * known.friction[j], 1e-3)
                 X[:, 0] -= X[:, -4:-2] @ known.friction[j]
             friction[j] = known.friction[j] if known else first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]))
-            f = rows[j].column(np.stack([data.way[:, j], data.dq[:, j]], axis=1) * friction[j])
+            f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, [1 + 15 * n], own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
@@ -147,7 +132,7 @@ class Engine:
         k = len(effect.terms)
         power, level, count = np.zeros(k), 0.0, 0
         parts = {}
-        for i, (moving, still) in columns(self.source, effect, joints, shapes).items():
+        for i, (moving, still) in self.columns(effect, joints, shapes).items():
             plain = self.rows[i].plain(moving)
             power += (plain**2).sum(axis=0)
             count += len(plain)
@@ -165,27 +150,32 @@ class Engine:
         sd = np.where(np.isfinite(span), np.minimum(sd, span / 2), sd)
         return Candidate(effect, joints, dict(shapes), np.arange(self.size, self.size + k), sd), parts
 
+    def columns(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
+        """`columns` of a law over rows and poses; the last `RECENT` are kept, as those of a claim are asked for again."""
+        key = (effect.name, joints, tuple(shapes.items()))
+        if key not in self._columns:
+            self._columns[key] = columns(self.source, effect, joints, shapes)
+            while len(self._columns) > RECENT:
+                del self._columns[next(iter(self._columns))]
+        return self._columns[key]
+
     def make_again(
         self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
     ) -> tuple[Candidate, dict[int, Array]] | None:
-        """`make` for a search that comes back to the same shapes: the last `KEPT` are kept."""
+        """`make` for a search that comes back to the same shapes: the last `CACHED` are kept."""
         key = (effect.name, joints, tuple(shapes.items()))
         if key in self._made:
             return self._made[key]
         made = self._made[key] = self.make(effect, joints, shapes)
-        while len(self._made) > KEPT:
+        while len(self._made) > CACHED:
             del self._made[next(iter(self._made))]
         return made
-
-    def hold(self, columns: tuple[int, ...]) -> None:
-        """Hold these base columns, and no others, at zero."""
-        self.held, self._small = columns, None
 
     def forget(self, joint: int) -> None:
         """Forget what was computed from other rows of ``joint``."""
         self._made.clear()
+        self._columns.clear()
         self._level.pop(joint, None)
-        self._small = None
 
     def level(self, joint: int) -> float:
         """Typical friction torque of a joint [N m], the measure of what is large."""
@@ -199,130 +189,13 @@ class Engine:
         """Whether gravity loads one of ``joints`` in these motions."""
         return any(float(np.ptp(self.source.gravity[:, j])) >= limit.FLAT * self.level(j) for j in joints)
 
-    # -- the current model ------------------------------------------------------------------------------------------
-
-    @property
-    def nuisance(self) -> Index:
-        """Global columns of the base model and of what was added."""
-        base = np.arange(1, len(self.prior_sd))
-        return np.concatenate([base, *(c.cols for c in self.active)]).astype(np.intp)
-
-    def precision(self, h: Hyper) -> Array:
-        """Prior precision of `nuisance`; ``h`` says how well description and data sheet hold.
-
-        A delay that was added is `given`, and says all about its joint's stamps.
-        """
-        sd = self.prior_sd.copy()
-        sd[self.cad] *= h.scale
-        sd[self.rotors] *= h.rotor
-        late = [self.stamps[c.joints[0]] for c in self.active if c.effect.enters == "input_delay"]
-        sd[[*self.held, *late]] = 1e-6
-        return 1.0 / np.concatenate([sd[1:], *(c.sd if c.given is None else np.array([GIVEN]) for c in self.active)]) ** 2
-
-    @property
-    def mean(self) -> Array:
-        """Prior mean of `nuisance`: zero but for what is `given`."""
-        return np.concatenate([np.zeros(len(self.prior_sd) - 1), *(np.full(len(c.cols), c.given or 0.0) for c in self.active)])
-
-    def total(self, hyper: Hyper, folds: Mask | None = None) -> tuple[Array, float]:
-        """(C, C) Gram of all joints and the friction scales' log determinant."""
-        G, logdet = np.zeros((self.size, self.size)), 0.0
-        for gram, s, k in zip(self.grams, hyper.sigma, hyper.kappa, strict=True):
-            part, ld = gram.at(s, k, folds)
-            G[np.ix_(gram.index, gram.index)] += part
-            logdet += ld
-        return G, logdet
-
-    def criterion(self, p: Projection, h: Hyper, logdet: float) -> float:
-        """Twice the log evidence of the model without candidate, up to a constant of the data."""
-        precision = self.precision(h)
-        price = sum(c.price for c in self.active)
-        return -(p.rss + p.logdet - float(np.log(precision[precision > 0]).sum()) + logdet + price)
-
-    def fit(self, start: Hyper | None = None) -> tuple[Hyper, Projection]:
-        """The current model's hyperparameters by evidence, and its coefficients."""
-        n = self.data.n
-        view = self.view()
-        h = start or Hyper((0.02,) * n, (1.0,) * n, min(1.0, self.scales[-1]))
-        for _ in range(3):
-            before = h
-            for j in range(n):
-                if len(view.grams[j].starts) >= limit.SCATTERED:  # of fewer trials no scatter is known: it stays at the usual one
-                    h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
-            h = view._best(h, [replace(h, scale=s) for s in self.scales])
-            h = view._best(h, [replace(h, rotor=s) for s in self.rotor_scales])
-            p = view._project(h)[0]
-            h = replace(h, kappa=tuple(view.kappa(j, p.theta, h.sigma[j]) for j in range(n)))
-            if h == before:
-                break
-        return h, view._project(h)[0]
-
-    def tell_source(self, theta: Array) -> None:
-        """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `nuisance`."""
+    def update_source(self, theta: Array) -> None:
+        """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n
         own = theta[10 * n : 15 * n].reshape(n, 5)
-        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.told]))
+        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.taken_off]))
         self._made.clear()
-
-    def descriptions(self, h: Hyper) -> list[Hyper]:
-        """``h`` with the description or the data sheet holding better or worse."""
-        links = [replace(h, scale=s) for s in self.scales if s != h.scale]
-        return links + [replace(h, rotor=s) for s in self.rotor_scales if s != h.rotor]
-
-    def evidence(self, h: Hyper) -> float:
-        """Twice the log evidence of the current model at ``h``, comparable between models of the same data."""
-        view = self.view()
-        p, logdet = view._project(h)
-        spread = sum(r.size * float(np.log(k)) for r, k in zip(self.rows, h.kappa, strict=True))
-        return view.criterion(p, h, logdet) - spread
-
-    def view(self) -> Engine:
-        """This engine with only the columns of y and the current model: small and quick to refit; the last one is kept."""
-        wanted = np.concatenate([[0], self.nuisance])
-        if self._small is None or self._small[0] != wanted.tolist():
-            number = np.full(self.size, -1)
-            number[wanted] = np.arange(len(wanted))
-            grams = []
-            for gram in self.grams:
-                small = gram.keep(np.flatnonzero(number[gram.index] >= 0))
-                small.index = number[small.index]
-                grams.append(small)
-            active = [replace(c, cols=number[c.cols]) for c in self.active]
-            self._small = wanted.tolist(), replace(self, grams=grams, size=len(wanted), active=active)
-        return self._small[1]
-
-    def _project(self, h: Hyper) -> tuple[Projection, float]:
-        G, logdet = self.total(h)
-        return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h), self.mean), logdet
-
-    def _best(self, now: Hyper, choices: Sequence[Hyper]) -> Hyper:
-        """The choice of highest evidence uphill from ``now``: it has a single top along the choices, which stand in order."""
-        values: dict[int, float] = {}
-
-        def value(k: int) -> float:
-            if k not in values:
-                p, logdet = self._project(choices[k])
-                values[k] = self.criterion(p, choices[k], logdet)
-            return values[k]
-
-        at = choices.index(now) if now in choices else len(choices) // 2
-        while better := [k for k in (at - 1, at + 1) if 0 <= k < len(choices) and value(k) > value(at)]:
-            at = max(better, key=value)
-        return choices[at]
-
-    def kappa(self, joint: int, theta: Array, sigma: float) -> float:
-        """Residual variance of a joint's rows over the sensors' own noise; 1 where nothing is missing."""
-        return max(1.0, self.excess(joint, theta, sigma, 1.0))
-
-    def excess(self, joint: int, theta: Array, sigma: float, kappa: float) -> float:
-        """As `kappa`, not cut off at 1; ``theta``: coefficients of `nuisance`."""
-        gram = self.grams[joint]
-        full = np.zeros(self.size)
-        full[0] = -1.0
-        full[self.nuisance] = theta
-        G, _ = gram.at(sigma, kappa)
-        v = full[gram.index]
-        return float(v @ G @ v * kappa) / max(1, self.rows[joint].size)
+        self._columns.clear()
 
 
 def _motions(data: Prepared) -> dict[Any, int]:
@@ -334,7 +207,3 @@ def _motions(data: Prepared) -> dict[Any, int]:
         ends[trial.unit] = ends[trial.unit].until(own) if trial.unit in ends else own
     recordings = uncut(list(ends.values()))
     return {unit: list(dict.fromkeys(recordings)).index(r) for unit, r in zip(ends, recordings, strict=True)}
-
-
-def _put(values: tuple[float, ...], j: int, value: float) -> tuple[float, ...]:
-    return (*values[:j], value, *values[j + 1 :])

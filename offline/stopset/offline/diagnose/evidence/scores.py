@@ -9,8 +9,8 @@ import numpy as np
 
 from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.prepare import Index
 from stopset.types import Array
 
@@ -36,43 +36,43 @@ class _Best:
         return sorted(self.scored.values(), key=lambda r: -r.score)
 
 
-def scores(engine: Engine, candidates: Sequence[Candidate], hyper: Hyper, quick: bool = False) -> list[Scored]:
-    """Every candidate against the current model of ``engine``, best first, each with its own best hyperparameters.
+def scores(now: Hypothesis, candidates: Sequence[Candidate], hyper: Hyper, quick: bool = False) -> list[Scored]:
+    """Every candidate against the hypothesis ``now``, best first, each with its own best hyperparameters.
 
     ``quick``: at the hyperparameters given, for comparing shapes of one effect.
     """
     if not candidates:
         return []
     everyone = range(len(candidates))
-    best, nuisance = _Best(candidates), engine.nuisance
+    best, nuisance = _Best(candidates), now.nuisance
     rest = np.unique(np.concatenate([c.cols for c in candidates]))
-    G, logdet = engine.total(hyper)
-    p = project(G, 0, nuisance, rest, engine.precision(hyper), engine.mean)
-    reference = engine.criterion(p, hyper, logdet)
+    G, logdet = now.total(hyper)
+    p = project(G, 0, nuisance, rest, now.precision(hyper), now.mean)
+    reference = now.criterion(p, hyper, logdet)
     best.consider(p, rest, 0.0, everyone)
     if quick:
         return best.ranked()
-    for other in engine.descriptions(hyper):
-        p = project(G, 0, nuisance, rest, engine.precision(other), engine.mean)
-        best.consider(p, rest, engine.criterion(p, other, logdet) - reference, everyone)
-    for j in range(engine.data.n):
+    for other in now.descriptions(hyper):
+        p = project(G, 0, nuisance, rest, now.precision(other), now.mean)
+        best.consider(p, rest, now.criterion(p, other, logdet) - reference, everyone)
+    for j in range(now.engine.data.n):
         touching = [k for k in everyone if j in candidates[k].joints]
         if touching:
-            _other_scatter(engine, j, touching, hyper, (G, logdet, reference), best)
+            _other_scatter(now, j, touching, hyper, (G, logdet, reference), best)
     return best.ranked()
 
 
 def _other_scatter(
-    engine: Engine, joint: int, touching: Sequence[int], hyper: Hyper, base: tuple[Array, float, float], best: _Best
+    now: Hypothesis, joint: int, touching: Sequence[int], hyper: Hyper, base: tuple[Array, float, float], best: _Best
 ) -> None:
     """The candidates ``touching`` a joint, tried with every smaller scatter of its friction; only their columns are needed."""
     G, logdet, reference = base
-    nuisance = engine.nuisance
+    nuisance = now.nuisance
     rest = np.unique(np.concatenate([best.candidates[k].cols for k in touching]))
     wanted = np.concatenate([[0], nuisance, rest]).astype(np.intp)
-    number = np.full(engine.size, -1)
+    number = np.full(now.engine.size, -1)
     number[wanted] = np.arange(len(wanted))
-    gram = engine.grams[joint].keep(np.flatnonzero(number[engine.grams[joint].index] >= 0), rows=False)
+    gram = now.engine.grams[joint].keep(np.flatnonzero(number[now.engine.grams[joint].index] >= 0), rows=False)
     at = np.ix_(number[gram.index], number[gram.index])
     few = G[np.ix_(wanted, wanted)]
     here, ld = gram.at(hyper.sigma[joint], hyper.kappa[joint])
@@ -80,25 +80,21 @@ def _other_scatter(
         there, ld2 = gram.at(float(s), hyper.kappa[joint])
         changed = few.copy()
         changed[at] += there - here
-        p = project(changed, 0, number[nuisance], number[rest], engine.precision(hyper), engine.mean)
-        best.consider(p, rest, engine.criterion(p, hyper, logdet + ld2 - ld) - reference, touching)
+        p = project(changed, 0, number[nuisance], number[rest], now.precision(hyper), now.mean)
+        best.consider(p, rest, now.criterion(p, hyper, logdet + ld2 - ld) - reference, touching)
 
 
 def score_new(
-    engine: Engine,
-    effect: Effect,
-    joints: tuple[int, ...],
-    shapes: Mapping[str, float],
-    hyper: Hyper,
-    quick: bool = False,
-    held: tuple[int, ...] = (),
+    now: Hypothesis, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float], hyper: Hyper, quick: bool = False
 ) -> Scored | None:
-    """Score of an effect with new shapes, without keeping its columns in the engine; ``held``: base columns held at zero."""
-    made = engine.make_again(effect, joints, shapes)
+    """Score of an effect with new shapes beside ``now``, without keeping its columns in the engine."""
+    made = now.engine.make_again(effect, joints, shapes)
     if made is None:
         return None
     candidate, parts = made
-    view = engine.view()
-    candidate = replace(candidate, cols=np.arange(view.size, view.size + len(candidate.cols)))
-    grams = [g.bordered(parts[i], candidate.cols, rows=False) if i in parts else g for i, g in enumerate(view.grams)]
-    return scores(replace(view, grams=grams, size=view.size + len(candidate.cols), held=held), [candidate], hyper, quick)[0]
+    view = now.view()
+    own = view.engine
+    candidate = replace(candidate, cols=np.arange(own.size, own.size + len(candidate.cols)))
+    grams = [g.bordered(parts[i], candidate.cols, rows=False) if i in parts else g for i, g in enumerate(own.grams)]
+    wider = replace(own, grams=grams, size=own.size + len(candidate.cols))
+    return scores(replace(view, engine=wider), [candidate], hyper, quick)[0]

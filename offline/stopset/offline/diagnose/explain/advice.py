@@ -13,10 +13,10 @@ def to_decide(rivals: Sequence[Sequence[str]]) -> str | None:
     """The experiment that tells a claim from its rivals; ``rivals``: groups of ``effect:joint``, the claim first."""
     for first, *others in rivals:
         name = first.partition(":")[0]
-        told = get(name).tell_apart
+        experiment = get(name).tell_apart
         if others and all(o.partition(":")[0] == name for o in others):
-            told = f"Move the joints one after another, each alone, the others held in several poses. {told}"
-        return f"To tell {first} from {' and '.join(others)}: {told}"
+            experiment = f"Move the joints one after another, each alone, the others held in several poses. {experiment}"
+        return f"To tell {first} from {' and '.join(others)}: {experiment}"
     return None
 
 

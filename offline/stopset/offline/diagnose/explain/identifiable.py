@@ -14,8 +14,10 @@ import numpy as np
 
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import Projection, gain, project
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 
 LOADS = frozenset({"load", "stiff", "tilt"})
 
@@ -49,13 +51,14 @@ class Blind:
 
 
 def blind_spots(
-    engine: Engine, hyper: Hyper, candidates: Sequence[Candidate], names: Sequence[str] | None = None
+    now: Hypothesis, hyper: Hyper, candidates: Sequence[Candidate], names: Sequence[str] | None = None
 ) -> tuple[Blind, ...]:
     """Effects of the catalogue (of ``names``) that these recordings would not show, one entry per effect and reason.
 
     ``candidates``: those whose columns the engine has already; the others are added with the middle of their shapes' grids.
     """
-    taken = {c.key for c in engine.active}
+    engine = now.engine
+    taken = {c.key for c in now.active}
     asked: list[tuple[str, tuple[int, ...]]] = []
     found: dict[tuple[str, str], list[str]] = {}
     for effect in catalogue().values():
@@ -71,7 +74,7 @@ def blind_spots(
     more = [
         (catalogue()[name], place, catalogue()[name].shape_values(None)) for name, place in asked if (name, place) not in tried
     ]
-    shown = _shown(engine, hyper, [c for c in (*candidates, *engine.add_all(more)) if c.key in asked])
+    shown = _shown(now, hyper, [c for c in (*candidates, *engine.add_all(more)) if c.key in asked])
     for name, place in asked:
         why = _hidden(engine, place, shown.get((name, place)), frozenset(catalogue()[name].needs))
         if why:
@@ -105,16 +108,16 @@ def _whole(engine: Engine, effect: Effect) -> str | None:
 
 
 def _shown(
-    engine: Engine, hyper: Hyper, candidates: Sequence[Candidate]
+    now: Hypothesis, hyper: Hyper, candidates: Sequence[Candidate]
 ) -> dict[tuple[str, tuple[int, ...]], tuple[float, float]]:
     """Per effect and joints: the evidence it would have at its usual size, and the share of its torque hidden by the base."""
     if not candidates:
         return {}
     rest = np.unique(np.concatenate([c.cols for c in candidates]))
-    place = np.full(engine.size, -1)
+    place = np.full(now.engine.size, -1)
     place[rest] = np.arange(len(rest))
-    G, _ = engine.total(hyper)
-    p = project(G, 0, engine.nuisance, rest, engine.precision(hyper), engine.mean)
+    G, _ = now.total(hyper)
+    p = project(G, 0, now.nuisance, rest, now.precision(hyper), now.mean)
     out: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {}
     for c in candidates:
         ix = place[c.cols]

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.explain.residual import Dependence, predicted, whitened
 from stopset.types import Array
 
@@ -23,27 +23,27 @@ class Pattern:
     together: bool  # the error follows the first variable's steps times the second variable
 
 
-def pattern(engine: Engine, theta: Array, hyper: Hyper, joint: int, alone: Sequence[Dependence], least: float) -> Pattern | None:
+def pattern(now: Hypothesis, theta: Array, hyper: Hyper, joint: int, alone: Sequence[Dependence], least: float) -> Pattern | None:
     """What the leftover of ``joint`` depends on; None where no variable reaches a gain of ``least``.
 
     ``alone``: the single variables, best first.
     """
     best = alone[0] if alone else None
-    pair = _best_product(engine, theta, hyper, joint)
+    pair = _best_product(now, theta, hyper, joint)
     if pair is not None and pair.gain > max(least, limit.TOGETHER * (best.gain if best else 0.0)):
         return Pattern(tuple(pair.variable.split(" * ")), pair.share, True)
     if best is None or best.gain <= least:
         return None
-    told = [d for d in alone if d.gain > least and d.share > 0.5 * best.share][:3]
-    names = dict.fromkeys(part for d in told for part in d.variable.split(" * "))
+    strong = [d for d in alone if d.gain > least and d.share > 0.5 * best.share][:3]
+    names = dict.fromkeys(part for d in strong for part in d.variable.split(" * "))
     return Pattern(tuple(names), best.share, False)
 
 
-def _best_product(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> Dependence | None:
+def _best_product(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> Dependence | None:
     """The pair of variables, steps of the one times the other, that predicts most of the leftover on held-out motions."""
-    rows, d = engine.rows[joint], engine.data
+    rows, d = now.engine.rows[joint], now.engine.data
     take = rows.take
-    r, fold = whitened(engine, theta, hyper, joint)
+    r, fold = whitened(now, theta, hyper, joint)
     states = [(f"q_{name}", d.q[take, k]) for k, name in enumerate(d.joints)]
     states += [(f"dq_{name}", d.dq[take, k]) for k, name in enumerate(d.joints)]
     found = []

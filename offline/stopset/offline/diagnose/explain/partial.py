@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.columns.laws import columns
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.types import Array
 
 POINTS = 800  # drawn per effect
@@ -33,19 +34,19 @@ class Partial:
     slope: float
 
 
-def partial(engine: Engine, hyper: Hyper, theta: Array, candidate: Candidate, joint: int) -> Partial | None:
-    """Points of the claimed ``candidate`` at ``joint``; ``theta``: coefficients of the engine's nuisance, the claim among them."""
+def partial(now: Hypothesis, hyper: Hyper, theta: Array, candidate: Candidate, joint: int) -> Partial | None:
+    """Points of the claimed ``candidate`` at ``joint``; ``theta``: coefficients of ``now``, the claim among them."""
+    engine = now.engine
     shapes = candidate.shapes if candidate.given is None else {}  # a shifted record holds noise: drawn is the law's first order
     made = columns(engine.source, candidate.effect, candidate.joints, shapes)
     rows = engine.rows[joint]
     if joint not in made or not len(rows.take):
         return None
-    view = engine.view()
-    gram = view.grams[joint]
+    gram = now.view().engine.grams[joint]
     full = np.concatenate([[1.0], -theta])
     k = len(rows.take)
     left = rows.whiten.coloured(gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k])
-    where = {column: at for at, column in enumerate(engine.nuisance.tolist())}
+    where = {column: at for at, column in enumerate(now.nuisance.tolist())}
     value = theta[[where[c] for c in candidate.cols.tolist()]]
     phi = rows.plain(made[joint][0])
     torque = phi @ value

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
+from stopset.offline.campaign.hold_out import FOLDS
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.prepare import Index
 from stopset.offline.diagnose.search.held_out import by_time, few_motions
 from stopset.types import Array
@@ -25,35 +27,35 @@ class Dependence:
     gain: float = 0.0  # as 2 log likelihood over the joint's rows
 
 
-def whitened(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> tuple[Array, Index]:
+def whitened(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> tuple[Array, Index]:
     """(K,) whitened residual of a joint's moving rows, friction scales of the trials taken out, and the rows' folds."""
-    gram, k = engine.view().grams[joint], len(engine.rows[joint].take)
+    gram, k = now.view().engine.grams[joint], len(now.engine.rows[joint].take)
     full = np.concatenate([[1.0], -theta])
     return gram.residual(full[gram.index], hyper.sigma[joint], hyper.kappa[joint])[:k], gram.row_fold[:k]
 
 
-def dependences(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> list[Dependence]:
+def dependences(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> list[Dependence]:
     """Variables ranked by the share of the joint's leftover that a step function of them predicts on held-out motions."""
-    rows, d = engine.rows[joint], engine.data
-    take = rows.take
-    r, fold = whitened(engine, theta, hyper, joint)
-    way, bins = d.way[take, joint], BINS
+    engine, d = now.engine, now.engine.data
+    take = engine.rows[joint].take
+    r, fold = whitened(now, theta, hyper, joint)
+    direction, bins = d.direction[take, joint], BINS
     if few_motions(engine):  # blocks of time are held out, and steps of time must be longer than they are
         fold, bins = by_time(engine, joint)[: len(take)], FEW_BINS
     found = []
     for name, x in _variables(engine, joint, take):
-        for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", way)):
+        for suffix, weight in (("", np.ones(len(take))), (f" * direction of dq_{d.joints[joint]}", direction)):
             share = predicted(r, x, weight, fold, bins)
             found.append(Dependence(joint, name + suffix, share, share * len(take)))
     return sorted(found, key=lambda f: -f.share)
 
 
-def slow_excess(engine: Engine, theta: Array, hyper: Hyper, joint: int) -> float:
+def slow_excess(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> float:
     """Variance of the whitened residual's half-second sums, 1 for noise: what wanders slowly shows here long before in single rows."""
-    rows = engine.rows[joint]
-    r, _ = whitened(engine, theta, hyper, joint)
+    rows = now.engine.rows[joint]
+    r, _ = whitened(now, theta, hyper, joint)
     sums = [0.0]
-    trial = engine.data.trial[rows.take]
+    trial = now.engine.data.trial[rows.take]
     for part in np.split(r, np.flatnonzero(np.diff(trial)) + 1):
         whole = len(part) // BLOCK * BLOCK
         sums.extend(part[:whole].reshape(-1, BLOCK).sum(axis=1))

@@ -15,7 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.prepare import Index
 from stopset.types import Array
 
@@ -25,12 +27,12 @@ TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 STEP = 0.01  # relative step of a shape's numerical derivative
 
 
-def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
-    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of the engine's nuisance, claims included."""
-    view = engine.view()
-    place = {column: k for k, column in enumerate(engine.nuisance.tolist())}
-    grams, precision, shapes = list(view.grams), [view.precision(hyper)], []
-    size = view.size
+def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
+    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of ``now``, claims included."""
+    engine, view = now.engine, now.view()
+    place = {column: k for k, column in enumerate(now.nuisance.tolist())}
+    grams, precision, shapes = list(view.engine.grams), [view.precision(hyper)], []
+    size = view.engine.size
     for number, c in enumerate(claims):
         value = theta[[place[k] for k in c.cols.tolist()]]
         varied = [(s.symbol, s.hi - s.lo) for s in (c.effect.shapes if c.given is None else c.effect.terms)]
@@ -42,8 +44,8 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
                 shapes.append((number, symbol, size - 1))
                 precision.append(np.array([4.0 / span**2]))
                 size += 1
-    wide = replace(view, grams=grams, size=size)
-    full = np.concatenate([theta, np.zeros(size - view.size)])
+    wide = replace(view, engine=replace(view.engine, grams=grams, size=size))
+    full = np.concatenate([theta, np.zeros(size - view.engine.size)])
     P = np.concatenate(precision)
     A = wide.total(hyper)[0][1:, 1:] + np.diag(P)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))  # a column that these motions leave empty tells nothing
@@ -54,13 +56,13 @@ def deviations(engine: Engine, hyper: Hyper, theta: Array, claims: Sequence[Cand
     out = [{t.symbol: float(sd[place[k]]) for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True)} for c in claims]
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
-    for c, told in zip(claims, out, strict=True):
+    for c, deviation in zip(claims, out, strict=True):
         if c.effect.carried:  # a load is known no better than the torque it is weighed with
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
-                told[t.symbol] = float(np.hypot(told[t.symbol], engine.source.gain_std * theta[place[k]]))
+                deviation[t.symbol] = float(np.hypot(deviation[t.symbol], engine.source.gain_std * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
-            told[symbol] = float(np.hypot(told[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
+            deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
     return out
 
 
@@ -78,16 +80,16 @@ def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int,
     return {j: (up[1][j] - down[1][j]) @ value / (2 * STEP * x) for j in up[1]}
 
 
-def _scores(engine: Engine, wide: Engine, hyper: Hyper, theta: Array) -> Array:
+def _scores(engine: Engine, wide: Hypothesis, hyper: Hyper, theta: Array) -> Array:
     """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
     d, few = engine.data, len(engine.data.trials) < FEW_TRIALS
     parts = (d.t / PART).astype(np.intp) * few
     _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
     count = int(cluster.max()) + 1
     poses = max(r.still for r in engine.rows)
-    out = np.zeros((count + poses, wide.size - 1))
+    out = np.zeros((count + poses, wide.engine.size - 1))
     v = np.concatenate([[1.0], -theta])
-    for gram, rows, sigma, kappa in zip(wide.grams, engine.rows, hyper.sigma, hyper.kappa, strict=True):
+    for gram, rows, sigma, kappa in zip(wide.engine.grams, engine.rows, hyper.sigma, hyper.kappa, strict=True):
         r = gram.residual(v[gram.index], sigma, kappa) / kappa
         of: Index = np.concatenate([cluster[rows.take], count + np.arange(rows.still)]).astype(np.intp)
         first = np.flatnonzero(np.diff(of, prepend=-1))

@@ -80,9 +80,9 @@ class Trial:
 class Prepared:
     """All moving trials one after another, and the poses held still.
 
-    Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``way`` smoothed direction, ``ok`` the row of this joint says
+    Rows (N, n): ``q, dq, ddq, tau`` [rad, rad/s, rad/s^2, N m], ``direction`` smoothed direction, ``ok`` the row of this joint says
     something, ``temp`` [degC] or None, ``warm`` (N,) place in the session, ``trial`` (N,) index, ``centre`` (N,) its sample.
-    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, way_fine``; as recorded: ``tau_fine, temp_fine``; (M,)
+    Fine (M, n): the samples lightly smoothed: ``q_fine, dq_fine, direction_fine``; as recorded: ``tau_fine, temp_fine``; (M,)
     ``warm_fine, t_fine``.
     Standstill (P, n): ``q_still, tau_still``, the mean over a pose's approaches from both sides; ``spread_still``: half their
     difference.
@@ -99,7 +99,7 @@ class Prepared:
     dq: Array
     ddq: Array
     tau: Array
-    way: Array
+    direction: Array
     ok: Mask
     temp: Array | None
     warm: Array
@@ -107,7 +107,7 @@ class Prepared:
     centre: Index
     q_fine: Array
     dq_fine: Array
-    way_fine: Array
+    direction_fine: Array
     tau_fine: Array
     temp_fine: Array | None
     warm_fine: Array
@@ -194,23 +194,23 @@ def prepare(recordings: Recordings) -> Prepared:
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
     temp_fine = np.concatenate(temps) if len(temps) == len(grids) else None
     centre, torn = np.concatenate(centres), np.concatenate([g.torn for _, g in grids])
-    dq, way = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
+    dq, direction = _at(fine["raw"], centre, kernel.h1), _at(np.sign(fine["dq"]), centre, kernel.h)
     start = np.zeros(offset, bool)
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    told = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > 20]
-    noise = [[x for p, x, _ in told if p == phase] or [x for _, x, _ in told] for phase in phases]
+    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > 20]
+    noise = [[x for p, x, _ in noises if p == phase] or [x for _, x, _ in noises] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
         joints=recordings.meta.joints, kernel=kernel, step=step, trials=tuple(trials), t=fine["t"][centre],
         q=_at(fine["raw"], centre, kernel.h), dq=dq, ddq=_at(fine["raw"], centre, kernel.h2),
-        tau=_at(fine["tau"], centre, kernel.h), way=way, ok=_moving(fine["dq"], way, centre, kernel) & _whole(torn, centre, kernel),
+        tau=_at(fine["tau"], centre, kernel.h), direction=direction, ok=_moving(fine["dq"], direction, centre, kernel) & _whole(torn, centre, kernel),
         temp=None if temp_fine is None else _at(temp_fine, centre, kernel.h), warm=fine["warm"][centre],
         trial=which, centre=centre,
-        q_fine=fine["q"], dq_fine=fine["dq"], way_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
+        q_fine=fine["q"], dq_fine=fine["dq"], direction_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
-        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in told], axis=0),
+        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in noises], axis=0),
         phase=np.array([phases.index(r.phase) for r, _ in grids])[which], sampling=in_words([g for _, g in grids]),
     )  # fmt: skip
 
@@ -228,13 +228,13 @@ def _whole(torn: Mask, centre: Index, kernel: Kernel) -> Mask:
     return np.asarray(before[centre + kernel.half + 1] == before[centre - kernel.half])[:, None]
 
 
-def _moving(dq_fine: Array, way: Array, centre: Index, kernel: Kernel) -> Mask:
+def _moving(dq_fine: Array, direction: Array, centre: Index, kernel: Kernel) -> Mask:
     """Rows whose joint keeps one direction and moves faster than `CREEP` all through the kernel's inner half."""
-    slow = np.zeros(way.shape, bool)
+    slow = np.zeros(direction.shape, bool)
     reach = kernel.half // 2
     for k in range(-reach, reach + 1):
         slow |= np.abs(dq_fine[centre + k]) < CREEP
-    return (np.abs(way) > 1 - 1e-6) & ~slow
+    return (np.abs(direction) > 1 - 1e-6) & ~slow
 
 
 def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
@@ -243,13 +243,13 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
     for r in recordings:
         if r.phase == "static":
             poses.setdefault(r.suite_key, []).append(r)
-    kept: Sequence[list[Recording]] = [rs for rs in poses.values() if len(rs) > 1]
+    repeated: Sequence[list[Recording]] = [rs for rs in poses.values() if len(rs) > 1]
     n = len(recordings.meta.joints)
-    if not kept:
+    if not repeated:
         return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
-    q = np.array([np.mean([r.q.mean(axis=0) for r in rs], axis=0) for rs in kept])
-    tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in kept])
-    spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in kept])
+    q = np.array([np.mean([r.q.mean(axis=0) for r in rs], axis=0) for rs in repeated])
+    tau = np.array([np.mean([r.tau.mean(axis=0) for r in rs], axis=0) for rs in repeated])
+    spread = np.array([np.ptp([r.tau.mean(axis=0) for r in rs], axis=0) / 2 for rs in repeated])
     return q, tau, spread
 
 

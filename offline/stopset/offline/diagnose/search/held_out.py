@@ -1,12 +1,13 @@
-"""Torque errors of the current model on rows that its fit has not seen."""
+"""Torque errors of a hypothesis on rows that its fit has not seen."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stopset.offline.campaign.hold_out import BLOCK, GUARD
-from stopset.offline.diagnose.evidence.engine import FOLDS, Engine, Hyper
+from stopset.offline.campaign.hold_out import BLOCK, FOLDS, GUARD
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.prepare import Index, Mask
 from stopset.types import Array
 
@@ -24,28 +25,28 @@ def few_motions(engine: Engine) -> bool:
     return len(np.unique(engine.fold_of_trial)) < FOLDS
 
 
-def held_out(engine: Engine, hyper: Hyper) -> Array:
-    """(n,) torque error [N m] of the current model, RMS over motions that the fit has not seen.
+def held_out(now: Hypothesis, hyper: Hyper) -> Array:
+    """(n,) torque error [N m] of ``now``, RMS over motions that the fit has not seen.
 
     Where there are fewer motions than folds, blocks of time are held out in turn, with a guard interval at their ends: a motion
     left out alone would then leave nothing to fit.  Such errors speak of these motions only.
     """
-    view = engine.view()
+    engine, view = now.engine, now.view()
     n = engine.data.n
     few = few_motions(engine)
-    folds = [by_time(engine, j) if few else view.grams[j].row_fold for j in range(n)]
+    folds = [by_time(engine, j) if few else view.engine.grams[j].row_fold for j in range(n)]
     square, count = np.zeros(n), np.zeros(n)
     for fold in range(FOLDS):
         if few:
-            G = np.zeros((view.size, view.size))
-            for gram, row_fold, kappa in zip(view.grams, folds, hyper.kappa, strict=True):
+            G = np.zeros((view.engine.size, view.engine.size))
+            for gram, row_fold, kappa in zip(view.engine.grams, folds, hyper.kappa, strict=True):
                 G[np.ix_(gram.index, gram.index)] += _sums(gram, row_fold != fold, kappa)
         else:
             G, _ = view.total(hyper, np.arange(FOLDS) != fold)
         p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper), view.mean)
         theta = np.concatenate([[1.0], -p.theta])
         for j, rows in enumerate(engine.rows):
-            gram, k = view.grams[j], len(rows.take)
+            gram, k = view.engine.grams[j], len(rows.take)
             e = rows.whiten.coloured((gram.X @ theta[gram.index])[:k])
             here = folds[j][:k] == fold
             if few:

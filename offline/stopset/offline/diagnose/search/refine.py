@@ -8,21 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Candidate, Engine, Hyper, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
 
 CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
 
 
-def refined(engine: Engine, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
+def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
     """The best distinct contenders with their shapes refined, best first."""
     contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
     out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
     for s in scored:
         if len(contenders) < CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
             contenders.setdefault(s.candidate.key, s)
-    refined = [refine(engine, s, hyper) for s in contenders.values()]
-    return sorted((s for s in refined if possible(engine, s)), key=lambda s: -s.score)
+    refined = [refine(now, s, hyper) for s in contenders.values()]
+    return sorted((s for s in refined if possible(now.engine, s)), key=lambda s: -s.score)
 
 
 def possible(engine: Engine, s: Scored) -> bool:
@@ -36,22 +38,22 @@ def _out_of_step(s: Scored) -> bool:
     return s.candidate.effect.role == "swing" and not s.admissible and float(s.theta[0]) > 0
 
 
-def sharpened(engine: Engine, scored: Scored, hyper: Hyper) -> Candidate:
-    """An elasticity once it is beyond doubt: its exact column, so that steps of the torque leave no trace."""
+def sharpened(now: Hypothesis, scored: Scored, hyper: Hyper) -> Candidate:
+    """An elasticity once it is certain: its exact column, so that steps of the torque leave no trace."""
     c = scored.candidate
-    return c if c.effect.role != "swing" or "exact" in c.shapes else _climbed(engine, c, "exact", 0.4, hyper)
+    return c if c.effect.role != "swing" or "exact" in c.shapes else _climbed(now, c, "exact", 0.4, hyper)
 
 
-def begun(engine: Engine, elasticity: Candidate, hyper: Hyper) -> Candidate:
+def begun(now: Hypothesis, elasticity: Candidate, hyper: Hyper) -> Candidate:
     """An elasticity that has been claimed, with the swings that its trials began with."""
-    return _climbed(engine, elasticity, "begun", 0.06 if "begun" in elasticity.shapes else 0.16, hyper)
+    return _climbed(now, elasticity, "begun", 0.06 if "begun" in elasticity.shapes else 0.16, hyper)
 
 
-def _climbed(engine: Engine, c: Candidate, how: str, step: float, hyper: Hyper) -> Candidate:
+def _climbed(now: Hypothesis, c: Candidate, how: str, step: float, hyper: Hyper) -> Candidate:
     """The stiffness and damping of most evidence when the column is made as ``how`` says; ``step``: how far off they may be."""
 
     def value(shapes: Mapping[str, float]) -> Scored | None:
-        return score_new(engine, c.effect, c.joints, shapes, hyper, quick=True)
+        return score_new(now, c.effect, c.joints, shapes, hyper, quick=True)
 
     best = value({**c.shapes, how: 1.0})
     if best is None:
@@ -69,16 +71,16 @@ def _climbed(engine: Engine, c: Candidate, how: str, step: float, hyper: Hyper) 
     return best.candidate
 
 
-def _shifted(engine: Engine, start: Scored, hyper: Hyper) -> float:
+def _shifted(now: Hypothesis, start: Scored, hyper: Hyper) -> float:
     """The lag of most evidence near the one of ``start``, to half a millisecond; the stamps would take a share of it."""
     c = start.candidate
-    held = (int(engine.stamps[c.joints[0]]),)
+    held = replace(now, held=(int(now.engine.stamps[c.joints[0]]),))
     seen: dict[float, float] = {}
 
     def value(lag: float) -> float:
         lag = round(lag, 6)
         if lag not in seen:
-            s = score_new(engine, c.effect, c.joints, {"d0": lag}, hyper, quick=True, held=held) if lag else None
+            s = score_new(held, c.effect, c.joints, {"d0": lag}, hyper, quick=True) if lag else None
             seen[lag] = s.score if s is not None else -np.inf
         return seen[lag]
 
@@ -92,17 +94,17 @@ def _shifted(engine: Engine, start: Scored, hyper: Hyper) -> float:
     return best
 
 
-def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
+def refine(now: Hypothesis, scored: Scored, hyper: Hyper) -> Scored:
     """Search the shapes off their grid: compass search with shrinking steps, in the logarithm (linear for the ripple's n)."""
     effect, joints, charge = scored.candidate.effect, scored.candidate.joints, scored.candidate.charge
     shapes = dict(scored.candidate.shapes)
 
     def value(trial: Mapping[str, float]) -> Scored | None:
-        s = score_new(engine, effect, joints, trial, hyper, quick=True)
-        return s if s is not None and (possible(engine, s) or _out_of_step(s)) else None
+        s = score_new(now, effect, joints, trial, hyper, quick=True)
+        return s if s is not None and (possible(now.engine, s) or _out_of_step(s)) else None
 
     if "d0" in shapes:
-        shapes = {"d0": _shifted(engine, scored, hyper)}
+        shapes = {"d0": _shifted(now, scored, hyper)}
         if abs(shapes["d0"]) < limit.SHORTEST_LAG:
             return replace(scored, score=0.0)
     elif effect.shapes:
@@ -121,7 +123,7 @@ def refine(engine: Engine, scored: Scored, hyper: Hyper) -> Scored:
                         break
                 else:
                     steps[p.symbol] *= 0.4
-    final = score_new(engine, effect, joints, shapes, hyper)
+    final = score_new(now, effect, joints, shapes, hyper)
     if final is None:
         return scored
     return replace(final, score=final.score - charge, candidate=replace(final.candidate, charge=charge))

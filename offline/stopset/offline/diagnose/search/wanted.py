@@ -9,7 +9,8 @@ import numpy as np
 
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.engine import Engine, Hyper
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hyper
 
 LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.05, 0.08)  # [s] start values of a delay
 
@@ -53,12 +54,14 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
 
     There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
     """
-    loudest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > limit.LOUD), key=lambda j: -hyper.kappa[j])[:3]
+    noisiest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > limit.FAR_OVER_NOISE), key=lambda j: -hyper.kappa[j])[
+        :3
+    ]
     out: list[Wanted] = []
     for effect in catalogue().values():
         if names is not None and effect.name not in names:
             continue
-        for j in loudest:
+        for j in noisiest:
             if effect.role == "swing":
                 M = float(np.median(engine.source.mass[:, j, j]))
                 grid = [K for K in effect.shapes[0].grid if _swings(engine, j, K)]

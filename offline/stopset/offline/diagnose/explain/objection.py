@@ -11,7 +11,7 @@ WHOLE = 0.25  # a gear's swing has the size that its stiffness gives it: 1.00 an
 EDGE = 1e-3  # relative: a shape this near to the end of its range was stopped there, not found
 
 
-def doubt(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
+def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
     """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
     if all(abs(v) <= SURE * s for v, s in sizes.values() if s > 0) and any(s > 0 for _, s in sizes.values()):
