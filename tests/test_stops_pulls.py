@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stop_sampling import DT, draw, inverse_inertia, sample_stops, start_of
 from stopset.artifact import Model
-from stopset.offline.stops.sampling import DT, draw, inverse_inertia, sample_stops, start_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, Slices, point_motion, slices
 from stopset.reach.stops.parts import ALL_PARTS, Parts

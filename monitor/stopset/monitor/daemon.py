@@ -32,7 +32,7 @@ from stopset.monitor.orders import Orders
 from stopset.monitor.override import Advisor
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import U64, Outlet, Publisher
-from stopset.monitor.realtime import Claim
+from stopset.monitor.realtime import Granted
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.report import Tally, Turn, health, twin
 from stopset.monitor.sample import Sample
@@ -62,7 +62,7 @@ class Beside:
     desk: StopDesk | None = None
     load: Callable[[], Model] | None = None
     recorder: Recorder | None = None
-    granted: Claim = Claim({})  # noqa: RUF009 - frozen
+    granted: Granted = Granted({})  # noqa: RUF009 - frozen
 
 
 class Daemon:

@@ -12,7 +12,7 @@ GOT = "set"
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class Granted:
     """What was asked for, each ``set`` or why it is not. Published in ``health``."""
 
     said: dict[str, str]
@@ -23,7 +23,7 @@ class Claim:
         return "; ".join(f"{what}: {words}" for what, words in self.said.items() if words != GOT)
 
 
-def claim(*, lock: bool = False, priority: int = 0, cores: tuple[int, ...] = ()) -> Claim:
+def claim(*, lock: bool = False, priority: int = 0, cores: tuple[int, ...] = ()) -> Granted:
     """Ask for locked memory, FIFO scheduling of the calling thread with ``priority`` (0: as it is) and ``cores`` (empty: all).
 
     Threads and processes that come from it are not first in line: the loop must not wait for them.
@@ -36,7 +36,7 @@ def claim(*, lock: bool = False, priority: int = 0, cores: tuple[int, ...] = ())
     if priority:
         policy, level = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority)
         said[f"FIFO priority {priority}"] = _tried(lambda: os.sched_setscheduler(0, policy, level))
-    return Claim(said)
+    return Granted(said)
 
 
 def _lock_memory() -> None:

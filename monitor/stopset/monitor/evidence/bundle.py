@@ -39,7 +39,7 @@ class Incident:
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class BundleContents:
     """What a bundle holds: the ``window`` of readings, the ``model`` to predict them with (None: none looks back), ``frames`` of
     the bus as (time [s], identifier, bytes)."""
 
@@ -58,7 +58,7 @@ def name_of(incident: Incident) -> str:
 
 
 def write_bundle(
-    folder: Path, keep_mb: float, contents: Contents, about: Mapping[str, str], pause: Callable[[], None]
+    folder: Path, keep_mb: float, contents: BundleContents, about: Mapping[str, str], pause: Callable[[], None]
 ) -> tuple[Path, str]:
     """Write it and return its name and SHA-256; it is on the disk, whole, when this returns. Raises `OSError`, `OutputError`.
 
@@ -77,7 +77,7 @@ def write_bundle(
         return path, hashlib.file_digest(f, "sha256").hexdigest()
 
 
-def _write(file: McapFile, x: Contents, pause: Callable[[], None]) -> None:
+def _write(file: McapFile, x: BundleContents, pause: Callable[[], None]) -> None:
     w, incident, cause = x.window, x.incident, x.cause
     age = 1 if x.model is None else max(1, round(incident.first.age / x.model.dt))
     for k, (topic, t, message) in enumerate(messages(w, 0, x.model, x.joints, age)):

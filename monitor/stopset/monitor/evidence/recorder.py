@@ -23,7 +23,7 @@ import numpy as np
 from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.evidence import plausible
-from stopset.monitor.evidence.bundle import Contents, Incident, write_bundle
+from stopset.monitor.evidence.bundle import BundleContents, Incident, write_bundle
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
 from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics
@@ -181,7 +181,7 @@ class Recorder:
         incident.tried, digest = True, ""
         try:
             if self.settings.violations:
-                contents = Contents(incident, cause, w, model, self._model[0].joints, self.heard())
+                contents = BundleContents(incident, cause, w, model, self._model[0].joints, self.heard())
                 incident.written, digest = write_bundle(self.folder, self.settings.keep_mb, contents, self.about(), self.pause)
                 self.files += whole
             answer = Answer(cause, str(incident.written or ""), digest)

@@ -24,7 +24,7 @@ GONE = "NO DATA"
 ORDER = ("FAULT", "VIOLATION", GONE, "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
 
 
-class _Stop(msgspec.Struct):
+class _StopRow(msgspec.Struct):
     time_s: float | None = None
     tcp_m: float | None = None
 
@@ -34,7 +34,7 @@ class _Words(msgspec.Struct):
 
     state: str
     why: str
-    stops: dict[str, _Stop] = {}
+    stops: dict[str, _StopRow] = {}
     violation_class: str = ""
     model_sha256: str = ""
 
