@@ -131,7 +131,7 @@ def test_link_parameters_that_no_body_has(monkeypatch: pytest.MonkeyPatch) -> No
         def __init__(self, *problem: object) -> None: ...
 
         def solve(self) -> SimpleNamespace:
-            return SimpleNamespace(status="InsufficientProgress", x=[float("nan")] * 30)
+            return SimpleNamespace(status="InsufficientProgress", x=[float("nan")] * 30, r_prim=float("nan"), r_dual=float("nan"))
 
     monkeypatch.setattr(physical.clarabel, "DefaultSolver", GivesUp)
     with pytest.raises(NotConformant, match="did not come to an end") as e:

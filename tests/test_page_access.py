@@ -20,7 +20,7 @@ from monitor_arm import known_model
 from stopset.artifact.store import model_text
 from stopset.cli.main import main
 from stopset.monitor.layout import State
-from stopset.monitor.report import _stops
+from stopset.monitor.report import Turn, _stops
 from stopset.monitor.stopworker import answer_for
 from stopset.monitor.viewer import Page, View, terminal
 from stopset.offline.report.page import Page as Report
@@ -62,9 +62,10 @@ def moving(state: State) -> Alive:
     numbers = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1")}
     joints = model.joints
     left = [{"joint": joints[3], "samples": 3, "state": "q", "side": "above", "unit": "rad", "excess": 0.01}]
+    stops = _stops(Turn(state, 0, "", numbers), joints)
     told = twin("fine") | {
         "state": state.name, "joints": list(joints), "q": q.tolist(), "model_sha256": json.loads(text)["sha256"],
-        "room": dict.fromkeys(joints, 0.5), "stops": _stops(numbers, joints), "violations": left if state is State.VIOLATION else [],
+        "room": dict.fromkeys(joints, 0.5), "stops": stops, "violations": left if state is State.VIOLATION else [],
     }  # fmt: skip
     out = Alive(state)
     view = out.view

@@ -66,7 +66,8 @@ class Worker:
 
     def stop(self) -> None:
         """End the process at once; its order is given up."""
-        process = self._process
+        with self._lock:  # not while it is being started
+            process = self._process
         if process is not None:
             process.kill()
             process.join()

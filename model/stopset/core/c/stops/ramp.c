@@ -113,9 +113,8 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
         int k = 0;
         while (k < borders && border[k] < lasts[i]) k++;
         if (k < borders && border[k] == lasts[i]) continue;
-        memmove(border + k + 1, border + k, (size_t)(borders - k) * sizeof *border);
+        for (k = borders++; border[k - 1] > lasts[i]; k--) border[k] = border[k - 1]; /* border[0] is 0 */
         border[k] = lasts[i];
-        borders++;
     }
     for (int k = 0; k < 10 * n; k++) {
         body[0][k] = p->arm.pi[k] - p->pi_half[k];
