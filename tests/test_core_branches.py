@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from scipy.linalg import expm
 from monitor_arm import known_model
 from stopset.artifact import Abstraction
 from stopset.artifact.model import TorqueZonotope, UncertaintySets
-from stopset.core.library import ffi, given, lib, view
+from stopset.core.library import ffi, flags, given, integers, lib, view
 from stopset.effects.base import Fitted
+from stopset.effects.memory import stepped
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.watch import Quantum
 from stopset.offline.description import robot_from_text
@@ -30,7 +32,8 @@ from test_description import serial
 SIZED = (
     "stopset_torques", "stopset_bent_torques", "stopset_gravity_torques", "stopset_mass_matrices", "stopset_regressors",
     "stopset_levers", "stopset_link_frames", "stopset_point", "stopset_expand", "stopset_inertia_box", "stopset_point_sets",
-    "stopset_swept_capsules", "stopset_power_off", "stopset_stop_tube", "stopset_largest_energy", "stopset_discretise",
+    "stopset_swept_capsules", "stopset_power_off", "stopset_working_ramp", "stopset_failed_ramp", "stopset_power_excess",
+    "stopset_stop_tube", "stopset_largest_energy", "stopset_discretise",
     "stopset_linear_step", "stopset_responses", "stopset_along", "stopset_sim_mass_and_bias", "stopset_sim_torques",
 )  # fmt: skip
 
@@ -189,7 +192,104 @@ def test_responses_to_what_is_not_a_number_are_none() -> None:
     assert np.isnan(plus[-1, 0, 0]) and np.isnan(minus[-1, 2, 0]) and np.isfinite(plus[:, 1, 1]).all()
 
 
+def test_an_envelope_along_directions_is_that_of_what_they_see() -> None:
+    """A joint, one counted backward, and a mixture of two: against the windows one by one."""
+    n, N, rng = 2, 9, np.random.default_rng(8)
+    across, Ad, residual = (
+        np.array([[1.0, 0.0], [0.0, -1.0], [0.6, -0.8]]),
+        rng.normal(scale=0.5, size=(4, 4)),
+        rng.normal(size=(4, N)),
+    )
+    ages, k = 4, len(across)
+    hi, lo, at, work = (
+        np.full((ages, 2 * k), -np.inf),
+        np.full((ages, 2 * k), np.inf),
+        np.zeros((2, ages, 2 * k, 2), np.int64),
+        np.empty(9 * N),
+    )
+    env = ffi.new("StopsetEnvelope *", (ages, 2 * k, 0, view(hi), view(lo), integers(at[0]), integers(at[1])))
+    lib.stopset_widen_coupled(env, n, view(Ad), k, view(across), N, view(residual), N, view(work))
+    look = np.kron(np.eye(2), across)
+    for h in range(1, ages):
+        seen = []
+        for start in range(N - h + 1):
+            e = np.zeros(4)
+            for j in range(h):
+                e = Ad @ e + residual[:, start + j]
+            seen.append(look @ e)
+        assert hi[h] == pytest.approx(np.max(seen, axis=0)) and lo[h] == pytest.approx(np.min(seen, axis=0))
+        assert at[0, h, :, 1].tolist() == np.argmax(seen, axis=0).tolist()
+
+
+def test_a_memory_goes_on_along_a_recording_as_step_by_step() -> None:
+    """Held inputs, also none; it starts anew where a trial does."""
+    b, a, dt = np.array([1.0, 1.0, 0.5, 0.0, 2.0]), np.array([-2.0, 0.0, -1.0, -3.0, 0.0]), np.full(5, 0.1)
+    first, z = np.array([True, False, False, True, False]), np.empty(5)
+    lib.stopset_remember(5, view(b), view(a), view(dt), flags(first), 0.25, view(z))
+    want = [0.25]
+    for k in range(1, 5):
+        want.append(0.25 if first[k] else float(stepped(np.array(want[-1]), b[k - 1], a[k - 1], 0.1)))
+    assert z.tolist() == pytest.approx(want, rel=1e-14)
+
+
+def test_a_seal_is_both_checksums_of_what_is_before_them() -> None:
+    data = np.frombuffer(b"123456789" + bytes(8), np.uint8).copy()
+    here = ffi.from_buffer("uint8_t[]", data)
+    lib.stopset_seal(9, here)
+    assert data[9:13].tobytes() == zlib.crc32(b"123456789").to_bytes(4, "little")
+    assert data[13:].tobytes() == lib.stopset_crc32c(13, here).to_bytes(4, "little")
+
+
 # ---- torques, inputs and stretches of time
+
+
+def test_a_bent_joint_is_that_pose() -> None:
+    arm = robot_from_text(serial("revolute", "revolute"))
+    x, bend = np.random.default_rng(5).normal(size=(3, 4, 2)), np.random.default_rng(6).normal(size=(3, 4))
+    tau, struct = np.empty((4, 2)), arm_struct(arm.chain, arm.pi)
+    lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), 1, *(view(given(b)) for b in bend), 0, view(tau))
+    x[:, :, 1] += bend
+    assert tau == pytest.approx(torques(arm.chain, arm.pi, *x), rel=1e-13)
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_law_of_no_steps_gives_nothing(samples: int) -> None:
+    """Of one sample alone, and of several."""
+    out, none = np.ones(samples), np.zeros(samples * lib.STOPSET_SIGNALS)
+    lib.stopset_law(ffi.new("StopsetProgram *", (0, ffi.NULL, ffi.NULL)), samples, view(none), view(out))
+    assert not out.any()
+
+
+def test_products_of_series_end_at_their_order_and_at_the_room_there_is() -> None:
+    """1 + x + x^2 times itself, up to each degree; what has no room, or no degree, is refused."""
+    shift, powers, ones = 8, np.arange(3), np.ones(3)
+    key, slot = integers(np.array([(k << shift) + k for k in powers])), np.empty(16, np.int64)
+
+    def product(order: int, room: int, size: int = 16) -> tuple[int, Array]:
+        keys, values = np.empty(16, np.int64), np.empty(16)
+        made = lib.stopset_taylor_multiply(
+            3, key, view(ones), 3, key, view(ones), order, shift, size, integers(slot), room, integers(keys), view(values)
+        )
+        return made, values[: max(made, 0)][np.argsort(keys[: max(made, 0)])]
+
+    for order, want in ((0, [1]), (1, [1, 2]), (2, [1, 2, 3]), (3, [1, 2, 3, 2]), (63, [1, 2, 3, 2, 1])):
+        made, values = product(order, 16)
+        assert made == len(want) and values.tolist() == want
+    assert product(4, 5)[0] == 5 and product(4, 4)[0] == -1 and product(-1, 16)[0] == -1 and product(64, 16)[0] == -1
+    assert product(4, 8, 8)[1].tolist() == [1, 2, 3, 2, 1]  # keys that share a place
+
+
+def test_an_envelope_names_the_last_window_too() -> None:
+    """The extremes are found wherever they are, the first and the last of many windows among them."""
+    n, N = 1, 21
+    for where in (0, 9, N - 1):
+        residual = np.zeros((2, N))
+        residual[0, where], residual[1, where] = 1.0, -1.0
+        hi, lo, at, work = np.zeros((2, 2)), np.zeros((2, 2)), np.full((2, 2, 2, 2), -1), np.empty(2 * N)
+        env = ffi.new("StopsetEnvelope *", (2, 2, 7, view(hi), view(lo), integers(at[0]), integers(at[1])))
+        lib.stopset_widen_decoupled(env, n, view(np.zeros(4)), N, view(residual), N, view(work))
+        assert hi[1].tolist() == [1.0, 0.0] and lo[1].tolist() == [0.0, -1.0]
+        assert at[0, 1, 0].tolist() == [7, where] and at[1, 1, 1].tolist() == [7, where]
 
 
 @pytest.mark.parametrize("joint", [-1, 2, 7])
