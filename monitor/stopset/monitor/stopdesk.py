@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.certificates import Answer, Numbers, Shelf, holds
+from stopset.monitor.certificates import Certificate, Numbers, Shelf, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.sample import Quantum
@@ -59,7 +59,7 @@ WIDE, NARROW = Size(0.2, 1.0, starts=True), Size(0.04, 0.2, starts=False)
 
 
 @dataclass(slots=True)
-class Motion:
+class Heading:
     """Where the arm goes, from its last readings, as far as it is ``seen`` (2n,) [rad, rad/s] to go at all; it may always reach
     the largest of these speeds within `START`."""
 
@@ -122,8 +122,8 @@ class Counter:
 
     narrow: Shelf
     wide: Shelf
-    answer: Answer | None = None  # the one in use
-    refused: Answer | None = None  # the newest that has no number
+    answer: Certificate | None = None  # the one in use
+    refused: Certificate | None = None  # the newest that has no number
     waiting: Size | None = None  # asked for
     only_narrow: int = 0  # so many answers, as a wide box could not be proved
     reach: float = 1.0  # part of a wide box's time ahead that is asked for: less where more could not be proved
@@ -133,17 +133,17 @@ class Counter:
     def of(cls, n: int) -> Counter:
         return cls(Shelf(n), Shelf(n, KEPT_WIDE))
 
-    def best(self, x: Array, slack: Array) -> Answer | None:
+    def best(self, x: Array, slack: Array) -> Certificate | None:
         """The tightest certificate kept for a reading."""
         return self.narrow.best(x, slack) or self.wide.best(x, slack)
 
-    def holds(self, x: Array, slack: Array) -> Answer | None:
+    def holds(self, x: Array, slack: Array) -> Certificate | None:
         """The certificate in use as long as it holds, else the tightest kept."""
         if self.answer is None or not self.answer.covers(x, slack):
             self.answer = self.best(x, slack)
         return self.answer
 
-    def take(self, answer: Answer) -> None:
+    def take(self, answer: Certificate) -> None:
         """An answer has come."""
         size, self.waiting = self.waiting, None
         self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
@@ -155,7 +155,7 @@ class Counter:
         if size is WIDE:
             self.only_narrow, self.reach = PATIENCE, max(SHRINKS * self.reach, LEAST)
 
-    def lacks(self, motion: Motion, slack: Array, period: float) -> tuple[float, Size] | None:
+    def lacks(self, motion: Heading, slack: Array, period: float) -> tuple[float, Size] | None:
         """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
 
         A wide box where none holds the state now or will when an answer could be there; a narrow one likewise.
@@ -185,7 +185,7 @@ class StopDesk:
     clock: Clock = field(default_factory=SystemClock)
     sha256: str = ""  # of the model that is watched; its file may hold another one by now
     counters: dict[str, Counter] = field(init=False)
-    _motion: Motion = field(init=False)
+    _motion: Heading = field(init=False)
     _slack: Array = field(init=False)
     _told: dict[str, Numbers] = field(default_factory=dict)
     _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
@@ -193,7 +193,7 @@ class StopDesk:
     _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
-    _inbox: deque[Answer | str | None] = field(default_factory=deque)
+    _inbox: deque[Certificate | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
     _turn: int = 0
@@ -204,7 +204,7 @@ class StopDesk:
         self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
         # a reading on the border lies inside with all that rounding may hide
         room = 2.0 * self._slack + TINY
-        self._motion = Motion(Box(self.seen.lo - room, self.seen.hi + room))
+        self._motion = Heading(Box(self.seen.lo - room, self.seen.hi + room))
         self._start()
 
     @property
@@ -324,7 +324,7 @@ def seen_by(model: Model) -> Box:
     return Box(np.concatenate([lo, domain.dq.lo]), np.concatenate([np.maximum(lo, hi), domain.dq.hi]))
 
 
-def _receive(pipe: Connection, inbox: deque[Answer | str | None]) -> None:
+def _receive(pipe: Connection, inbox: deque[Certificate | str | None]) -> None:
     try:
         while True:
             inbox.append(pipe.recv())

@@ -19,8 +19,7 @@ from numpy.polynomial.legendre import legvander
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 DEGREE = 3  # of the curves that a form may be off by, over each thing it may depend on
 

@@ -14,8 +14,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
-from stopset.offline.diagnose.rows.prepare import Index, Mask
-from stopset.types import Array
+from stopset.types import Array, Index, Mask
 
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 

@@ -11,8 +11,7 @@ from stopset.effects import Effect
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
 from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 
 class _Best:

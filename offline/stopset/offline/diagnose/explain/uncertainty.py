@@ -18,8 +18,7 @@ import numpy as np
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 FEW_TRIALS = 20  # below which parts of trials are taken as independent
 PART = 10.0  # [s] length of such a part: some motions

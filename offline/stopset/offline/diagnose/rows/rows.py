@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
-from stopset.offline.diagnose.rows.prepare import Index, Prepared
-from stopset.types import Array
+from stopset.offline.diagnose.rows.prepare import Prepared
+from stopset.types import Array, Index
 
 FEW_POSES = 12  # below this the poses' own scatter can't be told
 
