@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from stopset.artifact import save_model
-from stopset.monitor.ahead import LONG, NARROW, WIDE, Motion
+from stopset.monitor.ahead import LONG, NARROW, WIDE, Heading
 from stopset.monitor.asking import FULL
-from stopset.monitor.certificates import Answer, Numbers, Shelf
+from stopset.monitor.certificates import Certificate, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import LEFT, SPENT, StopDesk, seen_by
@@ -35,9 +35,9 @@ N = 6
 NONE = np.zeros(2 * N)
 
 
-def answer(middle: float, radius: float, angle: float) -> Answer:
+def answer(middle: float, radius: float, angle: float) -> Certificate:
     a, x = np.full(N, angle), np.full(2 * N, middle)
-    return Answer("0", x - radius, x + radius, Numbers(a, a, a, angle, np.full(N, True)), 0.01, 0.01)
+    return Certificate("0", x - radius, x + radius, Numbers(a, a, a, angle, np.full(N, True)), 0.01, 0.01)
 
 
 def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
@@ -60,7 +60,7 @@ def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
 
 
 def test_the_box_ahead_holds_the_motion_it_was_made_for() -> None:
-    motion, rng = Motion(SEEN), np.random.default_rng(3)
+    motion, rng = Heading(SEEN), np.random.default_rng(3)
     q0, v0, a = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N), rng.uniform(-4, 4, N)
     for k in range(20):
         t = 0.004 * k

@@ -34,7 +34,7 @@ WIDE, LONG, NARROW = Size(0.2, 1.0, starts=True), Size(0.2, 0.1, starts=False), 
 
 
 @dataclass(slots=True)
-class Motion:
+class Heading:
     """Where the arm goes, from its last readings, as far as it is ``seen`` (2n,) [rad, rad/s] to go at all; it may always reach
     the largest of these speeds within `START`."""
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stopset.monitor.ahead import LONG, NARROW, WIDE, Motion, Size
-from stopset.monitor.certificates import Answer, Shelf
+from stopset.monitor.ahead import LONG, NARROW, WIDE, Heading, Size
+from stopset.monitor.certificates import Certificate, Shelf
 from stopset.types import Array
 
 SLOWER = 2.0  # an answer is expected to take no longer than so many times what the last ones took
@@ -63,8 +63,8 @@ class Counter:
     wide: Shelf
     budget: Budget
     rivals: int
-    answer: Answer | None = None  # the one in use
-    refused: Answer | None = None  # the newest that has no number
+    answer: Certificate | None = None  # the one in use
+    refused: Certificate | None = None  # the newest that has no number
     waiting: Size | None = None  # asked for
     only_narrow: int = 0  # so many answers, as a wide box could not be proved
     reach: float = 1.0  # part of a wide box's time ahead that is asked for: less where more could not be proved
@@ -80,17 +80,17 @@ class Counter:
         """Certificates on the shelves."""
         return len(self.narrow.answers) + len(self.long.answers) + len(self.wide.answers)
 
-    def best(self, x: Array, slack: Array) -> Answer | None:
+    def best(self, x: Array, slack: Array) -> Certificate | None:
         """The tightest certificate kept for a reading."""
         return self.narrow.best(x, slack) or self.long.best(x, slack) or self.wide.best(x, slack)
 
-    def holds(self, x: Array, slack: Array) -> Answer | None:
+    def holds(self, x: Array, slack: Array) -> Certificate | None:
         """The certificate in use as long as it holds, else the tightest kept."""
         if self.answer is None or not self.answer.covers(x, slack):
             self.answer = self.best(x, slack)
         return self.answer
 
-    def take(self, answer: Answer) -> None:
+    def take(self, answer: Certificate) -> None:
         """An answer has come."""
         size, self.waiting = self.waiting, None
         self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
@@ -104,7 +104,7 @@ class Counter:
         if size is WIDE:
             self.only_narrow, self.reach = PATIENCE, max(SHRINKS * self.reach, LEAST)
 
-    def lacks(self, motion: Motion, slack: Array, period: float) -> tuple[float, Size] | None:
+    def lacks(self, motion: Heading, slack: Array, period: float) -> tuple[float, Size] | None:
         """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
 
         A wide box where none holds the state now or will when an answer could be there; a narrow one likewise, or a long one where

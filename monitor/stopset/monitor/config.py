@@ -97,7 +97,7 @@ class Plane:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class StopLimits:
     """What a stop may take at most; margins to it are published in ``state/json``, for ``category`` ("": the first bounded).
 
     ``planes``: not to be passed by any link's axis, thickened by ``radius_m``; ``override``: also say by how much of the
@@ -172,7 +172,7 @@ class Config:
     fallback: Fallback = field(default_factory=Fallback)
     signed: Signed = field(default_factory=Signed)
     record: Records = field(default_factory=Records)
-    limits: Limits = field(default_factory=Limits)
+    limits: StopLimits = field(default_factory=StopLimits)
     sha256: str = ""
 
     @property

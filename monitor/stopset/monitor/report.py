@@ -32,7 +32,7 @@ class Turn:
 
 
 @dataclass(slots=True)
-class Tally:
+class RunCounts:
     """Counts since start, and the loop's timing since the last health message [s]."""
 
     samples: int = 0

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.ahead import Motion
+from stopset.monitor.ahead import Heading
 from stopset.monitor.asking import Budget, Counter
-from stopset.monitor.certificates import Answer, Numbers, holds
+from stopset.monitor.certificates import Certificate, Numbers, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.sample import Quantum
@@ -50,7 +50,7 @@ class StopDesk:
     sha256: str = ""  # of the model that is watched; its file may hold another one by now
     counters: dict[str, Counter] = field(init=False)
     budget: Budget = field(init=False)
-    _motion: Motion = field(init=False)
+    _motion: Heading = field(init=False)
     _slack: Array = field(init=False)
     _told: dict[str, Numbers] = field(default_factory=dict)
     _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
@@ -58,7 +58,7 @@ class StopDesk:
     _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
-    _inbox: deque[Answer | str | None] = field(default_factory=deque)
+    _inbox: deque[Certificate | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
     _turn: int = 0
@@ -70,7 +70,7 @@ class StopDesk:
         self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
         # a reading on the border lies inside with all that rounding may hide
         room = 2.0 * self._slack + TINY
-        self._motion = Motion(Box(self.seen.lo - room, self.seen.hi + room))
+        self._motion = Heading(Box(self.seen.lo - room, self.seen.hi + room))
         self._start()
 
     @property
@@ -199,7 +199,7 @@ def seen_by(model: Model) -> Box:
     return Box(np.concatenate([lo, domain.dq.lo]), np.concatenate([np.maximum(lo, hi), domain.dq.hi]))
 
 
-def _receive(pipe: Connection, inbox: deque[Answer | str | None]) -> None:
+def _receive(pipe: Connection, inbox: deque[Certificate | str | None]) -> None:
     try:
         while True:
             inbox.append(pipe.recv())

@@ -20,7 +20,7 @@ import numpy as np
 
 from stopset.artifact import load_model
 from stopset.errors import ModelFileError, StopsetError
-from stopset.monitor.certificates import Answer, Numbers
+from stopset.monitor.certificates import Certificate, Numbers
 from stopset.monitor.config import Stops
 from stopset.types import Array
 
@@ -47,7 +47,7 @@ def work(
         spent = time.thread_time()
         while True:
             lo, hi = requests[category].get()
-            refused = Answer(category, lo, hi, Numbers.none(len(lo) // 2, refusal), 0.0, 0.0)
+            refused = Certificate(category, lo, hi, Numbers.none(len(lo) // 2, refusal), 0.0, 0.0)
             answer = refused if prepared is None else answer_for(prepared, category, lo, hi)
             before, spent = spent, time.thread_time()
             answer = replace(answer, cpu=spent - before)  # what sending the last one has cost is in it
@@ -101,7 +101,7 @@ def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> 
         return None, str(e)
 
 
-def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Answer:
+def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Certificate:
     """The bound for every measured state ``lo <= (q, dq) <= hi``, (2n,) each; whatever goes wrong is its reason to have none."""
     begin, spent, n = time.monotonic(), time.thread_time(), len(lo) // 2
     middle = 0.5 * (lo + hi)
@@ -113,7 +113,7 @@ def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Ans
         numbers = Numbers.none(n, str(e))
     except Exception as e:  # noqa: BLE001 - a thread that died would leave its category without a word for ever
         numbers = Numbers.none(n, f"the bound failed: {type(e).__name__}: {e}")
-    return Answer(category, lo, hi, numbers, time.monotonic() - begin, time.thread_time() - spent)
+    return Certificate(category, lo, hi, numbers, time.monotonic() - begin, time.thread_time() - spent)
 
 
 def numbers_of(bound: Any, n: int) -> Numbers:
