@@ -240,6 +240,76 @@ def test_a_seal_is_both_checksums_of_what_is_before_them() -> None:
     assert data[13:].tobytes() == lib.stopset_crc32c(13, here).to_bytes(4, "little")
 
 
+def test_polynomials_and_their_slopes_are_sums_of_monomials() -> None:
+    """1, x, y, x^2, x y, x^2 y, each from its parent; two polynomials of them."""
+    parent, variable = integers(np.array([0, 0, 0, 1, 1, 3])), integers(np.array([0, 0, 1, 0, 1, 1]))
+    rng = np.random.default_rng(9)
+    C, z, work = rng.normal(size=(6, 2)), rng.normal(size=(5, 2)), np.empty((6, 3))
+    value, slope = np.empty((5, 2)), np.empty((5, 2, 2))
+    p = ffi.new("StopsetPolynomials *", (6, 2, 2, parent, variable, view(C)))
+    lib.stopset_polynomials(p, 5, view(z), view(work), view(value))
+    lib.stopset_polynomial_slopes(p, 5, view(z), view(work), view(slope))
+    x, y, none, one = z[:, 0], z[:, 1], np.zeros(5), np.ones(5)
+    assert value == pytest.approx(np.stack([one, x, y, x * x, x * y, x * x * y], axis=1) @ C)
+    by_x, by_y = np.stack([none, one, none, 2 * x, y, 2 * x * y], axis=1), np.stack([none, none, one, none, x, x * x], axis=1)
+    assert slope == pytest.approx(np.stack([by_x @ C, by_y @ C], axis=2))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_how_far_readings_lie_beyond_a_corner_is_found_at_every_age(sign: float) -> None:
+    """Against one solution at a time; what runs away the wrong way encloses nothing, the right way it is let go."""
+    rng, N, horizon, limit = np.random.default_rng(12), 30, 12, (0.02, 0.05)
+    x, w, c, starts = 0.05 * rng.normal(size=(N, 2)), rng.normal(size=N), np.array([0.4, 0.1]), np.array([0, 5, 20, 29])
+
+    def excess(runaway: float, w: Array) -> tuple[Array, Array, Array]:
+        best, at, outside = (
+            np.full((horizon + 1, 2), -np.inf),
+            np.zeros((horizon + 1, 2, 2), np.int64),
+            np.zeros(len(starts), bool),
+        )
+        corner = ffi.new("StopsetCorner *", (2, view(c), 0.01, 0.001, -0.002, sign, runaway, 2, horizon, limit))
+        lib.stopset_corner_excess(
+            corner, N, view(x), view(w), len(starts), integers(starts), 3, view(best), integers(at.reshape(-1)), flags(outside)
+        )
+        return best, at, outside
+
+    best, at, outside = excess(1e3, w)
+    want, bad = np.full((horizon + 1, 2), -np.inf), np.zeros(len(starts), bool)
+    for k, start in enumerate(starts):
+        steps, path = min(horizon, N - 1 - start), np.empty((horizon + 1, 2))
+        lib.stopset_corner(
+            x[start, 0] + 0.001, x[start, 1] - 0.002, steps, view(w[start:].copy()), 2, view(c), 0.01, 2, view(path)
+        )
+        e = sign * (x[start : start + steps + 1] - path[: steps + 1])[1:]
+        want[1 : steps + 1] = np.maximum(want[1 : steps + 1], e)
+        bad[k] = bool(np.any(e > np.array(limit)))
+    assert best == pytest.approx(want) and np.array_equal(outside, bad) and 0 < bad.sum() < len(starts)
+    assert np.all(at[1:, :, 0] == 3) and np.all(np.isin(at[1:, :, 1], starts))
+    # thrown upward: no bound from above (sign 1) is left behind, and one from below (sign -1) encloses nothing
+    gone, _, left = excess(0.3, w + 1e3)
+    assert np.isinf(gone[1]).all() and (gone[1, 0] > 0) == (sign < 0) and left[:3].all() == (sign < 0)
+
+
+def test_responses_along_a_motion_are_signed_parts_of_the_whole() -> None:
+    """Many steps of a model whose torques turn their sign: the parts add up to the response to a torque that is always there."""
+    n, H, dt, rng = 2, 90, 0.02, np.random.default_rng(13)
+    J_x, J_u = np.zeros((H + 1, n, 2 * n)), np.zeros((H + 1, n, n))
+    J_x[:, :, :n], J_x[:, :, n:] = -20.0 * np.eye(n), -3.0 * np.eye(n) + 0.2 * rng.normal(size=(H + 1, n, n))
+    J_u[:] = np.sin(0.3 * np.arange(H + 1))[:, None, None] * np.eye(n) + 0.1
+    E1, plus, minus = np.empty((H + 1, 4, 4)), np.empty((H + 1, 4, n)), np.empty((H + 1, 4, n))
+    assert lib.stopset_along(n, H, view(J_x), view(J_u), dt, view(E1), view(plus), view(minus), view(np.empty(3 * H * 8))) == 0
+    E, R = np.eye(4), np.zeros((4, n))
+    for k in range(H):
+        A, B = np.zeros((6, 6)), np.zeros((4, n))
+        A[:n, n : 2 * n], A[n : 2 * n, : 2 * n] = np.eye(n), 0.5 * (J_x[k] + J_x[k + 1])
+        B[n:] = 0.5 * (J_u[k] + J_u[k + 1])
+        A[:4, 4:] = B
+        step = expm(A * dt)
+        E, R = step[:4, :4] @ E, step[:4, :4] @ R + step[:4, 4:]
+    assert E1[-1] == pytest.approx(E, rel=1e-9, abs=1e-12) and (plus + minus)[-1] == pytest.approx(R, rel=1e-6, abs=1e-9)
+    assert np.all(plus >= 0.0) and np.all(minus <= 0.0) and minus[-1].min() < -1e-3
+
+
 # ---- torques, inputs and stretches of time
 
 

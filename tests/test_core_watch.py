@@ -101,6 +101,10 @@ def test_every_step_of_a_tape_does_what_it_says() -> None:
         lib.stopset_law(law, 40, view(signals), view(out))
         fine = ~np.isnan(want) | np.isnan(a) | np.isnan(b)
         assert np.array_equal(out[fine], want[fine], equal_nan=True), (steps[number.at], out, want)
+        alone = np.empty(1)
+        for k in range(8):  # one sample by itself has the same bits
+            lib.stopset_law(law, 1, view(signals[:, k].copy()), view(alone))
+            assert np.array_equal(alone[0], out[k], equal_nan=True)
     for name in ("sin", "cos", "exp", "tanh"):
         number = getattr(x, name)()
         steps, numbers = tape.finished(number)
@@ -382,3 +386,42 @@ def test_an_arm_that_leaves_its_model_is_refuted_and_predicts_nothing() -> None:
     before = s.place
     assert not s.seen[1] and told(watch, np.stack([r.q[10] + 0.1, r.dq[10], r.tau[10]])) == lib.STOPSET_OK
     assert s.seen[1] >= 6 and s.place == before and s.seen[0] == 10
+
+
+def test_predictions_start_as_often_as_they_are_asked_to() -> None:
+    watch, s, r = watched()
+    s.every, live = 4, []
+    for k in range(13):
+        assert told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
+        live.append(s.live)
+    assert live == [0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3]
+
+
+def test_widening_by_what_is_known_exactly_changes_nothing() -> None:
+    """A plain input without rounding: the tube is the same whether or not it is widened from step to step."""
+    rooms = []
+    for widen in (0, 1):
+        watch, s, r = watched()
+        s.widen = widen
+        for k in range(20):
+            told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
+        rooms.append(watch.tubes.room.copy())
+    assert np.array_equal(*rooms)
+
+
+def test_what_is_not_known_of_a_state_widens_the_tube() -> None:
+    """A joint with presliding friction whose state is unknown at first has more room than one whose state has come to be known."""
+    from monitor_arm import known_model, motion
+    from stopset.monitor.watch import Watch
+
+    model, r = known_model(), motion(1, 60)
+    rigid = Watch(replace(model, effort="motor_torque"))
+    assert told(rigid, np.stack([r.q[0], r.dq[0], r.tau[0]])) == lib.STOPSET_OK and not rigid._du.any(), "nothing is remembered"
+    held = Fitted("hysteresis", model.joints[0], {"F_h": 0.05, "delta": 0.02}, {})
+    watch = Watch(replace(model, effort="motor_torque", effects=(held,)))
+    du = []
+    for k in range(40):
+        row = np.stack([r.q[k], r.dq[k], r.tau[k] + gravity_torques(model.robot.chain, model.robot.pi, r.q[k : k + 1])[0]])
+        assert told(watch, row) == lib.STOPSET_OK
+        du.append(watch._du[0, 0])
+    assert not watch._struct.monitor.plain and du[0] == pytest.approx(0.05) and du[-1] < du[0] and not watch._du[0, 1:].any()
