@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 STEPS = 256  # of one law at most, as many as the core keeps
 # in the order of the core's `enum` in law.h; a POWER's second argument is its exponent
 CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, SIN, COS, EXP, TANH, MINIMUM, MAXIMUM, POWER = range(18)
+BINARY = frozenset({ADD, SUB, MUL, DIV, MINIMUM, MAXIMUM})  # of two earlier steps; the others but the first two of one
 
 
 @dataclass(slots=True)

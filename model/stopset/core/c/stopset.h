@@ -663,7 +663,8 @@ typedef struct {
     const double *residual_lo, *residual_hi;                       /* [rad/s] what drives still give while their power goes */
 } StopsetRamp;
 
-/* Friction and u at angles in [q_lo, q_hi] (n,), no joint faster than speed (n,): out (6, n) dry lo, hi, viscous lo, hi, u lo, hi. */
+/* Friction and u at angles in [q_lo, q_hi] (n,), no joint faster than speed (n,): out (6, n) dry lo, hi, viscous lo, hi, u lo, hi.
+ * STOPSET_NO_BOUND + k: the k-th law gives no number there; negative: a code. */
 STOPSET_API int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *torques, const double *q_lo, const double *q_hi,
                                       const double *speed, double *out);
 /* Numbers that `work` below has to hold. */

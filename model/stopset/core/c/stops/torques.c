@@ -141,8 +141,7 @@ int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *t, co
         if (slow && !law->roams) continue;
         StopsetSight here = sight[law->joint];
         if (law->other >= 0) here.other = speed[law->other];
-        const int code = stopset_act(law, &here, parts);
-        if (code) return code;
+        if (stopset_act(law, &here, parts)) return STOPSET_NO_BOUND + k;
         const int rubs = law->role == STOPSET_RUBS, rows[3] = {rubs ? RUBS : DRY, rubs ? RUBS_VISCOUS : VISCOUS, PUSH};
         for (int p = 0; p < 3; p++) {
             double *sum = total + rows[p] * row + 2 * law->joint;
