@@ -621,6 +621,8 @@ typedef struct {
     double speed, past, other, gear, q[2], load[2], temp[2], stiff[2], inertia[2], coriolis[2], tilt[2][2];
 } StopsetSight;
 
+/* Relative, on top of friction's bounds: it drifts with wear, oil and temperature. */
+STOPSET_API extern const double stopset_friction_tolerance;
 /* Torque of an effect, way (dry + viscous |dq|) + push: out (3, 2) lower and upper ends [N m, N m s/rad, N m]. */
 STOPSET_API int stopset_act(const StopsetActing *law, const StopsetSight *sight, double *out);
 

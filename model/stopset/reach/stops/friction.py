@@ -42,7 +42,7 @@ from stopset.robot.rigid import Chain, arm_struct
 from stopset.sets import Box
 from stopset.types import Array
 
-FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
+FRICTION_TOLERANCE: float = lib.stopset_friction_tolerance  # relative, on top: friction drifts with wear, oil and temperature
 BEYOND = 0.5  # [rad] how far past the identified angles `Torques.everywhere` holds
 ROUNDING = 1e-12  # of an expansion, relative to the largest
 UNBOUNDED = "its law cannot be evaluated over intervals: it has no bound on what a stop may lead to"

@@ -9,7 +9,8 @@
 
 /* Rows of a sum over effects: friction that never drives, what else opposes the motion, and what may push. */
 enum { RUBS, RUBS_VISCOUS, DRY, VISCOUS, PUSH, ROWS_OF_SUM };
-static const double ROUNDING = 1e-12, TOLERANCE = 0.25; /* of an expansion, relative; of friction, which drifts with wear and oil */
+static const double ROUNDING = 1e-12; /* of an expansion, relative to the largest */
+const double stopset_friction_tolerance = 0.25;
 
 /* value +- half, cut at +- largest */
 static void around(double value, double half, double largest, double hair, double out[2]) {
@@ -118,11 +119,11 @@ static void look(const StopsetPlant *plant, const StopsetTorques *t, const doubl
 /* One of the sums: no less than nothing of what rubs, and what else would be negative pushes, `per` of it. */
 static void told(const double *rubs, const double *other, double per, double push[2], double out[2]) {
     const double lo = most(rubs[0], 0.0) + other[0], hi = most(rubs[1], 0.0) + other[1];
-    const double lacks = (1.0 + TOLERANCE) * most(-lo, 0.0) * per;
+    const double lacks = (1.0 + stopset_friction_tolerance) * most(-lo, 0.0) * per;
     push[0] -= lacks;
     push[1] += lacks;
-    out[0] = most(lo, 0.0) * (1.0 - TOLERANCE);
-    out[1] = most(hi, 0.0) * (1.0 + TOLERANCE);
+    out[0] = most(lo, 0.0) * (1.0 - stopset_friction_tolerance);
+    out[1] = most(hi, 0.0) * (1.0 + stopset_friction_tolerance);
 }
 
 int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *t, const double *q_lo, const double *q_hi, const double *speed,
