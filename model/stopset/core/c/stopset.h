@@ -396,6 +396,40 @@ typedef struct {
 STOPSET_API void stopset_polynomials(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
 /* Derivatives (N, count, dimension); work (monomials, 1 + count). */
 STOPSET_API void stopset_polynomial_slopes(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
+/* ---- along.c: nonlinear abstractions */
+
+#define STOPSET_DAMPING 16 /* orders of a damping polynomial at most */
+
+/* ddq = Minv (u - damping - polynomials(dq, sin q, cos q)) (models 1, 2) or polynomials(dq, sin q, cos q, u) (model 3). */
+typedef struct {
+    int32_t n, kind, orders;
+    const double *Minv;              /* (n, n) [1/(kg m^2)] */
+    const double *viscous;           /* (n, orders) [N m (s/rad)^k] */
+    StopsetPolynomials polynomials;  /* count 0: none */
+} StopsetDynamics;
+
+/* Numbers that `work` of the functions below has to hold. */
+STOPSET_API int64_t stopset_dynamics_room(const StopsetDynamics *dynamics);
+/* ddq (n,) [rad/s^2]; what models 1 and 2 take off the input, (n,) [N m]. */
+STOPSET_API void stopset_acceleration(const StopsetDynamics *dynamics, const double *q, const double *dq, const double *u, double *work, double *ddq);
+STOPSET_API void stopset_drag(const StopsetDynamics *dynamics, const double *q, const double *dq, double *work, double *out);
+/* Solutions out (W, N + 1, 2n) from x0 (W, 2n) under u (W, N, n) held over each step of dt [s]: classical Runge-Kutta. */
+STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, int64_t W, int64_t N, const double *x0, const double *u, double dt,
+                                 double *work, double *out);
+/* d ddq / d(q, dq) (N, n, 2n) and d ddq / du (N, n, n) at rows of x (N, 2n), u (N, n). */
+STOPSET_API void stopset_linearised(const StopsetDynamics *dynamics, int64_t N, const double *x, const double *u, double *work, double *J_x,
+                                    double *J_u);
+/* Where a reading may lie at the end of a path (H + 1, 2n), H >= 1, under u (H, n): lo, hi (2n,). work: stopset_ahead_room. */
+STOPSET_API int64_t stopset_ahead_room(const StopsetDynamics *dynamics, int64_t H);
+STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, int64_t H, const double *path, const double *u,
+                              double dt, double *work, double *lo, double *hi);
+/* Bounds of states (m,) become those of readings, rounded outward by `round` of their size. */
+STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
+/* Into how many parts a step of dt is cut so that no rate of decay up to `speed` [rad/s] is too fast for it. */
+STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, double speed);
+/* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
+STOPSET_API void stopset_corners(const StopsetDynamics *dynamics, int64_t N, const double *u, double h, int64_t parts, double most, double *z);
+
 /* Terms of a product up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
  * room. Returns how many, -1: room is too small. */
 STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
