@@ -20,7 +20,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.artifact.polynomial import struct_of
@@ -29,8 +28,6 @@ from stopset.errors import NotCovered
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 from stopset.types import Array
-
-Index = NDArray[np.int64]
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
 STEP = 0.1
