@@ -30,7 +30,7 @@ from stopset.sets import Box
 from stopset.types import Array
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
-STEP = 0.1
+STEP: float = lib.stopset_corner_step
 # a frozen, slotted value has no room for a cache of its own; entries go when the abstraction goes
 _DYNAMICS: WeakKeyDictionary[Abstraction, tuple[Any, Any]] = WeakKeyDictionary()
 _TERMS: int = lib.STOPSET_TERMS  # of the exponential of one step's matrix, whose norm is below 1
@@ -49,9 +49,13 @@ def dynamics(abstraction: Abstraction) -> tuple[Any, Array]:
     if abstraction not in _DYNAMICS:
         a = abstraction
         if a.viscous.shape[1] > lib.STOPSET_DAMPING:
-            raise NotCovered(f"a damping polynomial of order {a.viscous.shape[1]}; expected {lib.STOPSET_DAMPING} at most: lower --order")
+            raise NotCovered(
+                f"a damping polynomial of order {a.viscous.shape[1]}; expected {lib.STOPSET_DAMPING} at most: lower --order"
+            )
         Minv, viscous = given(a.Minv), given(a.viscous)
-        table, held = (ffi.new("StopsetPolynomials *"), None) if a.kind == 1 or not (a.coriolis or a.acceleration) else struct_of(a.program)
+        table, held = (
+            (ffi.new("StopsetPolynomials *"), None) if a.kind == 1 or not (a.coriolis or a.acceleration) else struct_of(a.program)
+        )
         struct = ffi.new("StopsetDynamics *", (a.n, a.kind, viscous.shape[1], view(Minv), view(viscous), table[0]))
         _DYNAMICS[abstraction] = struct, (Minv, viscous, table, held)
     struct = _DYNAMICS[abstraction][0]

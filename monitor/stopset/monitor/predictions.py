@@ -76,7 +76,7 @@ class Corners:
         alive = self._age >= 0
         for side, w in enumerate((u - du + sets.U.lo, u + du + sets.U.hi)):
             z = given(self._z[side, alive])
-            lib.stopset_corners(dynamics(a)[0], len(z), view(w), sets.dt, self._cut, FASTEST, view(z.reshape(len(z), -1)))
+            lib.stopset_corners(dynamics(a)[0], len(z), view(w), sets.dt, self._cut, FASTEST, view(z.ravel()))
             self._z[side, alive] = z
         self._age[alive] += 1
         self._age[self._age > self.steps] = -1

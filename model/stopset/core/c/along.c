@@ -9,7 +9,7 @@
 #include "stopset.h"
 
 enum { J = STOPSET_JOINTS };
-static const double STEP = 0.1; /* a step's rate times its length */
+const double stopset_corner_step = 0.1;
 
 static double absolute(double x) { return x < 0.0 ? -x : x; }
 
@@ -174,7 +174,7 @@ int64_t stopset_parts(const StopsetDynamics *s, double dt, double speed) {
         slope *= s->Minv[i * s->n + i];
         rate = slope > rate ? slope : rate;
     }
-    const double most = dt * rate / STEP;
+    const double most = dt * rate / stopset_corner_step;
     const int64_t whole = (int64_t)most;
     return most <= 1.0 ? 1 : whole + (most > (double)whole);
 }

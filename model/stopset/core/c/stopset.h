@@ -425,6 +425,8 @@ STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets
                               double dt, double *work, double *lo, double *hi);
 /* Bounds of states (m,) become those of readings, rounded outward by `round` of their size. */
 STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
+/* A step's rate of decay times its length. */
+STOPSET_API extern const double stopset_corner_step;
 /* Into how many parts a step of dt is cut so that no rate of decay up to `speed` [rad/s] is too fast for it. */
 STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, double speed);
 /* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
