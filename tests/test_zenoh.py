@@ -114,7 +114,7 @@ def test_two_sessions_on_loopback() -> None:
         assert tokens == [True, False], "the liveliness token goes with its session"
     finally:
         consumer.close()
-    with pytest.raises(BusError, match="cannot be opened"):
+    with pytest.raises(BusError, match="no zenoh session with"):
         ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
 
 
@@ -272,11 +272,46 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
             .replace("connect_private_key", "// ")
         )
         (tmp_path / "stranger.json5").write_text(stranger)
-        with pytest.raises(BusError, match="cannot be opened"):
+        with pytest.raises(BusError, match="no zenoh session with"):
             ZenohLink(prefix, file=tmp_path / "stranger.json5")
     finally:
         for link in reversed(links):
             link.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp/127.0.0.1:99999999", "has the port '99999999'"), ("tcp/127.0.0.1:x", "has the port 'x'"),
+        ("tcp/127.0.0.1:٧٧", "has the port"), ("127.0.0.1:7447", "no zenoh address"), ("", "no zenoh address"),
+        ("carrier/pigeon:1", "no zenoh address"), ("tcp/127.0.0.1:9", "no zenoh session with tcp/127.0.0.1:9 comes about"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["fleet", "watch"])
+def test_an_address_that_is_none_or_answers_nothing_is_told_in_our_words(
+    command: str, address: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--connect", address, "--port", "0", "--seconds", "0.1"]) == 2
+    told = capsys.readouterr().err
+    assert said in told and "expected" in told
+    for foreign in ("Single", "Json5Err", "Unable to", "Message", "os error"):
+        assert foreign not in told, "zenoh's own words"
+
+
+def test_a_zenoh_file_that_cannot_be_used_is_told_in_our_words(tmp_path: Path) -> None:
+    for text, said in (
+        ("{mode:", "no JSON5 at line 1, column 7"),
+        ('{mode: "client", fleet: 1}', "has the unknown key fleet"),
+        (None, "no such file"),
+    ):
+        file = tmp_path / "z.json5"
+        file.unlink(missing_ok=True)
+        if text is not None:
+            file.write_text(text)
+        with pytest.raises(BusError, match=said):
+            ZenohLink(file=file)
+    with pytest.raises(BusError, match="cannot be listened on"):
+        ZenohLink(listen=["tcp/192.0.2.1:7447"])
 
 
 def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixture[str]) -> None:
