@@ -1,11 +1,12 @@
 """The drill: something changes at an arm, and everything that must happen then does, with processes killed on the way.
 
-    python deploy/checks/drill.py OUT [--robot arm.urdf] [--hide spring:bend]
+    python deploy/checks/drill.py OUT [--robot arm.urdf] [--hide spring:turn]
 
 A healthy arm is identified and watched: OK. Then it changes: VIOLATION, kept through a killed monitor, with a file of evidence. The
-diagnosis names the effect, it is added, the sets shrink below what they would be without it, the signed revision is rolled out while
-the monitor runs (an unsigned one is refused), a person clears the latch, and it is OK again. Every step is a command as anybody would
-type it; what the monitor said stands in OUT/events.jsonl. Ends with 0, or with the sentence that did not hold.
+diagnosis names the effect, it is added, errors, sets and stop bound shrink below what they are without it, the signed revision is rolled
+out while the monitor runs (an unsigned one is refused), a person clears the latch, and it is OK again, and stays so. Every step is a
+command as anybody would type it; what was done and what the monitor said stand in OUT/events.jsonl. Ends with 0, or with the sentence
+that did not hold.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stopset.artifact import load_model
 from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Expected
@@ -33,6 +36,8 @@ from stopset.monitor.viewer import View
 from stopset.recording import read_meta, read_recordings, write_recordings
 
 TRIALS = 6  # replayed
+LIKELY = 20.0  # [%] a new motion may leave the sets with, at most
+HOLDS = 15.0  # [s] it must stay good afterwards: every replayed motion once
 
 
 class Failed(Exception):
@@ -84,7 +89,7 @@ class Ear:
         self.port = int(c.zenoh.listen[0].rpartition(":")[2])
         self.view = View(expected=Expected(c.data_id, None, int(c.sha256[:16], 16), None))  # whichever model is rolled out
         self.events: list[dict[str, Any]] = []
-        self.states: list[tuple[float, State, int]] = []  # when, which, of which life
+        self.states: list[tuple[float, State, int, int]] = []  # when, which, of which life, its number there
         self.link: ZenohLink | None = None
 
     def listen(self) -> None:
@@ -104,15 +109,32 @@ class Ear:
 
     def _state(self, key: str, data: bytes) -> None:
         told = unpack(data)
-        self.states.append((time.monotonic(), State(told["state"]), told["boot_id"]))
+        self.states.append((time.monotonic(), State(told["state"]), told["boot_id"], told["seq"]))
         self.view.take_state(key, data)
+
+    def tell(self, text: str) -> None:
+        """A step of the drill, among the monitor's own events."""
+        self.events.append({"kind": "step", "t_ns": time.time_ns(), "why": text})
 
     def says(self, word: str) -> bool:
         """Whether that is what may be believed now."""
         return self.view.word()[0] == word
 
     def kinds(self) -> list[str]:
-        return [str(e["kind"]) for e in self.events]
+        return [str(e["kind"]) for e in list(self.events)]
+
+    def of(self, kind: str) -> dict[str, Any]:
+        """The first event of this kind."""
+        return next(e for e in self.events if e["kind"] == kind)
+
+    def said(self, life: int, after: float, before: float = float("inf")) -> list[State]:
+        """States of a life's messages numbered above ``after``, up to ``before``."""
+        return [s for _, s, boot, seq in list(self.states) if boot == life and after < seq <= before]
+
+    def remembered(self) -> list[dict[str, Any]]:
+        """The events that the monitor itself gives to whoever asks."""
+        assert self.link is not None
+        return [e for _, data in self.link.get("event") for e in json.loads(data)]
 
     def close(self) -> None:
         if self.link is not None:
@@ -120,13 +142,15 @@ class Ear:
 
 
 def recorded(out: Path, robot: str, hide: str) -> None:
-    """The arm before and after something changed, and a few of its motions to replay."""
+    """The arm before and after something changed, and a few of its motions to replay: those in which the joint goes farthest."""
     for name, effect in (("healthy", "none"), ("altered", hide)):
-        words = ("--hide", effect, "--plan", "compact", "--size", "large", "--seed", "1", "--quiet")
+        words = ("--hide", effect, "--plan", "motions", "--size", "large", "--seed", "1", "--quiet")
         run("simulate", "--robot", robot, *words, "--out", str(out / name))
         data = out / name / "recording.parquet"
-        trials = read_recordings(data).phase("open_loop").trials[:TRIALS]
-        write_recordings(out / f"{name}.parquet", read_meta(data), trials)
+        meta = read_meta(data)
+        joint = meta.joints.index(hide.partition(":")[2])
+        trials = sorted(read_recordings(data).phase("open_loop").trials, key=lambda r: -float(np.ptp(r.q[:, joint])))
+        write_recordings(out / f"{name}.parquet", meta, trials[:TRIALS])
 
 
 def configured(out: Path) -> Path:
@@ -158,40 +182,52 @@ def widths(model: Path) -> float:
     return float(load_model(model).powered.U.width.sum())
 
 
-def drill(out: Path, robot: str, hide: str, tell: Callable[[str], None] = print) -> list[str]:
-    """The whole story; the kinds of the monitor's events in their order."""
+def asked(name: str, out: Path, *words: str) -> Any:
+    """A command's answer for machines."""
+    file = out / f"{name}.json"
+    run(*words, "--quiet", "--json", str(file), good=(0, 1))
+    return json.loads(file.read_text())
+
+
+def drill(out: Path, robot: str, hide: str, tell: Callable[[str], None] = print) -> list[dict[str, Any]]:
+    """The whole story; the drill's steps and the monitor's events in their order."""
     out.mkdir(parents=True, exist_ok=True)
     recorded(out, robot, hide)
-    first, second, plain = (out / f"{name}.model.json" for name in ("first", "second", "unexplained"))
-    healthy, altered = (str(out / name / "recording.parquet") for name in ("healthy", "altered"))
-    run(
-        "identify",
-        "--robot",
-        str(out / "healthy" / "robot.urdf"),
-        "--data",
-        healthy,
-        "--out",
-        str(first),
-        "--accept-wide",
-        "--quiet",
-    )
-    run("sign", "--new-key", str(out / "release"))
-    run("sign", str(first), "--key", str(out / "release"))
-    put_in_place(out, first)
-    tell("identified and signed")
     ear = Ear(configured(out))
+
+    def step(text: str) -> None:
+        ear.tell(text)
+        tell(text)
+
     try:
-        _lived(out, ear, tell, hide, (first, second, plain), altered)
+        first = identified(out, step)
+        _lived(out, ear, step, hide, first)
     except Failed as e:
         raise Failed(f"{e} (the monitor says {': '.join(ear.view.word())})") from e
     finally:
         ear.close()
         (out / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in ear.events))
-    return ear.kinds()
+    return ear.events
 
 
-def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, models: tuple[Path, Path, Path], altered: str) -> None:
-    first, second, plain = models
+def identified(out: Path, tell: Callable[[str], None]) -> Path:
+    """The healthy arm's model, in place and signed; its promise on new motions means something."""
+    first = out / "first.model.json"
+    words = ("--robot", str(out / "healthy" / "robot.urdf"), "--data", str(out / "healthy" / "recording.parquet"))
+    run("identify", *words, "--out", str(first), "--accept-wide", "--quiet")
+    promise = asked("healthy", out, "compare", str(first), "--data", words[3])["guarantee"]
+    most = 100.0 * promise["upper_bound"]
+    hold(promise["violated"] == 0 and most <= LIKELY, f"a new motion leaves the sets with at most {LIKELY:g} %: {most:.1f} %")
+    run("sign", "--new-key", str(out / "release"))
+    run("sign", str(first), "--key", str(out / "release"))
+    put_in_place(out, first)
+    tell(
+        f"identified and signed: of {promise['motions']} motions held out none leaves the sets, a new one with at most {most:.1f} %"
+    )
+    return first
+
+
+def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, first: Path) -> None:
     config, to = str(out / "arm.toml"), f"zenoh:tcp/127.0.0.1:{ear.port}"
 
     def replayed(name: str) -> Any:
@@ -203,71 +239,98 @@ def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, models: 
             until(lambda: ear.says("OK"), "the healthy arm is OK")
             tell("the healthy arm is OK")
         with replayed("altered"):  # the first replay was killed: the arm stood still, then moves as another one
-            until(lambda: State.VIOLATION in [s for _, s, _ in ear.states], "the changed arm is a VIOLATION")
-            latched = time.monotonic()
+            until(lambda: "violation" in ear.kinds(), "the changed arm is a VIOLATION")
             until(lambda: "bundle" in ear.kinds(), "the violation is classed")
-            found = next(e["cause"]["kind"] for e in ear.events if e["kind"] == "bundle")
+            found = ear.of("bundle")["cause"]["kind"]
             bundle = until(lambda: sorted((out / "arm.record").glob("violation-*.mcap")), "evidence is on the disk")[0]
             tell(f"VIOLATION, class {found}, evidence {bundle.name}")
+        life = ear.states[-1][2]
+        hold(State.OK not in ear.said(life, ear.of("violation")["seq"]), "nothing is OK after the violation")
     with contextlib.ExitStack() as stack:
         monitor = stack.enter_context(running("monitor", "--config", config))  # killed, and begun anew
         ear.listen()
         stack.enter_context(replayed("altered"))
         until(lambda: ear.says("VIOLATION"), "the violation outlives the killed monitor")
         tell("still VIOLATION after kill -9")
-        _explained(out, bundle, hide, models, altered, tell)
-        put_in_place(out, plain)  # the wrong one: nobody signed it
-        Path(f"{out / 'arm.model.json'}.sig").write_bytes(Path(f"{first}.sig").read_bytes())
-        os.kill(monitor.pid, signal.SIGHUP)
-        until(lambda: "reload_refused" in ear.kinds(), "a model that nobody signed is refused")
-        run("sign", str(second), "--key", str(out / "release"))
-        put_in_place(out, second)
-        before = len(ear.states)
-        os.kill(monitor.pid, signal.SIGHUP)
-        until(lambda: "reloaded" in ear.kinds(), "the signed revision is taken")
-        time.sleep(0.5)
-        window = [t for t, _, _ in ear.states[before - 1 :]]
-        gap = max(b - a for a, b in pairwise(window))
-        hold(gap < 1.0, f"the messages go on while a model is rolled out, the longest gap was {gap:.2f} s")
-        hold(all(s is not State.OK for t, s, _ in ear.states if t > latched), "nothing is OK before a person has looked")
-        tell(f"rolled out without a gap (longest {1000 * gap:.0f} ms), still not OK")
-        words = (
-            "--name",
-            "A. Smith",
-            "--reason",
-            "a hose was laid, the model knows it now",
-            "--connect",
-            f"tcp/127.0.0.1:{ear.port}",
-        )
-        run("reset", *words)
-        until(lambda: ear.says("OK"), "the arm with its new model is OK", 60.0)
-        tell("OK again")
+        second, plain = _explained(out, bundle, hide, first, tell)
+        _rolled_out(out, ear, monitor.pid, tell, (first, second, plain))
+        _cleared(ear, tell)
 
 
-def _explained(
-    out: Path, bundle: Path, hide: str, models: tuple[Path, Path, Path], altered: str, tell: Callable[[str], None]
-) -> None:
-    """From the evidence to a revision whose sets are smaller than what the effect would cost unexplained."""
-    first, second, plain = models
+def _explained(out: Path, bundle: Path, hide: str, first: Path, tell: Callable[[str], None]) -> tuple[Path, Path]:
+    """From the evidence to a revision whose errors, sets and stop are smaller than what the effect would cost unexplained."""
+    altered, joint = str(out / "altered" / "recording.parquet"), hide.partition(":")[2]
+    second, plain = out / "second.model.json", out / "unexplained.model.json"
     run("compare", str(first), "--data", str(bundle), "--quiet", good=(0, 1))
-    run("diagnose", str(first), "--data", altered, "--quiet", "--json", str(out / "diagnosis.json"))
-    ranked = json.loads((out / "diagnosis.json").read_text())["ranked_effects"]
+    ranked = asked("diagnosis", out, "diagnose", str(first), "--data", altered)["ranked_effects"]
     named = [f"{r['effect']}:{r['joint']}" if r["joint"] else r["effect"] for r in ranked]
     hold(named[:1] == [hide], f"the diagnosis names {hide} first, it said {', '.join(named) or 'nothing'}")
-    told = run("add", str(first), hide, "--data", altered, "--out", str(second), "--quiet")
-    hold("revision 1" in told, "the effect is added")
+    run("add", str(first), hide, "--data", altered, "--out", str(second), "--quiet")
+    before, after = (asked(m.name, out, "compare", str(m), "--data", altered)["joints"][joint] for m in (first, second))
+    told = []
+    for name, what, unit in (("torque_rmse", "torque error", "N m"), ("position_rmse", "open-loop error", "rad")):
+        a, b = before[name], after[name]
+        hold(b <= 0.5 * a, f"the {what} of {joint} is at least halved: {a:.3g} -> {b:.3g} {unit}")
+        told.append(f"{what} {a:.3g} -> {b:.3g} {unit}")
     robot = str(out / "healthy" / "robot.urdf")
     run("identify", "--robot", robot, "--data", altered, "--out", str(plain), "--friction", "plain", "--accept-wide", "--quiet")
     a, b = widths(plain), widths(second)
     hold(b < 0.7 * a, f"the sets shrink: U {b:.3g} N m with the effect, {a:.3g} N m without")
-    tell(f"{hide} named and added: U {a:.3g} -> {b:.3g} N m")
+    told.append(f"U without the effect {a:.3g}, with it {b:.3g} N m")
+    a, b = (farthest(m, out, joint) for m in (plain, second))
+    hold(b < 0.9 * a, f"the stop bound of {joint} shrinks: {b:.3g} rad with the effect, {a:.3g} rad without")
+    tell(f"{hide} named and added: {', '.join(told)}, STOP 0 {a:.3g} and {b:.3g} rad")
+    return second, plain
+
+
+def farthest(model: Path, out: Path, joint: str) -> float:
+    """How far the joint goes on STOP 0 from the middle of what was recorded, at half its speed [rad]."""
+    middle = ",".join(f"{x:.4f}" for x in load_model(model).domain.q.centre)
+    rows = asked(f"stop-{model.name}", out, "stops", str(model), f"--at={middle}", "--speed", "50%", "--category", "0")
+    return float(next(r["angle_rad"] for r in rows if r["joint"] == joint))
+
+
+def _rolled_out(out: Path, ear: Ear, monitor: int, tell: Callable[[str], None], models: tuple[Path, Path, Path]) -> None:
+    """A model that nobody signed is refused, the signed one taken; the messages go on, none says OK."""
+    first, second, plain = models
+    put_in_place(out, plain)  # under another's signature
+    Path(f"{out / 'arm.model.json'}.sig").write_bytes(Path(f"{first}.sig").read_bytes())
+    begin = len(ear.states)
+    os.kill(monitor, signal.SIGHUP)
+    until(lambda: "reload_refused" in ear.kinds(), "a model that nobody signed is refused")
+    run("sign", str(second), "--key", str(out / "release"))
+    put_in_place(out, second)
+    os.kill(monitor, signal.SIGHUP)
+    until(lambda: "reloaded" in ear.kinds(), "the signed revision is taken")
+    time.sleep(0.5)
+    gap = max(b - a for a, b in pairwise([t for t, *_ in ear.states[begin - 1 :]]))
+    hold(gap < 1.0, f"the messages go on while a model is rolled out, the longest gap was {gap:.2f} s")
+    tell(f"rolled out without a gap (longest {1000 * gap:.0f} ms), still not OK")
+
+
+def _cleared(ear: Ear, tell: Callable[[str], None]) -> None:
+    """A person clears it; from then on it is OK and stays so, before it never was; no event was lost."""
+    words = ("--name", "A. Smith", "--reason", "a hose was laid, the model knows it now")
+    run("reset", *words, "--connect", f"tcp/127.0.0.1:{ear.port}")
+    cleared = until(lambda: "reset" in ear.kinds() and ear.of("reset"), "the reset is told")["seq"]
+    life = ear.states[-1][2]
+    hold(State.OK not in ear.said(life, -1, cleared), "nothing is OK before a person has looked")
+    until(lambda: ear.says("OK"), "the arm with its new model is OK", 60.0)
+    tell("OK again")
+    time.sleep(HOLDS)
+    after = ear.said(life, cleared)
+    hold(State.VIOLATION not in after[1:] and State.FAULT not in after, "no VIOLATION comes back with the new model")
+    hold(ear.says("OK") or State.OK in after[-250:], "it stays OK but where one recorded motion ends and the next begins")
+    lost = [e for e in ear.remembered() if e not in ear.events]
+    hold(not lost, f"every event the monitor remembers was heard, not heard: {lost[:2]}")
+    tell(f"no VIOLATION within {HOLDS:g} s, {after.count(State.OK)} of {len(after)} messages OK, no event lost")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--robot", default="lwa4p")
-    parser.add_argument("--hide", default="spring:arm_4_joint")
+    parser.add_argument("--hide", default="spring:arm_4_joint", metavar="EFFECT:JOINT")
     args = parser.parse_args()
     start = time.monotonic()
 
