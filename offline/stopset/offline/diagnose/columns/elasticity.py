@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stopset.core.library import ffi, flags, given, lib, view
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.signals import Source
 from stopset.offline.diagnose.rows.prepare import Mask
 from stopset.offline.diagnose.rows.smooth import calm
@@ -17,7 +18,6 @@ from stopset.robot.rigid import Bend, bent_torques
 from stopset.types import Array
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
-ROWS_TO_BEGIN = 12  # rows of a trial from which on the swing it began with is told from friction and an offset
 RATHER_NOT = 1e-6  # share of the rows' largest pattern below which one is not told from the others
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
@@ -139,7 +139,7 @@ def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state:
     noise = float(np.median(d.torque_noise[:, j]) * np.linalg.norm(d.kernel.h))
     for at, trial in zip(first, (t for t in d.trials if t.rows.stop > t.rows.start), strict=True):
         rows = np.arange(trial.rows.start, trial.rows.stop)[d.ok[trial.rows, j]]
-        if len(rows) > ROWS_TO_BEGIN:
+        if len(rows) > limit.BEGINNINGS:
             expected = noise * np.eye(2, A.shape[1])  # of each start swing: the usual size
             found = np.linalg.lstsq(np.vstack([A[rows], expected]), np.append(left[rows], np.zeros(2)), rcond=RATHER_NOT)[0]
             x0[at] += found[0] * unit[at]

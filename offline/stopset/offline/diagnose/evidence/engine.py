@@ -25,7 +25,7 @@ from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
 
-SAME = 0.01  # prior deviation of the torque's scale from that of the recordings that a model is from
+EMPTY = 1e-9  # [N m] rounding: a column no larger leaves no trace
 RECENT = 8  # laws whose columns are kept
 CACHED = 64  # columns of tried shapes that are kept: a search comes back to them
 
@@ -70,7 +70,7 @@ class Engine:
         base = 1 + np.arange(10 * n)
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
         sd = np.full(2 + 15 * n, np.inf)
-        sd[-1] = 1e-6 if compensated else SAME if known else limit.DRIVES  # torque constants off on all joints alike
+        sd[-1] = 1e-6 if compensated else limit.SAME_DRIVES if known else limit.DRIVES  # torque constants off on all joints alike
         sd[base] = link_tolerance(robot, tol).ravel()
         taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
         sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
@@ -139,7 +139,7 @@ class Engine:
             level += len(plain) * self.level(i) ** 2
             parts[i] = self.rows[i].column(moving, still)
         rms = np.sqrt(power / max(count, 1))
-        if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < 1e-9:
+        if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < EMPTY:
             return None
         sd = limit.PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])
