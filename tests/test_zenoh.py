@@ -25,6 +25,7 @@ from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.packer import pack
+from stopset.monitor.replay import play
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.viewer import Page, View, terminal
 from stopset.recording import read_recordings
@@ -81,6 +82,26 @@ def test_samples_follow_names_and_stamps_show_gaps() -> None:
     assert got[3] is not None and got[3].k == 5 + GAP, "a stamp that belongs to no cycle is a gap"
     assert got[5] is None and source.refused == 1 and source.next(0.0) is None
     assert got[6] is not None and got[6].q.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_what_a_busy_machine_sent_late_does_not_stay_late() -> None:
+    """A replay that could not keep pace is stamped as now at its next trial: a monitor would call all that follows too old."""
+    seen: list[tuple[int, int]] = []
+
+    class Slow:
+        def sample(self, values: object, stamp_ns: int) -> None:
+            seen.append((stamp_ns, time.time_ns()))
+            time.sleep(0.012 if len(seen) <= 25 else 0.0)
+
+        def pause(self, cycles: int) -> None: ...
+        def close(self) -> None: ...
+
+    play([motion(s, 25, s) for s in range(3)], Slow())
+    behind = [(now - stamp) * 1e-9 for stamp, now in seen]
+    assert behind[24] > 0.1, "within a trial stamps keep the rhythm of the recording"
+    assert abs(behind[25]) < 0.05 and abs(behind[50]) < 0.05
+    stamps = [stamp for stamp, _ in seen]
+    assert stamps == sorted(stamps)
 
 
 def test_two_sessions_on_loopback() -> None:
