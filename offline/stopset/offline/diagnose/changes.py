@@ -29,7 +29,7 @@ PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
 }  # fmt: skip
-Column = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
+ColumnLevel = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class _Candidate:
 
     joint: int | None
     columns: Array
-    terms: tuple[Column, ...]
+    terms: tuple[ColumnLevel, ...]
     least: tuple[float, ...]
 
 
@@ -154,7 +154,7 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
     return out
 
 
-def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Column:
+def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> ColumnLevel:
     """What a column says."""
     return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 
