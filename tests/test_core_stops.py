@@ -110,7 +110,7 @@ def test_joints_whose_inertia_has_no_inverse_prove_nothing_or_hold() -> None:
     assert marched(plant, none, fast, 1e-6, 2e-3, True).end in (ENDLESS, UNBOUNDED)
     tube = marched(plant, none, still, 1e-6, 7.7e-3, True)
     assert tube.end == OK and np.all(tube.margin >= 0.0) and np.all(np.abs(still) <= np.maximum(tube.v_hi[0], -tube.v_lo[0]))
-    assert marched(plant._replace(rotor=np.full(3, 0.5)), none, fast, 1e-6, 2e-3, True).end == OK
+    assert marched(plant._replace(rotor=np.full(3, 0.5)), none, 0.1 * fast, 1e-6, 2e-3, True).end == OK
 
 
 def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
