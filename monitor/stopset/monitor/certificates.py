@@ -53,13 +53,14 @@ def holds(lo: Array, hi: Array, x: Array, slack: Array) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make."""
+    """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make, ``cpu`` of it at work."""
 
     category: str
     lo: Array
     hi: Array
     numbers: Numbers
     took: float
+    cpu: float
 
     def covers(self, x: Array, slack: Array) -> bool:
         """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
