@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from stopset.cli.demo import Beside, _told
+from stopset.cli.demo import Asides, _told
 from stopset.errors import StopsetError
 
 
@@ -30,7 +30,7 @@ def test_a_violation_and_silence_are_told_as_such() -> None:
 
 def test_what_runs_beside_the_story_is_told_when_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
     """A command in a process of its own prints for the story, and ends it with its own sentence where it fails."""
-    with Beside() as beside:
+    with Asides() as beside:
         begun = beside.begin("inspect", "--help")
         assert "usage: stopset inspect" in begun.result()
         with pytest.raises(StopsetError, match=r"`stopset history` ended with 2: .*nowhere\.model\.json"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stopset.offline.campaign import trials as handing
-from stopset.offline.campaign.trials import Remembered, size
+from stopset.offline.campaign.trials import ReadOnce, size
 from stopset.recording import Recording
 
 READS: list[int] = []
@@ -24,14 +24,14 @@ def trials() -> Iterator[Recording]:
 
 def test_few_trials_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     READS.clear()
-    source = Remembered(trials)
+    source = ReadOnce(trials)
     next(iter(source()))
     assert READS == [0], "a pass that breaks off is none"
     first = tuple(source())
     assert tuple(source()) == first and READS == [0, 0, 1, 2]
     READS.clear()
     monkeypatch.setattr(handing, "MOST", 2 * size(first[0]))
-    many = Remembered(trials)
+    many = ReadOnce(trials)
     assert [r.suite for _ in range(2) for r in many()] == [0, 1, 2, 0, 1, 2] and len(READS) == 6
     READS.clear()
     elsewhere = pickle.loads(pickle.dumps(source))

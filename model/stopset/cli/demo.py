@@ -44,7 +44,7 @@ def _answer(line: str) -> bool:
     return "the predicted sets" in line and not line.startswith(" ")
 
 
-Keep = Callable[[str], bool]  # of the lines that a command printed
+Wanted = Callable[[str], bool]  # of the lines that a command printed
 
 
 class Story:
@@ -57,7 +57,7 @@ class Story:
         self.step += 1
         say(f"\n[{time.monotonic() - self.start:5.1f} s] {self.step}. {text}")
 
-    def do(self, *words: str, keep: Keep = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
+    def do(self, *words: str, keep: Wanted = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
         """Run one command in this process, its chatter hidden except the lines that ``keep`` wants."""
         from stopset.cli.main import main
 
@@ -68,12 +68,12 @@ class Story:
         _ended(words[0], code, good, reported.getvalue())
         _show(printed.getvalue(), keep)
 
-    def collect(self, begun: Future[str], keep: Keep = lambda _: False) -> None:
-        """What a command printed that was begun `Beside` others, as far as ``keep`` wants it."""
+    def collect(self, begun: Future[str], keep: Wanted = lambda _: False) -> None:
+        """What a command printed that was begun `Asides` others, as far as ``keep`` wants it."""
         _show(begun.result(), keep)
 
 
-class Beside:
+class Asides:
     """Commands that run one after another in processes of their own, behind whatever else the machine has to do."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ def _ended(command: str, code: int, good: tuple[int, ...], reported: str) -> Non
         raise kind(f"`stopset {command}` ended with {code}: {reported.strip().splitlines()[-1:]}")
 
 
-def _show(printed: str, keep: Keep) -> None:
+def _show(printed: str, keep: Wanted) -> None:
     for line in printed.splitlines():
         if keep(line):
             say("      " + line)
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     data = str(out / "recording.parquet")
     from stopset.fmu.build import native
 
-    with Beside() as beside:  # what only computes, while the arm moves in its own time
+    with Asides() as beside:  # what only computes, while the arm moves in its own time
         story.chapter(
             "Compared again, revisions side by side, and how far it goes when it is stopped (tables as ISO 10218-1 asks)."
         )
@@ -156,7 +156,7 @@ def _modelled(story: Story, second: str) -> None:
     story.do("simulate", "--robot", "lwa4p", *hidden, "--out", str(out), keep=lambda x: "recordings" in x)
     story.chapter("A reachset-conformant model is identified from the recordings.")
     story.do("identify", "--robot", robot, "--data", data, "--out", first, keep=lambda x: x.startswith(("sum of U", "All ")))
-    with Beside() as beside:
+    with Asides() as beside:
         story.chapter("Model and measurements are compared: where does it fail?")
         fails = beside.begin("compare", first, "--data", data, "--report", str(out / "compare-first.html"), good=(0, 1))
         answer = out / "diagnosis.json"

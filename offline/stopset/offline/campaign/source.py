@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stopset.errors import RecordingError
-from stopset.offline.campaign.trials import Remembered, Source
+from stopset.offline.campaign.trials import ReadOnce, Source
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
 
@@ -22,7 +22,7 @@ class Campaign:
 
 def campaign_of(robot: Robot, paths: Sequence[str | Path]) -> Campaign:
     """The recordings in ``paths``, in this order. Raises `RecordingError` if they hold different kinds of torque."""
-    return Campaign(common_meta(paths), Remembered(lambda: stream_recordings(paths, robot)))
+    return Campaign(common_meta(paths), ReadOnce(lambda: stream_recordings(paths, robot)))
 
 
 def continued(earlier: Campaign, robot: Robot, paths: Sequence[str | Path], places: int) -> Campaign:

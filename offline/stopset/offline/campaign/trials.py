@@ -18,7 +18,7 @@ MOST = (
 )  # bytes of trials that are remembered: some ten minutes of six joints at 1 kHz; what is longer is read again and again
 
 
-class Remembered:
+class ReadOnce:
     """Trials of ``source``, in memory from the first whole pass on, where they take no more than `MOST` bytes together."""
 
     def __init__(self, source: Source) -> None:
@@ -40,8 +40,8 @@ class Remembered:
         if left >= 0:
             self._whole = tuple(read)
 
-    def __reduce__(self) -> tuple[type[Remembered], tuple[Source]]:
-        return Remembered, (self._source,)  # another process reads for itself
+    def __reduce__(self) -> tuple[type[ReadOnce], tuple[Source]]:
+        return ReadOnce, (self._source,)  # another process reads for itself
 
 
 def size(r: Recording) -> int:
