@@ -44,7 +44,7 @@ def _answer(line: str) -> bool:
     return "the predicted sets" in line and not line.startswith(" ")
 
 
-Wanted = Callable[[str], bool]  # of the lines that a command printed
+Lines = Callable[[str], bool]  # of the lines that a command printed
 
 
 class Story:
@@ -57,7 +57,7 @@ class Story:
         self.step += 1
         say(f"\n[{time.monotonic() - self.start:5.1f} s] {self.step}. {text}")
 
-    def do(self, *words: str, keep: Wanted = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
+    def do(self, *words: str, keep: Lines = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
         """Run one command in this process, its chatter hidden except the lines that ``keep`` wants."""
         from stopset.cli.main import main
 
@@ -68,7 +68,7 @@ class Story:
         _ended(words[0], code, good, reported.getvalue())
         _show(printed.getvalue(), keep)
 
-    def collect(self, begun: Future[str], keep: Wanted = lambda _: False) -> None:
+    def collect(self, begun: Future[str], keep: Lines = lambda _: False) -> None:
         """What a command printed that was begun `Asides` others, as far as ``keep`` wants it."""
         _show(begun.result(), keep)
 
@@ -108,7 +108,7 @@ def _ended(command: str, code: int, good: tuple[int, ...], reported: str) -> Non
         raise kind(f"`stopset {command}` ended with {code}: {reported.strip().splitlines()[-1:]}")
 
 
-def _show(printed: str, keep: Wanted) -> None:
+def _show(printed: str, keep: Lines) -> None:
     for line in printed.splitlines():
         if keep(line):
             say("      " + line)
