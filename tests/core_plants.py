@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from stopset.core.library import ffi, given, lib, view
 from stopset.reach.stops.expansion import curvature
-from stopset.reach.stops.regions import FRICTION
 from stopset.reach.stops.tube import Plant, plant_struct
 from stopset.robot.rigid import Chain
 from stopset.types import Array
@@ -76,35 +74,12 @@ def planar(seed: int) -> tuple[Plant, Array, Array, float, float]:
     return plant, q, dq, float(radius), float(h)
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
-    """Where the plant's friction holds: no angle outside, no joint faster; everywhere, if nothing is said."""
-
-    plant: Plant
-    q_lo: Array | None = None
-    q_hi: Array | None = None
-    speed: Array | None = None
-
-    def rows(self) -> list[Array]:
-        far = np.full(len(self.plant.rotor), np.inf)
-        bounds = (
-            -far if self.q_lo is None else self.q_lo,
-            far if self.q_hi is None else self.q_hi,
-            far if self.speed is None else self.speed,
-        )
-        return [given(x) for x in (*(getattr(self.plant, name) for name in FRICTION), *bounds)]
-
-
-def power_off(
-    plant: Plant, q: Array, dq: Array, radius: float = 0.0, apart: float | None = None, regions: tuple[Region, ...] = ()
-) -> Any:
+def power_off(plant: Plant, q: Array, dq: Array, radius: float = 0.0) -> Any:
     """The core's bound of one whole stop, (4, n): time, forward, back, speed; its code where there is none."""
     n = len(q)
-    rows = [r.rows() for r in regions or (Region(plant),)]
-    table = ffi.new("StopsetRegion[]", [tuple(view(x) for x in row) for row in rows])
     struct, held = plant_struct(plant)
     tool, work = np.zeros(3), np.empty(lib.stopset_stop_room(n))
-    stops = ffi.new("StopsetStops *", (struct[0], ffi.NULL, -1.0 if apart is None else apart, view(tool), len(rows), table))
+    stops = ffi.new("StopsetStops *", (struct[0], ffi.NULL, -1.0, view(tool), ffi.NULL))
     out, two = np.empty((4, n)), np.empty(2)
     box = [given(x) for x in (q, dq, 0.0 * q, np.full(n, radius))]
     bound = ffi.new("StopsetBound *", (*(view(x) for x in out), view(two)))

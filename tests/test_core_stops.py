@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core_plants import LYING, UPRIGHT, Region, bodies, chain_of, planar, plant_of, power_off
+from core_plants import LYING, UPRIGHT, bodies, chain_of, planar, plant_of, power_off
 from stop_sampling import sample_stops
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_sets, slices
-from stopset.reach.stops.friction import BEYOND
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, inertia_box, march
@@ -23,7 +22,6 @@ from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 from stopset.types import Array
-from test_fmu import friction
 from test_fmu_stops import braked, core_stop, cut_together, ramped, states
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -122,32 +120,7 @@ def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
     assert tube.end == UNBOUNDED
 
 
-# ---- whole stops: regions and windows
-
-
-def test_a_stop_that_leaves_a_region_has_the_friction_of_the_next() -> None:
-    arm = chain_of(np.full(1, 0.4), UPRIGHT), bodies(np.full(2, 2.0), np.full(2, 0.2), np.full(2, 0.1))
-    plant, radius = plant_of(*arm, np.full(2, 2.0), np.full(2, 30.0), 0.02, 0.01, 2.0, 0.1, 0.05), 1e-3
-    q, dq = np.array([0.3, -0.8]), np.array([0.6, -0.4])
-    weak = plant._replace(coulomb_lo=0.5 * plant.coulomb_lo)
-    alone, wide = power_off(plant, q, dq, radius), power_off(plant, q, dq, radius, regions=(Region(weak),))
-    assert np.any(wide[1:3] > alone[1:3])
-    room, inside = np.full(len(q), 10.0), np.maximum(alone[1], alone[2]) + 0.01
-    fast, near = alone[3] * 1.001, np.abs(dq) + 1.5 * radius
-    for first, want in (
-        (Region(plant, q - room, q + room, fast), alone),
-        (Region(plant, q - inside, q + inside), alone),
-        (Region(plant, q - 0.2 * inside, q + room), wide),  # left backward
-        (Region(plant, q - room, q + 0.2 * inside), wide),  # left forward
-        (Region(plant, q - room, q + room, 0.5 * np.abs(dq)), wide),  # never there
-    ):
-        assert np.array_equal(power_off(plant, q, dq, radius, regions=(first, Region(weak))), want)
-        assert np.array_equal(power_off(plant, q, dq, radius, regions=(first,)), want) if want is alone else True
-    # a bound of the speed that grows before the brakes close leaves a region of just the speed at the cut
-    pushed = plant._replace(u_lo=plant.u_lo - 4.0, u_hi=plant.u_hi + 4.0)
-    freely = power_off(pushed, q, dq, radius)
-    assert np.any(freely[3] > near)
-    assert power_off(pushed, q, dq, radius, regions=(Region(pushed, None, None, near),)) == 1
+# ---- whole stops: the brakes' windows
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.05])
@@ -216,23 +189,6 @@ def test_brakes_that_cannot_hold_the_arm_where_it_is_or_comes_to_prove_nothing()
             weak, strong = (weak, share) if found[share] else (share, strong)
         held |= {frozenset(found.values())}
     assert frozenset({True, False}) in held
-
-
-@pytest.mark.parametrize("category", ["0", "1", "2"])
-def test_beyond_the_largest_region_there_is_no_ramp_and_no_stop(category: str) -> None:
-    model = braked(8.0, 3, effort="motor_torque", effects=[friction("spring", "axis_2", k=8.0, c=0.1)])
-    bounds, core = with_ramp(model)
-    d, found = model.domain, []
-    for k in range(12):
-        q, dq = 0.0 * d.q.hi, 0.1 * d.dq.hi * (1 if k % 2 else -1)
-        q[1] = (d.q.hi if k % 2 else d.q.lo)[1] * k / 10
-        q[1] += 0.0 if k < 10 else BEYOND * np.sign(q[1])  # and a tenth of the way on
-        found.append(core(q, dq, category) is not None)
-    assert found[0] and found[1] and not found[10] and not found[11]
-    for share, good in ((0.3, True), (1.2, True), (6.0, False)):
-        speed = share * bounds.setting.torques.fastest  # type: ignore[union-attr]
-        assert (core(0.0 * speed, speed, category) is not None) <= good
-    assert core(0.0 * d.q.hi, 0.3 * d.dq.hi, category) is not None
 
 
 # ---- sets of points
