@@ -42,7 +42,7 @@ from stopset.offline.diagnose.explain import uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
 from stopset.offline.diagnose.search import refine, wanted
-from stopset.offline.identify import absurd, ladder
+from stopset.offline.identify import absurd
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
@@ -110,14 +110,13 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction choice", choose, "WINDOWS TIE"),
     ("swift inputs", swift, "LOWERS"),
     ("abstraction forms", forms, "ROUNDING"),
-    ("abstraction identified", identified, "HORIZON ORDERS"),
+    ("abstraction identified", identified, "HORIZON ORDERS LADDER WORTH"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
     ("readings", noise, "WINDOW COVERAGE TELLING FLOAT32_STEP _WEIGHTS"),
     ("reading error", reading_error, "SMOOTH FEWEST"),
     ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
     ("absurd", absurd, "LATE MOVES RANGES"),
-    ("next abstraction", ladder, "WORTH RUNGS"),
     ("drive gain", baseline, "POSES"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.errors import NotConformant, StopsetError
+from stopset.offline.abstraction.identified import LADDER, WORTH
 from stopset.offline.abstraction.swift import lacking
 from stopset.offline.campaign.survey import Survey
 from stopset.offline.compare.tightness import JUDGED, LIMIT, WIDE
@@ -22,18 +23,13 @@ from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
 from stopset.progress import Tell
 
-WORTH = (
-    0.2  # share by which a richer abstraction must lower the torque it lacks, and its tube after 0.1 s, in the mean over joints
-)
-RUNGS = ((2, 3), (3, 3))  # model and order, in the order they are tried
-
 Abstracted = Callable[[Settings], NominalPart]
 WithSets = Callable[[Settings, NominalPart], Identification]
 
 
 def rungs(settings: Settings) -> Iterator[Settings]:
     """What comes after the linear model: the paper's models 2 and 3, as far as their order can be built in seconds."""
-    for kind, order in RUNGS:
+    for kind, order in LADDER:
         yield replace(settings, model=kind, order=order, ladder=False)
 
 
