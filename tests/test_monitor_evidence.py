@@ -136,7 +136,7 @@ def record(folder: Path, model: Model, settings: Records, r: Any, words: tuple[b
             "joints": ",".join(model.joints), "effort": model.effort, "robot": "known arm", "cycle_s": repr(DT),
             "model_sha256": "ab", "config_sha256": "cd",
         },
-        heard=lambda: [(1000.0 + DT * k, 0x183, bytes([k % 256])) for k in range(len(r.t))],
+        heard=lambda first, last: [(1000.0 + DT * k, 0x183, bytes([k % 256])) for k in range(len(r.t))],
     )  # fmt: skip
     recorder.watching(model, Quantum.none(6))
     watch, latch = Watch(model), Latch()

@@ -132,7 +132,7 @@ class RtdeSource:
             said.append(self._said.popleft())
         return said
 
-    def heard(self) -> list[tuple[float, int, bytes]]:
+    def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]:
         return []
 
     def close(self) -> None:

@@ -74,7 +74,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
         link.close()
         raise
     recorder.about = lambda: about(daemon)
-    recorder.heard = lambda: daemon.source.heard()
+    recorder.heard = lambda first, last: daemon.source.heard(first, last)
     recorder.start()
     _signals(daemon, seconds)
     gc.collect()
