@@ -67,6 +67,8 @@ class RtdeSource:
                 self.connected += 1
                 with contextlib.closing(client):
                     for row in client.rows(SILENCE):
+                        if self._closed.is_set():
+                            break
                         before = ""
                         self._take(row)
                         while client.said:
