@@ -23,13 +23,14 @@ from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.residual import residuals
-from stopset.offline.revise.revise import WIDER, widened
+from stopset.offline.revise.revise import widened
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot.rigid import gravity_torques, torques
 
@@ -285,7 +286,7 @@ def test_conditions_are_not_mixed_without_being_told(tmp_path: Path, motion: Rec
 def test_a_revision_that_widens_the_torque_sets_is_refused() -> None:
     key = "sum_U_width_without_margin"
     assert widened({key: 63.0}, {key: 934.0}).startswith("the widths of U would grow from 63 to 934")
-    assert widened({key: 63.0}, {key: 63.0 * (1 + 0.9 * WIDER)}) == "" and widened({}, {key: 1.0}) == ""
+    assert widened({key: 63.0}, {key: 63.0 * (1 + 0.9 * limit.WIDER)}) == "" and widened({}, {key: 1.0}) == ""
 
 
 def test_what_is_no_claim() -> None:

@@ -15,7 +15,7 @@ from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.offline.diagnose.columns import elasticity as swing
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
-from stopset.offline.diagnose.evidence.evidence import SIGMAS, JointGram, gain, project
+from stopset.offline.diagnose.evidence.evidence import JointGram, gain, project
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis, _put
 from stopset.offline.diagnose.evidence.scores import score_new, scores
@@ -26,7 +26,7 @@ from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.search import predicts
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
-from stopset.offline.diagnose.thresholds import QUIET, SENSORS, THRESHOLD, WANDER
+from stopset.offline.diagnose.thresholds import QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.simulation import prepare
 
@@ -219,7 +219,7 @@ def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> Non
     hyper, _ = Hypothesis(engine).fit()
     view = Hypothesis(engine).view()
     for j in range(engine.data.n):
-        choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, float(s))) for s in SIGMAS]
+        choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, s)) for s in SCATTERS]
         best = max(choices, key=lambda h: view.criterion(view.project(h)[0], h, view.project(h)[1]))
         assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,9 @@ from stopset.offline.campaign import session
 from stopset.offline.conform import guarantee
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import FOLDS
-from stopset.offline.diagnose.explain.uncertainty import PART
 from stopset.offline.diagnose.rows import prepare
 from stopset.offline.identify import constants
 from stopset.offline.nominal import parameter_uncertainty, prior
-from stopset.offline.revise import judge
 from stopset.offline.update import staleness
 from stopset.reach.stops import failed, ramp, tubes
 
@@ -25,14 +24,14 @@ ROOT = Path(__file__).parents[1]
 SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("diagnosis", "One Gaussian kernel ({:g} ms)", (1e3 * prepare.KERNEL,)),
     ("diagnosis", "one row per {:g} ms", (1e3 * prepare.ROW_STEP,)),
-    ("diagnosis", "Rows slower than {:g} rad/s", (prepare.CREEP,)),
+    ("diagnosis", "Rows slower than {:g} rad/s", (limit.CREEP,)),
     (
         "diagnosis",
         "position error by {:g} %, and by {:g} % in each half",
         (100 * limit.OPEN_LOOP_CLAIM, 100 * limit.OPEN_LOOP_HALVES),
     ),
     ("diagnosis", "explains {:g} times as much as the best one alone", (limit.TOGETHER,)),
-    ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * judge.HELPS, 100 * judge.HELPS_THERE)),
+    ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * limit.HELPS, 100 * limit.HELPS_THERE)),
     ("diagnosis", "A lag of less than {:g} ms is none", (1e3 * limit.SHORTEST_LAG,)),
     ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS,)),
     ("stops", "checked at {:g} points", (ramp.POINTS,)),
@@ -46,7 +45,7 @@ WORDS = {2: "two", 4: "four", 5: "five", 6: "six", 8: "eight", 10: "ten", 12: "t
 # the same where the number is a word
 IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "with fewer than {} motions on every", FOLDS),
-    ("diagnosis", "(of {} seconds, where", PART),
+    ("diagnosis", "(of {} seconds, where", limit.PART),
     ("diagnosis", "it takes {} as much", prior.IDENTIFICATION),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
     ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
@@ -91,10 +90,72 @@ def test_a_changed_threshold_changes_the_table(tables: Any, monkeypatch: pytest.
 
 
 def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
-    written = [name for name in vars(limit) if name.isupper() and name != "TABLE"]
+    written = [name for name in vars(limit) if name.isupper() and name not in ("TABLE", "SETTLED", "LATER")]
     assert sorted(t.name for t in limit.TABLE) == sorted(written)
     assert all(t.meaning and t.calibration for t in limit.TABLE)
     assert len({t.meaning for t in limit.TABLE}) == len(limit.TABLE)
+
+
+# numbers of the diagnosis that decide nothing: module, names, why
+FINENESS = (
+    ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
+    ("columns/ripple", "STEP RIPPLES", "grid of a search"),
+    ("compensated", "STEP SCREENING FINALISTS", "how finely is simulated, and how many are simulated to the end"),
+    ("evidence/baseline", "POSES", "how many poses an average is taken over"),
+    ("evidence/candidate", "HELD", "infinite"),
+    ("evidence/engine", "EMPTY", "rounding"),
+    ("evidence/engine", "RECENT CACHED", "how much is kept in memory"),
+    ("evidence/evidence", "RIDGES", "rounding"),
+    ("evidence/hypothesis", "GIVEN ROUNDS", "none; how often an iteration goes round"),
+    ("explain/partial", "POINTS", "how many are drawn"),
+    ("explain/residual", "BINS FEW_BINS BLOCK", "how finely a pattern is drawn"),
+    ("explain/uncertainty", "STEP TWO_SIDES", "of a numerical derivative; of an interval"),
+    ("rows/noise", "ORDER", "how far a prediction looks back"),
+    ("rows/prepare", "KERNEL LIGHT ROW_STEP GOLDEN ONE_WAY", "how rows are smoothed and thinned; rounding"),
+    ("rows/rows", "DEPENDENT", "rounding"),
+    ("rows/sampling", "FOLLOW", "how a clock is tracked"),
+    ("search/refine", "FINEST_LAG", "where a search ends"),
+    ("search/wanted", "LAGS", "start values of a search"),
+    ("standing", "USUAL_TORQUE", "stands in for a number that nobody stated"),
+)
+PLAIN = {0, 1, 2}  # none, one, either side: no threshold
+
+
+def numbers(node: ast.AST) -> list[float]:
+    """Numbers in a piece of code that are no plain ones."""
+    found = [x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and type(x.value) in (int, float)]
+    return [x for x in found if x not in PLAIN]
+
+
+def own_numbers(text: str) -> set[str]:
+    """What a module compares with a number of its own, and the numbers it names."""
+    tree, named = ast.parse(text), set()
+    for node in tree.body:
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None and any(
+            isinstance(x, ast.Constant) and type(x.value) in (int, float) for x in ast.walk(node.value)
+        ):  # fmt: skip
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            named |= {x.id for t in targets for x in ast.walk(t) if isinstance(x, ast.Name) and x.id.isupper()}
+    compared = [n for n in ast.walk(tree) if isinstance(n, ast.Compare) and any(map(numbers, (n.left, *n.comparators)))]
+    return named | {ast.unparse(n) for n in compared}
+
+
+def test_no_module_of_the_diagnosis_has_a_threshold_of_its_own() -> None:
+    folder = Path(limit.__file__).parent
+    fine = {(module, name) for module, names, why in FINENESS for name in names.split() if why}
+    own = {
+        (path.relative_to(folder).with_suffix("").as_posix(), what)
+        for path in folder.rglob("*.py")
+        if path.name != "thresholds.py"
+        for what in own_numbers(path.read_text(encoding="utf-8"))
+    }
+    assert own - fine == set(), "put it into thresholds.py with its meaning and calibration"
+    assert fine - own == set()
+    assert (
+        own_numbers("if x.gain > 0.5 * best:\n    pass")
+        and own_numbers("SURE = (2.0, 3)")
+        and not own_numbers("x[0] > limit.SURE")
+    )
 
 
 def test_one_tolerance_of_a_description() -> None:

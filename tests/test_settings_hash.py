@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from stopset.effects.registry import catalogue
+from stopset.offline.diagnose import thresholds
 from stopset.offline.identify import constants as table
 from stopset.offline.identify.constants import TABLE, digest, settings_sha256
 from stopset.offline.identify.settings import Settings
@@ -58,15 +59,16 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
     ("stopset.offline.diagnose.diagnose", "SINCE SINGLE", WORDS),
-    ("stopset.offline.diagnose.standing", "MOVE", WORDS),
+    ("stopset.offline.diagnose.standing", "MOVE USUAL_TORQUE", "of an arm that does not move no model is made"),
     ("stopset.offline.diagnose.evidence.engine", "CACHED RECENT", BUDGET),
     ("stopset.offline.diagnose.explain.identifiable",
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),
     ("stopset.offline.diagnose.explain.residual", "BINS FEW_BINS BLOCK", SHOWN),
     ("stopset.offline.diagnose.search.held_out", "WHOLE BLOCKS", WORDS),
-    ("stopset.offline.diagnose.thresholds", "TABLE", SHOWN),
-    ("stopset.offline.diagnose.changes", "LOWERED SURE DAILY LEAST_GAIN LEAST_MASS FEWEST MOST PARTS", "asked of a finished model only"),
+    ("stopset.offline.diagnose.thresholds", "SETTLED TABLE", SHOWN),
+    ("stopset.offline.diagnose.thresholds", " ".join(t.name for t in thresholds.LATER) + " LATER", "asked of a finished model only"),
+    ("stopset.offline.diagnose.changes", "PARTS", ROLES),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
     ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),
     ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
@@ -74,7 +76,9 @@ LEFT_OUT = (
     ("stopset.offline.description.outline", "TURNS", "kinds of joints in a URDF"),
     ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
+    ("stopset.offline.nominal.low_pass", "TURNS_OVER", WORDS),
     ("stopset.offline.nominal.model", "NO_TRACE", WORDS),
+    ("stopset.offline.nominal.nominal", "LOW_PASS", WORDS),
     ("stopset.offline.nominal.normal_equations_file", "SCHEMA ARRAYS", FORMAT),
     ("stopset.offline.nominal.unidentifiable", "PARAMETERS", WORDS),
     ("stopset.offline.stops.*", "*", "shows recorded stops"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,14 +9,13 @@ import numpy as np
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.campaign.session import POWERED, Session
+from stopset.offline.campaign.trials import Source
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array
-
-Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
 
 JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even
 DRIFT = 0.5  # steps: a clock that has run off the grid by more is resampled, however even its stamps are
@@ -46,6 +44,7 @@ class Survey:
     irregular: bool
     session: Session  # what warming is counted in: that of the nominal model where one is given
     learnt: frozenset[SuiteKey] = frozenset()  # suites that a nominal model that is given was fitted to
+    low_pass: float = 0.0  # [Hz] of the filter that the recorded torque went through; 0: none was found, or looked for
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
 
     @property

@@ -19,23 +19,17 @@ from stopset.effects.registry import get
 from stopset.effects.selection import of_part
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
 from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
 
-LOWERED = 0.05  # share by which a change must lower the held-out error of one of its joints
-SURE = 4.0  # standard errors
-DAILY = 0.10  # of its level: friction differs by some percent from day to day, with temperature and rest
-LEAST_GAIN = 0.02  # a scale nearer to 1 is what descriptions are off by
-LEAST_MASS = 0.05  # [kg]
-FEWEST = 6  # trials (of fewer ones: blocks of time), below which their scatter tells nothing
-MOST = 8  # changes told
 PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
 }  # fmt: skip
-Column = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
+ColumnLevel = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +61,7 @@ class _Candidate:
 
     joint: int | None
     columns: Array
-    terms: tuple[Column, ...]
+    terms: tuple[ColumnLevel, ...]
     least: tuple[float, ...]
 
 
@@ -75,11 +69,11 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
     """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
     left, block, found = _rows(model, recordings)
     count = int(block.max()) + 1 if len(block) else 0
-    if count < FEWEST:
+    if count < limit.CHANGE_TRIALS:
         return ()
     out: list[Change] = []
     scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
-    for _ in range(MOST):
+    for _ in range(limit.CHANGES):
         tried = [(c, *_judged(left, block, count, scale, c)) for c in found]
         best = max(tried, key=lambda t: t[1], default=None)
         if best is None or best[1] <= 0:
@@ -93,14 +87,14 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
                 level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
             )
             for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(SURE * np.hypot(std[k], error), candidate.least[k])
+            if abs(theta[k]) > max(limit.CHANGE_SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
         found = [c for c in found if c is not candidate]
         if not certain:
             continue
         out += certain
         left = left - np.einsum("rjk,k->rj", candidate.columns, theta)
-    return tuple(out[:MOST])
+    return tuple(out[: limit.CHANGES])
 
 
 def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate]]:
@@ -108,7 +102,7 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
     number, moving = 0, [r for r in recordings if r.phase != "static"]
-    whole = len(moving) >= FEWEST  # friction scatters from trial to trial: pieces of one err alike
+    whole = len(moving) >= limit.CHANGE_TRIALS  # friction scatters from trial to trial: pieces of one err alike
     for r in moving:
         for piece in (r,) if whole else blocks(r):
             for m in motions(piece, Preprocessing()):
@@ -147,16 +141,20 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
             return block
 
         friction = at(np.sign(dq[:, j]), dq[:, j])
-        out.append(_Candidate(j, friction, (_column(dry_law, *dry), _column(damping, *wet)), (DAILY * dry[0], DAILY * wet[0])))
-        out.append(_Candidate(j, at(np.ones(len(q))), (_column(offset),), (DAILY * dry[0],)))
-        out.append(_Candidate(j, at(rigid[:, j]), (_column(scale),), (LEAST_GAIN,)))
+        out.append(
+            _Candidate(
+                j, friction, (_column(dry_law, *dry), _column(damping, *wet)), (limit.DAILY * dry[0], limit.DAILY * wet[0])
+            )
+        )
+        out.append(_Candidate(j, at(np.ones(len(q))), (_column(offset),), (limit.DAILY * dry[0],)))
+        out.append(_Candidate(j, at(rigid[:, j]), (_column(scale),), (limit.LEAST_GAIN,)))
     tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
     load = tuple(_column(body, term=k) for k in range(4))
-    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (LEAST_MASS, *(3 * (1e9,)))))
+    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (limit.LEAST_MASS, *(3 * (1e9,)))))
     return out
 
 
-def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Column:
+def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> ColumnLevel:
     """What a column says."""
     return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 
@@ -180,5 +178,5 @@ def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candid
     e0, e1 = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (y, after))
     where = list(range(len(scale))) if c.joint is None else [c.joint]
     lowered = float(np.max(1.0 - e1[where] / np.maximum(e0[where], 1e-12)))
-    gain = float(np.sum(y**2) - np.sum(after**2)) if lowered > LOWERED else 0.0
+    gain = float(np.sum(y**2) - np.sum(after**2)) if lowered > limit.CHANGE_LOWERED else 0.0
     return gain, theta, std, e0, e1

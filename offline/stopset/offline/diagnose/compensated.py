@@ -32,7 +32,7 @@ from stopset.types import Array
 
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders
-CONTENDERS = 3  # that are fitted to the end
+FINALISTS = 3  # that are fitted to the end
 CARRIED = frozenset({"q", "dq", "load", "temp", "warm", "t"})  # signals there are without acceleration and rigid body
 
 
@@ -51,10 +51,10 @@ def diagnose_open_loop(
 ) -> Diagnosis:
     """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
     found = survey(lambda: recordings.trials)
-    trials = [r for r in recordings if r.phase == found.phase and len(r.t) >= 3]
+    trials = [r for r in recordings if r.phase == found.phase and len(r.t) > 2]
     even = [r for r in trials if r.repetition % 2 == 0]
     odd = [r for r in trials if r.repetition % 2 == 1]
-    if len(even) < 3 or len(odd) < 3:
+    if min(len(even), len(odd)) < limit.OPEN_LOOP_TRIALS:
         raise RecordingError(
             f"{len(trials)} trials, {len(odd)} of them odd repetitions; expected suites repeated at least six times: an effect "
             "is fitted on the even repetitions and judged on the odd ones"
@@ -132,7 +132,7 @@ def _silent(effect: Effect, batch: JointBatch) -> bool:
         return not np.ptp(batch.temp) > 0
     if "warm" in effect.needs:
         return bool(np.ptp(batch.temp) > 0) or not np.ptp(batch.warm) > 0
-    return "load" in effect.needs and not np.ptp(batch.load) > 1e-6
+    return "load" in effect.needs and not np.ptp(batch.load) > limit.OPEN_LOOP_LOAD
 
 
 def _term(f: Fitted) -> EffectTerm:
@@ -162,7 +162,7 @@ def _joint(
     for _ in range(limit.OPEN_LOOP_CLAIMS):
         taken = {t.effect.name for t in terms}
         tried = [_try(train, held, terms, t, p, SCREENING, by_trial) for t in pool if t.effect.name not in taken]
-        tried = sorted(tried, key=lambda t: t.error)[:CONTENDERS]
+        tried = sorted(tried, key=lambda t: t.error)[:FINALISTS]
         best = sorted((_try(train, held, terms, t.term, t.p, None, by_trial) for t in tried), key=lambda t: t.error)
         if not best or best[0].error > (1 - limit.OPEN_LOOP_CLAIM) * error or best[0].fall < limit.OPEN_LOOP_HALVES:
             break

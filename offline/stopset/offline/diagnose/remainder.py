@@ -40,7 +40,7 @@ def left_of(found: Found) -> Left:
     depends, contradicted, wandering = {}, [], []
     ranking: dict[int, list[Dependence]] = {j: [] for j in range(engine.data.n)}
     for j in range(engine.data.n):
-        if len(engine.rows[j].take) < 100:
+        if len(engine.rows[j].take) < limit.PATTERN_ROWS:
             continue
         ranked = ranking[j] = dependences(now, p.theta, hyper, j)
         if slow_excess(now, p.theta, hyper, j) > limit.WANDER:

@@ -14,6 +14,7 @@ from stopset.offline.diagnose.explain.identifiable import Blind
 from stopset.recording import Recording, Recordings
 from stopset.robot import Robot
 
+USUAL_TORQUE = 100.0  # [N m] limit of a joint that has none stated
 MOVE = "Move every joint through its range at several speeds."
 
 
@@ -28,11 +29,11 @@ def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()
     level = {f.joint: f.values.get(dry.terms[0].symbol, 0.0) for f in fitted if f.effect == dry.name}
     pushed = []
     for j, name in enumerate(robot.joints):
-        limit = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else 100.0
-        friction = level.get(name, 0.05 * limit)
+        most = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else USUAL_TORQUE
+        friction = level.get(name, limit.STANDING_FRICTION * most)
         swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
-        if swing > 2 * friction + 0.02 * limit:
-            pushed.append((swing / limit, name))
+        if swing > 2 * friction + limit.PUSHED * most:
+            pushed.append((swing / most, name))
     names = tuple(f"time at standstill (torque of {name})" for _, name in sorted(pushed, reverse=True))
     return Diagnosis(
         verdict="unknown" if pushed else "none", ranked=(), rivals=(), depends_on=names,

@@ -1,8 +1,9 @@
 """Every number that decides an answer of the diagnosis: its value, what it means, and what it was set by
 (*chosen* where nothing measured stands behind it).
 
-`TABLE` is the table of docs/diagnosis.md, made from here by ``python benchmarks/doc_tables.py``.  Numbers that only set how
-finely is looked (kernels, grids, budgets) stay where they are used.
+`TABLE` is the table of docs/diagnosis.md, made from here by ``python benchmarks/doc_tables.py``.  No other module of the diagnosis
+compares anything with a number of its own (tested); numbers that only set how finely is looked (kernels, grids, budgets of a search)
+stay where they are used.
 """
 
 from __future__ import annotations
@@ -12,15 +13,35 @@ from typing import Any, NamedTuple
 
 THRESHOLD = 25.0  # of twice the log Bayes factor
 FORMS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)  # of a law's torque
+DEGREE = 3
 SAME_LAW = 0.02  # of a law's torque
 LOWERED = 0.02  # of a joint's torque error
 MAX_CLAIMS = 12
+CONTENDERS = 4
 HANDFUL = 5
 SHORTEST_LAG = 0.004  # [s]
 LAG_PRICE = 2 * log(40.0)
 SWING_PRICE = 2 * log(1000.0)
 BUILT_UP = 2.0  # Coulomb torques
 FAR_OVER_NOISE = 2.0  # variance over the sensors' noise
+SWINGS = (4.0, 70.0)  # [rad/s]
+BEGINNINGS = 12  # rows
+FEWEST_ROWS = 50
+RIPPLES_APART = 4.0  # [cycles per turn]
+
+CREEP = 0.02  # [rad/s]
+FEWEST_SAMPLES = 8
+NOISE_SAMPLES = 20
+FEW_POSES = 12
+EVEN = 0.1  # of a period
+GAP = 1.5  # periods
+WORTH = 1e-5  # [s]
+
+SURE = 2.0  # standard deviations
+WHOLE = 0.25  # of a gear's swing
+EDGE = 1e-3  # relative
+FEW_TRIALS = 20
+PART = 10.0  # [s]
 
 TELLING = 0.5  # of a joint's leftover
 SENSORS = 1.25  # variance over the sensors' noise
@@ -28,12 +49,19 @@ QUIET = 2.5  # variance over the sensors' noise
 WANDER = 2.5  # variance over the sensors' noise
 PATTERN = 100.0  # gain in twice the log likelihood
 PATTERN_SHARE = 0.2  # of the claims' score
+PATTERN_ROWS = 100
 TOGETHER = 1.5  # times the best variable alone
+TOLD_TOO = 0.5  # of the best variable's share
 FRICTION_SCATTER = 0.06  # relative
+SCATTERS = (0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2)  # relative
+USUAL_SCATTER = 0.02  # relative
 SCATTERED = 3  # trials
 STANDING = 0.02  # [rad]
+STANDING_FRICTION = 0.05  # of the torque limit
+PUSHED = 0.02  # of the torque limit
 
 GAIN = (0.5, 2.0)  # recorded over described torque
+LOADED = 1e-3  # of the most loaded joint's torque
 
 TAKEN_UP = 0.9  # of an effect's torque
 FLAT = 0.05  # of a joint's friction
@@ -43,12 +71,30 @@ OPEN_LOOP_CLAIM = 0.10  # of the held-out RMS error
 OPEN_LOOP_HALVES = 0.05  # of the held-out RMS error
 OPEN_LOOP_RIVAL = 0.03  # of the best effect's error
 OPEN_LOOP_CLAIMS = 3  # per joint
+OPEN_LOOP_TRIALS = 3
+OPEN_LOOP_LOAD = 1e-6  # [N m]
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of `Tolerance`
 ROTOR_SCALES = (0.3, 0.6, 1.0)  # of `Tolerance`
 DRIVES = 0.058  # of recorded over true torque
 ROTOR_SHIFT = 0.3  # of the inertia stated
 PRIOR_SHARE = 0.3  # of a joint's friction
+MANY = 4  # terms
+SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a law's prior
+SAME_DRIVES = 0.01  # of recorded over true torque
+DRIFT = 0.15  # relative
+KNOWN_SCALES = (0.1, 0.3)  # of `Tolerance`
+
+# asked of a finished model: what changed since, and whether `add` takes an effect
+CHANGE_LOWERED = 0.05  # of a joint's torque error
+CHANGE_SURE = 4.0  # standard errors
+DAILY = 0.10  # of its level
+LEAST_GAIN = 0.02  # of the torque
+LEAST_MASS = 0.05  # [kg]
+CHANGE_TRIALS = 6
+CHANGES = 8
+HELPS, HELPS_THERE = 0.02, 0.05  # of the held-out error
+WIDER = 0.10  # of the widths of U
 
 
 class Threshold(NamedTuple):
@@ -71,12 +117,15 @@ class Threshold(NamedTuple):
         return ", ".join(f"{factor * v:.3g}" for v in values) + unit
 
 
-TABLE = (
+# of what an identification may choose by, too: a model file rests on these
+SETTLED = (
     Threshold("THRESHOLD", "score of a claim; of laws that look alike a simpler one is named unless it leaves as much", "",
               "odds of 2.7e5 to 1 by the model: hundreds to 1 that none of some hundred candidates passes by chance"),
     Threshold("FORMS", "how far a claimed law may be off its true form, one standard deviation; found by evidence", "%",
               "chosen: the grid that evidence chooses from. On the 28 labelled sets and on 64 of 65 generated ones that were looked at meanwhile "
               "it gives the names that fixed shares of 3 and 0.3 % of a claim's evidence gave"),
+    Threshold("DEGREE", "degree of the curves that its form may be off by, over torque, position, speed, load and trial each", "",
+              "chosen"),
     Threshold("SAME_LAW",
               "how far a plainer law may be off, one standard deviation, and still be named instead of a finer one that looks alike", "%",
               "at 2 to 5 % a dress pack a tenth stiffer at its ends is a spring; from 3 % on an offset of 0.41 N m beside a spring of "
@@ -86,6 +135,8 @@ TABLE = (
               "0.7 % (delays with scores of 63 and 516). Not asked of what a free rigid body takes up: payload, rotor inertia, "
               "torque gain, base tilt, encoder offset"),
     Threshold("MAX_CLAIMS", "most claims", "", "chosen: a bound on the search"),
+    Threshold("CONTENDERS", "best distinct effects and joints whose shapes are refined before one is claimed", "",
+              "chosen: a bound on the search"),
     Threshold("HANDFUL", "claims that are named; the rest is told in sum", "",
               "chosen: later claims are mostly what the imperfect laws of the first ones leave, one after another"),
     Threshold("SHORTEST_LAG", "shortest lag", "ms",
@@ -97,6 +148,38 @@ TABLE = (
               "chosen: hysteresis makes that first friction smaller, so more than one is possible"),
     Threshold("FAR_OVER_NOISE", "residual variance over noise from which a delay is looked for by shifting the record", "",
               "chosen: from here on the shifted record's own noise cannot pass for an effect"),
+    Threshold("SWINGS", "how fast a gear's link may swing to be looked for", "rad/s",
+              "chosen: periods from 0.1 to 1.5 s, which rows can show"),
+    Threshold("BEGINNINGS", "rows of a trial from which on the swing that it began with is told from friction and an offset", "",
+              "chosen"),
+    Threshold("FEWEST_ROWS", "moving rows of a joint from which on it is asked at all", "",
+              "chosen"),
+    Threshold("RIPPLES_APART", "ripples of one joint that count as different", "cycles per turn",
+              "chosen: a trial's motion hardly tells nearer ones apart"),
+    Threshold("CREEP", "speed below which stiction makes the torque indeterminate", "rad/s",
+              "30 times the smoothed speed's own noise"),
+    Threshold("FEWEST_SAMPLES", "samples of a trial from which on it counts", "",
+              "chosen"),
+    Threshold("NOISE_SAMPLES", "the same for its sensors' noise", "",
+              "chosen"),
+    Threshold("FEW_POSES", "poses from which on their own scatter is told", "",
+              "chosen"),
+    Threshold("EVEN", "stamps no farther off an even clock, in its periods, are even", "",
+              "chosen: as clocks are"),
+    Threshold("GAP", "time between stamps, in periods, from which on samples were lost", "",
+              "chosen: half way to one lost"),
+    Threshold("WORTH", "scatter of stamps that is worth a word", "s",
+              "chosen"),
+    Threshold("SURE", "standard deviations that some number of an effect must exceed, and none its range", "",
+              "chosen: else the recordings give it no size"),
+    Threshold("WHOLE", "how far a gear's swing may be off the size that its stiffness gives it", "%",
+              "1.00 and 1.05 on the labelled sets"),
+    Threshold("EDGE", "a shape this near to the end of its range was stopped there, not found", "%",
+              "chosen"),
+    Threshold("FEW_TRIALS", "trials below which parts of them are taken as independent", "",
+              "chosen"),
+    Threshold("PART", "length of such a part", "s",
+              "chosen: some motions"),
     Threshold("TELLING", "share of a joint's leftover one claim must explain, where something is left", "",
               "true causes with something left: 0.57 to 1.0 (elasticity 0.61 to 0.78); causes outside the catalogue: 0.03 to 0.47"),
     Threshold("SENSORS", "leftover variance up to which only the sensors' noise is left", "",
@@ -112,15 +195,29 @@ TABLE = (
               "UR10e to 18.5"),
     Threshold("PATTERN_SHARE", "share of its joint's claims' score from which on a pattern left contradicts them", "%",
               "a true law leaves below 1 %, an impostor a quarter and more"),
+    Threshold("PATTERN_ROWS", "moving rows of a joint from which on a pattern is looked for", "",
+              "chosen: 24 steps of four rows"),
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",
               "chosen"),
+    Threshold("TOLD_TOO", "share of the best variable's from which on another one is told beside it", "%",
+              "chosen"),
     Threshold("FRICTION_SCATTER", "friction scatter", "", "healthy: 0.02 to 0.03"),
+    Threshold("SCATTERS", "how friction may scatter from trial to trial; found by evidence", "%",
+              "chosen: the grid that evidence chooses from"),
+    Threshold("USUAL_SCATTER", "the same before anything is known, and of too few trials", "%",
+              "healthy: 2 to 3 %"),
     Threshold("SCATTERED", "trials from which on the scatter of friction between them is estimated; of fewer it is taken as 2 %", "",
               "chosen: one trial tells no scatter at all"),
     Threshold("STANDING", "a trial in which no joint leaves this range stands still", "rad",
               "chosen"),
+    Threshold("STANDING_FRICTION", "friction of a joint that no model tells, of its torque limit", "%",
+              "chosen"),
+    Threshold("PUSHED", "torque beyond friction either way, of the joint's limit, from which on an arm that stands is pushed", "%",
+              "chosen"),
     Threshold("GAIN", "identified over described gravity torque that passes for a scale of the drives' torque", "",
               "chosen: a torque constant is not off by more; beyond, the description is taken to be wrong, and that is said"),
+    Threshold("LOADED", "gravity torque, of the most loaded joint's, below which a joint says nothing of that scale", "%",
+              "chosen"),
     Threshold("TAKEN_UP", "share of an effect's torque that the base model can imitate, from which on it hides it", "%",
               "chosen"),
     Threshold("FLAT", "change of gravity over a joint's friction below which the joint counts as not loaded", "%",
@@ -133,6 +230,10 @@ TABLE = (
     Threshold("OPEN_LOOP_RIVAL", "an effect this near to the best one's error is named as its rival (compensated torque)", "%",
               "chosen: within the scatter between repetitions"),
     Threshold("OPEN_LOOP_CLAIMS", "most claims of a joint (compensated torque)", "", "chosen: a bound on the search"),
+    Threshold("OPEN_LOOP_TRIALS", "even and odd repetitions from which on one is fitted and the other judged", "",
+              "chosen"),
+    Threshold("OPEN_LOOP_LOAD", "change of load below which it counts as none", "N m",
+              "rounding"),
     Threshold("DRIVES", "scale of the recorded torque, all drives alike, one standard deviation", "%",
               "data sheets state torque constants to 10 %, 5.8 % in the mean square"),
     Threshold("SCALES", "how far a description may be off, in its tolerance; found by evidence", "",
@@ -142,4 +243,39 @@ TABLE = (
     Threshold("ROTOR_SHIFT", "prior deviation of an inertia that is not the data sheet's, of the one stated", "%",
               "chosen"),
     Threshold("PRIOR_SHARE", "prior deviation of an effect's torque, of its joint's friction", "%", "chosen: neither tiny nor dominant"),
+    Threshold("MANY", "terms from which on a law's prior may be smaller as a whole", "",
+              "ten vague priors would cost a small payload 40 points"),
+    Threshold("SIZES", "sizes of that prior; each is charged for the choice", "",
+              "chosen: the grid that evidence chooses from"),
+    Threshold("SAME_DRIVES", "scale of the recorded torque against a model of the same drives, one standard deviation", "%",
+              "chosen"),
+    Threshold("DRIFT", "drift of friction against a model from other recordings, one standard deviation", "%",
+              "chosen"),
+    Threshold("KNOWN_SCALES", "how far links may be off such a model, in the description's tolerance; found by evidence", "",
+              "chosen: only what has changed is asked for"),
 )  # fmt: skip
+
+# of a finished model: no model file rests on these
+LATER = (
+    Threshold("CHANGE_LOWERED", "held-out torque error that a change since identification lowers at a joint of its own", "%",
+              "chosen"),
+    Threshold("CHANGE_SURE", "standard errors by which a level must have changed", "",
+              "chosen: some thirty levels are asked"),
+    Threshold("DAILY", "share of its level by which friction must have changed", "%",
+              "friction differs by some percent from day to day, with temperature and rest"),
+    Threshold("LEAST_GAIN", "change of a joint's torque scale", "%",
+              "chosen: descriptions are off by as much"),
+    Threshold("LEAST_MASS", "change of the load at the flange", "kg",
+              "chosen"),
+    Threshold("CHANGE_TRIALS", "trials, or of fewer ones blocks of time, from which on a change is asked for", "",
+              "chosen: the scatter of fewer tells nothing"),
+    Threshold("CHANGES", "changes that are told", "",
+              "chosen"),
+    Threshold("HELPS", "held-out error that an added effect lowers over all joints (compensated torque)", "%",
+              "chosen"),
+    Threshold("HELPS_THERE", "the same at its own joints", "%",
+              "chosen: a single joint's error scatters more"),
+    Threshold("WIDER", "share by which an added effect may widen U", "%",
+              "sets of the same recordings differ by some percent with the nominal model under them"),
+)  # fmt: skip
+TABLE = (*SETTLED, *LATER)

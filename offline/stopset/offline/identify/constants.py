@@ -38,8 +38,7 @@ from stopset.offline.conform import (
 from stopset.offline.diagnose import compensated, thresholds
 from stopset.offline.diagnose.columns import elasticity, ripple
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
-from stopset.offline.diagnose.evidence import forms as law_forms
-from stopset.offline.diagnose.explain import objection, uncertainty
+from stopset.offline.diagnose.explain import uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
 from stopset.offline.diagnose.search import refine, wanted
@@ -51,6 +50,7 @@ from stopset.offline.nominal import (
     floor,
     friction,
     friction_choice,
+    low_pass,
     nominal,
     normal_equations,
     open_loop,
@@ -89,8 +89,9 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
         "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION UNDER_WAY",
     ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
-    ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE RINGING"),
+    ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
+    ("recorded low-pass", low_pass, "QUIET CUTOFFS FINER KNOWN FILTER_LOWERS SECONDS RELATIVE"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
     ("shared motors", pair_choice, "LOWERED LOOKED_AT"),
@@ -116,7 +117,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading error", reading_error, "SMOOTH FEWEST"),
     ("tightness", tightness, "AGES NAMES JUDGED WIDE LIMIT WINDOWS"),
     ("absurd", absurd, "LATE MOVES RANGES"),
-    ("drive gain", baseline, "POSES LOADED"),
+    ("drive gain", baseline, "POSES"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
     ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
@@ -143,23 +144,21 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop tube", tube, "REDOS PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
-    ("diagnosis", thresholds, " ".join(t.name for t in thresholds.TABLE)),
-    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP CREEP GOLDEN"),
-    ("diagnosis sampling", sampling, "EVEN FOLLOW GAP WORTH"),
-    ("diagnosis poses", rows, "FEW_POSES"),
+    ("diagnosis", thresholds, " ".join(t.name for t in thresholds.SETTLED)),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP ONE_WAY GOLDEN"),
+    ("diagnosis sampling", sampling, "FOLLOW"),
+    ("diagnosis poses", rows, "DEPENDENT"),
     ("diagnosis noise", row_noise, "ORDER"),
-    ("diagnosis elasticity", elasticity, "SWING_ROUNDS ROWS_TO_BEGIN RATHER_NOT SUBSTEPS"),
+    ("diagnosis elasticity", elasticity, "SWING_ROUNDS RATHER_NOT SUBSTEPS"),
     ("diagnosis ripple", ripple, "STEP RIPPLES"),
-    ("diagnosis candidate", candidate, "HELD MANY SIZES"),
-    ("diagnosis engine", engine, "SAME"),
-    ("diagnosis engine", hypothesis, "GIVEN"),
-    ("diagnosis evidence", evidence, "SIGMAS RIDGES"),
-    ("diagnosis uncertainty", uncertainty, "FEW_TRIALS PART STEP TWO_SIDES"),
-    ("diagnosis objection", objection, "SURE EDGE WHOLE"),
-    ("diagnosis refinement", refine, "CONTENDERS"),
-    ("diagnosis forms", law_forms, "DEGREE"),
+    ("diagnosis candidate", candidate, "HELD"),
+    ("diagnosis engine", engine, "EMPTY"),
+    ("diagnosis engine", hypothesis, "GIVEN ROUNDS"),
+    ("diagnosis evidence", evidence, "RIDGES"),
+    ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
+    ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis wanted", wanted, "LAGS"),
-    ("diagnosis open loop", compensated, "STEP SCREENING CONTENDERS"),
+    ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),
 )
 
 

@@ -19,6 +19,7 @@ from stopset.effects.selection import parse_effect
 from stopset.offline.campaign.hold_out import HoldOut
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.identify.settings import Settings
@@ -27,9 +28,6 @@ from stopset.progress import Tell
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
-# an effect helps if, on held-out data, one error falls by this share over all joints, or at its own joints by the larger one
-# (a single joint's error scatters more), while none rises by as much
-HELPS, HELPS_THERE = 0.02, 0.05
 HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
 NO_TRACE = "the data show no trace of it, so there are no numbers to add"
@@ -147,7 +145,7 @@ def _rms(errors: Iterable[float]) -> float:
 
 
 def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
-    """Whether held-out errors fall, over the arm or at the effect's own ``joints``; a ``shift`` need only not raise them.
+    """Whether held-out errors fall, over the arm or at the effect's own ``joints``, and none rises as much; a ``shift`` need only not raise them.
 
     A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:
     the evidence for it is the description it contradicts, which the diagnosis has weighed before it gave any numbers.
@@ -157,7 +155,7 @@ def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[s
         everywhere.append(after[key] / before[key] - 1.0)
         own = [_rms(errors[f"{key}:{j}"] for j in joints) for errors in (before, after)]
         there.append(own[1] / own[0] - 1.0)
-    falls = min(everywhere) <= -HELPS or min(there) <= -HELPS_THERE
+    falls = min(everywhere) <= -limit.HELPS or min(there) <= -limit.HELPS_THERE
     # at its own joint one error may rise if the other falls by more: warming of a joint that gravity is not yet right for
-    rises = max(everywhere) >= HELPS or max(there) >= max(HELPS_THERE, -min(there))
+    rises = max(everywhere) >= limit.HELPS or max(there) >= max(limit.HELPS_THERE, -min(there))
     return not rises and (shift or falls)

@@ -21,6 +21,7 @@ from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
 from stopset.progress import Tell, silent
@@ -30,9 +31,6 @@ from stopset.robot import Robot
 if TYPE_CHECKING:
     from stopset.offline.conform.gather import RetainedSums
     from stopset.offline.update.signals_file import RetainedSignals
-
-
-WIDER = 0.10  # share by which U may grow: sets of the same recordings differ by some percent with the nominal model under them
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,13 +97,13 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     """Why a revision whose torque sets grew is refused; empty where they did not.
 
     The rule: an effect that is truly there takes uncertainty away, so the widths of U, summed over the joints and before any
-    margin, may not grow by more than `WIDER`.  They do where recordings of different conditions are identified as one.
+    margin, may not grow by more than `limit.WIDER`.  They do where recordings of different conditions are identified as one.
     """
     a, b = (x.get("sum_U_width_without_margin") for x in (before, after))
-    if a is None or b is None or b <= (1.0 + WIDER) * a:
+    if a is None or b is None or b <= (1.0 + limit.WIDER) * a:
         return ""
     return (
-        f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {WIDER:.0%}, for what is known of an "
+        f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {limit.WIDER:.0%}, for what is known of an "
         "arm cannot make it less certain: are these recordings all of one condition (payload, tool, day)? give the others apart"
     )
 

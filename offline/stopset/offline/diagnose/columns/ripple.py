@@ -9,6 +9,7 @@ import numpy as np
 
 from stopset.core.library import flags, given, lib, view
 from stopset.effects import Effect
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.rows.noise import Whitening
@@ -44,7 +45,7 @@ class Ripples:
         spread = d.kernel.dt * np.sqrt(np.sum(d.kernel.h * np.arange(-d.kernel.half, d.kernel.half + 1) ** 2))
         for j, rows in enumerate(self.engine.rows):
             k = len(rows.take)
-            if k < 100:
+            if k < limit.PATTERN_ROWS:
                 continue
             gram = view.engine.grams[j]
             r = gram.residual(full[gram.index], hyper.sigma[j], hyper.kappa[j])[:k]
@@ -60,7 +61,7 @@ class Ripples:
                 if power[top] < 2 * np.log(len(RIPPLES)):
                     break
                 out.append((self.effect, (j,), {"n": float(RIPPLES[top])}))
-                power[np.abs(RIPPLES - RIPPLES[top]) < 4.0] = 0.0
+                power[np.abs(RIPPLES - RIPPLES[top]) < limit.RIPPLES_APART] = 0.0
         return out
 
 

@@ -8,24 +8,24 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.gravity import GravityMoments, gravity_moments
-from stopset.offline.diagnose.rows.prepare import CREEP, Mask, Prepared
+from stopset.offline.diagnose.rows.prepare import Prepared
 from stopset.offline.diagnose.rows.smooth import calm
-from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrices, regressors, torques
-from stopset.types import Array
+from stopset.types import Array, Mask
 
 
 @dataclass(slots=True)
-class Source:
+class ArmSignals:
     """Signals of the arm over the prepared rows, each computed once when first asked for."""
 
     robot: Robot
     data: Prepared
     compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
     gain: float = 1.0  # recorded over true torque: what a new load adds to the record
-    gain_std: float = DRIVES
+    gain_std: float = limit.DRIVES
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit
@@ -122,7 +122,7 @@ class Source:
         d = self.data
         out = np.full(len(d.q), np.nan)
         for trial in d.trials:
-            if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < 2 * CREEP:
+            if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < 2 * limit.CREEP:
                 out[trial.rows.start] = self.gravity[trial.rows.start, joint]
         return out, d.kernel.half * d.kernel.dt
 

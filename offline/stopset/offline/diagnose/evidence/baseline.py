@@ -11,7 +11,6 @@ from stopset.effects import Fitted
 from stopset.effects.selection import of_part
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.priors import Known
-from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -19,7 +18,6 @@ from stopset.robot.rigid import gravity_torques
 from stopset.sets import Box
 
 POSES = 500  # at which gravity torques are compared
-LOADED = 1e-3  # of the most loaded joint: joints that gravity loads less say nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +69,7 @@ def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, 
     weight, product = (theirs**2).sum(axis=0), (ours * theirs).sum(axis=0)
     total = float(weight.sum())
     if total == 0.0:
-        return 1.0, DRIVES, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
+        return 1.0, limit.DRIVES, ()  # no gravity loads a joint: nothing tells, and no mass is weighed
     ratio, (least, most) = float(product.sum()) / total, limit.GAIN
     if not least < ratio < most:
         note = (
@@ -79,9 +77,9 @@ def drive_gain(described: Robot, identified: Robot, reach: Box) -> tuple[float, 
             "torque constant that is off would explain: no scale of the torque is assumed, so a new load is weighed in the recorded "
             "torque as it is. Check the masses in the URDF and the torque's unit (`stopset inspect --robot`)"
         )
-        return 1.0, DRIVES, (note,)
-    loaded = weight > LOADED * weight.max()
+        return 1.0, limit.DRIVES, (note,)
+    loaded = weight > limit.LOADED * weight.max()
     spread = float(weight[loaded] @ (product[loaded] / weight[loaded] - ratio) ** 2) / total
     masses = Tolerance().mass ** 2 + spread * float(weight @ weight) / total**2
-    share = DRIVES**2 / (DRIVES**2 + masses)
+    share = limit.DRIVES**2 / (limit.DRIVES**2 + masses)
     return 1.0 + share * (ratio - 1.0), float(np.sqrt(share * masses)), ()

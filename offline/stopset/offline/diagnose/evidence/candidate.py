@@ -10,12 +10,9 @@ import numpy as np
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.evidence import gain
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 HELD = 1e12  # prior precision of a term held at zero
-MANY = 4  # terms from which on a group's prior may be smaller as a whole: ten vague priors would cost a small payload 40 points
-SIZES = (1.0, 0.3, 0.1, 0.03)  # of such a group, in units of its terms' prior deviations; each is charged for the choice
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +74,9 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
     if c.given is not None:
         value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
         return value, np.array([c.given]), np.zeros((1, 1))
-    if len(terms) >= MANY:
-        value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in SIZES), key=lambda g: g[0])
-        value -= 2 * float(np.log(len(SIZES)))
+    if len(terms) >= limit.MANY:
+        value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in limit.SIZES), key=lambda g: g[0])
+        value -= 2 * float(np.log(len(limit.SIZES)))
     else:
         value, theta, cov = gain(S, s, 1.0 / c.sd**2)
     beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])

@@ -14,18 +14,18 @@ from stopset.offline.campaign.independence import Ends, uncut
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
-from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
-from stopset.offline.diagnose.rows.prepare import Index, Prepared, prepare
+from stopset.offline.diagnose.rows.prepare import Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
-from stopset.types import Array
+from stopset.types import Array, Index
 
-SAME = 0.01  # prior deviation of the torque's scale from that of the recordings that a model is from
+EMPTY = 1e-9  # [N m] rounding: a column no larger leaves no trace
 RECENT = 8  # laws whose columns are kept
 CACHED = 64  # columns of tried shapes that are kept: a search comes back to them
 
@@ -36,7 +36,7 @@ class Engine:
 
     robot: Robot
     data: Prepared
-    source: Source
+    source: ArmSignals
     rows: list[JointRows]
     fold_of_trial: Index
     friction: Array  # (n, 2) F_c, F_v of the first fit
@@ -60,7 +60,7 @@ class Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
-        source, n = Source(robot, data, compensated), robot.n
+        source, n = ArmSignals(robot, data, compensated), robot.n
         motion = _motions(data)
         folds = np.array([motion[t.unit] % FOLDS for t in data.trials], dtype=np.intp)
         if known:
@@ -70,7 +70,7 @@ class Engine:
         base = 1 + np.arange(10 * n)
         own = 1 + 10 * n + np.arange(5 * n).reshape(n, 5)  # rotor, Coulomb, viscous, left in the poses, stamps
         sd = np.full(2 + 15 * n, np.inf)
-        sd[-1] = 1e-6 if compensated else SAME if known else limit.DRIVES  # torque constants off on all joints alike
+        sd[-1] = 1e-6 if compensated else limit.SAME_DRIVES if known else limit.DRIVES  # torque constants off on all joints alike
         sd[base] = link_tolerance(robot, tol).ravel()
         taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
         sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
@@ -139,7 +139,7 @@ class Engine:
             level += len(plain) * self.level(i) ** 2
             parts[i] = self.rows[i].column(moving, still)
         rms = np.sqrt(power / max(count, 1))
-        if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < 1e-9:
+        if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < EMPTY:
             return None
         sd = limit.PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])

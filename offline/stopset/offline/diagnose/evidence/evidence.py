@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)  # relative, the first that makes a matrix of repeated columns regular
-SIGMAS = np.array([0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2])  # [1] friction scales to choose from
 
 
 @dataclass(slots=True)

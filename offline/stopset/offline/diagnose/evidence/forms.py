@@ -16,13 +16,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
-
-DEGREE = 3  # of the curves that a form may be off by, over each thing it may depend on
+from stopset.types import Array, Index
 
 
 def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array) -> Hypothesis:
@@ -68,4 +66,4 @@ def _curves(x: Array, take: Index) -> Array:
     lo, hi = (float(np.min(x[take])), float(np.max(x[take]))) if len(take) else (0.0, 0.0)
     if hi <= lo:
         return np.zeros((len(x), 0))
-    return np.asarray(legvander(np.clip(2 * (x - lo) / (hi - lo) - 1, -1.0, 1.0), DEGREE)[:, 1:], np.float64)
+    return np.asarray(legvander(np.clip(2 * (x - lo) / (hi - lo) - 1, -1.0, 1.0), limit.DEGREE)[:, 1:], np.float64)

@@ -13,10 +13,10 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
-from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
-from stopset.offline.diagnose.rows.prepare import Index, Mask
-from stopset.types import Array
+from stopset.offline.diagnose.evidence.evidence import Projection, project
+from stopset.types import Array, Index, Mask
 
+ROUNDS = 3  # of choosing one hyperparameter after another: they settle in two
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 
 
@@ -102,15 +102,15 @@ class Hypothesis:
         """Hyperparameters by evidence, and coefficients."""
         engine, view = self.engine, self.view()
         n = engine.data.n
-        h = start or Hyper((0.02,) * n, (1.0,) * n, min(1.0, engine.scales[-1]))
+        h = start or Hyper((limit.USUAL_SCATTER,) * n, (1.0,) * n, min(1.0, engine.scales[-1]))
         h = replace(h, forms=(*h.forms, *(limit.FORMS[0],) * len(self.forms))[: len(self.forms)])
-        for _ in range(3):
+        for _ in range(ROUNDS):
             before = h
             for j in range(n):
                 if (
                     len(view.engine.grams[j].starts) >= limit.SCATTERED
                 ):  # of fewer trials no scatter is known: it stays at the usual one
-                    h = view._best(h, [replace(h, sigma=_put(h.sigma, j, float(s))) for s in SIGMAS])
+                    h = view._best(h, [replace(h, sigma=_put(h.sigma, j, s)) for s in limit.SCATTERS])
             h = view._best(h, [replace(h, scale=s) for s in engine.scales])
             h = view._best(h, [replace(h, rotor=s) for s in engine.rotor_scales])
             for k in range(len(self.forms)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.diagnose.thresholds import DRIVES
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.nominal.prior import Tolerance
 from stopset.robot import Robot
 from stopset.types import Array
@@ -23,9 +23,9 @@ class Known:
 
     friction: Array
     gain: float = 1.0
-    gain_std: float = DRIVES
-    spread: float = 0.15
-    scales: tuple[float, ...] = (0.1, 0.3)
+    gain_std: float = limit.DRIVES
+    spread: float = limit.DRIFT
+    scales: tuple[float, ...] = limit.KNOWN_SCALES
 
 
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:

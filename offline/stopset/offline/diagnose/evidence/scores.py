@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
-from stopset.offline.diagnose.evidence.evidence import SIGMAS, Projection, project
+from stopset.offline.diagnose.evidence.evidence import Projection, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 
 class _Best:
@@ -76,8 +76,8 @@ def _other_scatter(
     at = np.ix_(number[gram.index], number[gram.index])
     few = G[np.ix_(wanted, wanted)]
     here, ld = gram.at(hyper.sigma[joint], hyper.kappa[joint])
-    for s in SIGMAS[hyper.sigma[joint] > SIGMAS]:
-        there, ld2 = gram.at(float(s), hyper.kappa[joint])
+    for s in (s for s in limit.SCATTERS if s < hyper.sigma[joint]):
+        there, ld2 = gram.at(s, hyper.kappa[joint])
         changed = few.copy()
         changed[at] += there - here
         p = project(changed, 0, number[nuisance], number[rest], now.precision(hyper), now.mean)

@@ -138,7 +138,7 @@ def _expected(p: Projection, ix: np.ndarray, c: Candidate) -> float:
 
 def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, needs: frozenset[str]) -> str:
     """Why an effect at a place would go unnoticed; empty where it would be seen."""
-    if any(len(engine.rows[j].take) <= 50 for j in place):
+    if any(len(engine.rows[j].take) <= limit.FEWEST_ROWS for j in place):
         return STILL
     if shown is None:
         return UNLOADED if needs & LOADS and not engine.loaded(place) else TRACELESS

@@ -5,28 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from stopset.effects import Effect
-
-SURE = 2.0  # standard deviations: some number of an effect must be larger, or the recordings give it no size
-WHOLE = 0.25  # a gear's swing has the size that its stiffness gives it: 1.00 and 1.05 on the labelled sets
-EDGE = 1e-3  # relative: a shape this near to the end of its range was stopped there, not found
+from stopset.offline.diagnose import thresholds as limit
 
 
 def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
     """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
-    if all(abs(v) <= SURE * s for v, s in sizes.values() if s > 0) and any(s > 0 for _, s in sizes.values()):
+    if all(abs(v) <= limit.SURE * s for v, s in sizes.values() if s > 0) and any(s > 0 for _, s in sizes.values()):
         said = ", ".join(f"{k} = {v:.3g} +- {s:.2g}" for k, (v, s) in sizes.items())
         return f"no number of it is larger than twice its error ({said})"
     for t in effect.terms:
         v, s = sizes[t.symbol]
-        if v < t.lo - SURE * s or v > t.hi + SURE * s:
+        if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
-    if effect.role == "swing" and abs(values["share"] - 1.0) > WHOLE + SURE * (sizes["share"][1]):
+    if effect.role == "swing" and abs(values["share"] - 1.0) > limit.WHOLE + limit.SURE * (sizes["share"][1]):
         v, s = sizes["share"]
-        return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {WHOLE:.0%} of it"
+        return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {limit.WHOLE:.0%} of it"
     for p in effect.shapes:
         v = values[p.symbol]
-        if v <= p.lo * (1 + EDGE) or v >= p.hi * (1 - EDGE):
+        if v <= p.lo * (1 + limit.EDGE) or v >= p.hi * (1 - limit.EDGE):
             return f"{p.symbol} = {v:.3g} {p.unit} is at the end of what was searched ({p.lo:g} to {p.hi:g})"
         if p.unit == "s" and v > seconds:
             return f"{p.symbol} = {v:.3g} s is longer than the {seconds:.3g} s recorded"

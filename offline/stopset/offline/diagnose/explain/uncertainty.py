@@ -15,14 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
-FEW_TRIALS = 20  # below which parts of trials are taken as independent
-PART = 10.0  # [s] length of such a part: some motions
 TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 STEP = 0.01  # relative step of a shape's numerical derivative
 
@@ -82,8 +80,8 @@ def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int,
 
 def _scores(engine: Engine, wide: Hypothesis, hyper: Hyper, theta: Array) -> Array:
     """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
-    d, few = engine.data, len(engine.data.trials) < FEW_TRIALS
-    parts = (d.t / PART).astype(np.intp) * few
+    d, few = engine.data, len(engine.data.trials) < limit.FEW_TRIALS
+    parts = (d.t / limit.PART).astype(np.intp) * few
     _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
     count = int(cluster.max()) + 1
     poses = max(r.still for r in engine.rows)

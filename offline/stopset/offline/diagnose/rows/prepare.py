@@ -10,23 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.sampling import in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
-from stopset.types import Array
-
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from stopset.types import Array, Index, Mask
 
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
+ONE_WAY = 1.0 - 1e-6  # of a smoothed direction that never changes, but for rounding
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
-CREEP = 0.02  # [rad/s] below it stiction makes the torque indeterminate; 30 times the smoothed speed's own noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +60,7 @@ class Kernel:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class PreparedTrial:
     """Where one moving trial lies: ``fine`` samples at the recording's rate, ``rows`` after thinning."""
 
     key: tuple[int, str, int, int]
@@ -93,7 +90,7 @@ class Prepared:
     joints: tuple[str, ...]
     kernel: Kernel
     step: int
-    trials: tuple[Trial, ...]
+    trials: tuple[PreparedTrial, ...]
     t: Array
     q: Array
     dq: Array
@@ -188,7 +185,7 @@ def prepare(recordings: Recordings) -> Prepared:
         if g.temp is not None:
             temps.append(g.temp)
         centre = np.arange(kernel.half, m - kernel.half, step) + offset
-        trials.append(Trial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
+        trials.append(PreparedTrial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
         centres.append(centre)
         offset, rows = offset + m, rows + len(centre)
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}
@@ -199,7 +196,7 @@ def prepare(recordings: Recordings) -> Prepared:
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > 20]
+    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > limit.NOISE_SAMPLES]
     noise = [[x for p, x, _ in noises if p == phase] or [x for _, x, _ in noises] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
@@ -219,7 +216,7 @@ def _before_brake(r: Recording) -> Recording | None:
     """The part of a trial whose torque the drive made: after a power cut the brake's torque is in no channel."""
     if r.phase == "stop0" and r.stop_trigger is not None and r.stop_trigger.any():
         r = r.cut(0, int(np.argmax(r.stop_trigger)))
-    return r if len(r.t) > 8 else None
+    return r if len(r.t) > limit.FEWEST_SAMPLES else None
 
 
 def _whole(torn: Mask, centre: Index, kernel: Kernel) -> Mask:
@@ -229,12 +226,12 @@ def _whole(torn: Mask, centre: Index, kernel: Kernel) -> Mask:
 
 
 def _moving(dq_fine: Array, direction: Array, centre: Index, kernel: Kernel) -> Mask:
-    """Rows whose joint keeps one direction and moves faster than `CREEP` all through the kernel's inner half."""
+    """Rows whose joint keeps one direction and moves faster than `CREEP` of the thresholds all through the kernel's inner half."""
     slow = np.zeros(direction.shape, bool)
     reach = kernel.half // 2
     for k in range(-reach, reach + 1):
-        slow |= np.abs(dq_fine[centre + k]) < CREEP
-    return (np.abs(direction) > 1 - 1e-6) & ~slow
+        slow |= np.abs(dq_fine[centre + k]) < limit.CREEP
+    return (np.abs(direction) > ONE_WAY) & ~slow
 
 
 def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:

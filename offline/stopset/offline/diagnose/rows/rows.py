@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
-from stopset.offline.diagnose.rows.prepare import Index, Prepared
-from stopset.types import Array
+from stopset.offline.diagnose.rows.prepare import Prepared
+from stopset.types import Array, Index
 
-FEW_POSES = 12  # below this the poses' own scatter can't be told
+DEPENDENT = 1e-9  # of the largest singular value: rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class JointRows:
 def joint_rows(data: Prepared, joint: int, inertia: Array, still_sd: float) -> JointRows:
     """Rows of a joint; ``inertia`` (P, n) typical row of the mass matrix with rotor [kg m^2] by phase, for the position's noise."""
     take = np.flatnonzero(data.ok[:, joint])
-    jump = np.diff(take, prepend=-9) != 1
+    jump = np.diff(take, prepend=-2) != 1
     jump |= np.diff(data.trial[take], prepend=-1) != 0
     noises = zip(data.torque_noise[:, joint], np.linalg.norm(inertia * data.position_noise, axis=1), strict=True)
     whiten = Whitening.of(jump, data.phase[take], [autocovariance(data.kernel, data.step, *map(float, n)) for n in noises])
@@ -56,12 +57,12 @@ def joint_rows(data: Prepared, joint: int, inertia: Array, still_sd: float) -> J
 
 def pose_scatter(Y: Array, tau: Array) -> float:
     """Robust deviation [N m] of the poses' torque from any rigid body's gravity; ``inf`` where there are too few poses."""
-    if len(tau) < FEW_POSES:
+    if len(tau) < limit.FEW_POSES:
         return float("inf")
     u, s, _ = np.linalg.svd(Y, full_matrices=False)
-    u = u[:, s > 1e-9 * max(s[0], 1e-300)] if s[0] > 0 else u[:, :0]
+    u = u[:, s > DEPENDENT * s[0]] if s[0] > 0 else u[:, :0]
     basis = np.linalg.qr(np.column_stack([u, np.ones(len(tau))]))[0]
-    if len(tau) < basis.shape[1] + FEW_POSES:
+    if len(tau) < basis.shape[1] + limit.FEW_POSES:
         return float("inf")
     r = tau - basis @ (basis.T @ tau)
     spread = np.sqrt(len(tau) / (len(tau) - basis.shape[1]))

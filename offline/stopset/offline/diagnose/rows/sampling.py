@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from stopset.offline.diagnose import thresholds as limit
 from stopset.recording import Recording
 from stopset.types import Array
 
-EVEN = 0.1  # of a period: stamps no farther off are as even as clocks are
 FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
-WORTH = 1e-5  # [s] of scatter is worth a word
-GAP = 1.5  # periods from which on samples were lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,7 @@ def sampled(r: Recording, dt: float, noise: Callable[[Array], Array]) -> Sampled
 
 
 def _even(t: Array, dt: float) -> bool:
-    return bool(np.max(np.abs(np.diff(t) - dt)) < EVEN * dt)
+    return bool(np.max(np.abs(np.diff(t) - dt)) < limit.EVEN * dt)
 
 
 def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
@@ -71,7 +69,7 @@ def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
     for _ in range(2):
         period, begin = np.polyfit(place, t, 1)
         place = np.round((t - begin) / period)
-    even = abs(period - dt) < EVEN * dt and bool(np.all(np.diff(place) > 0))
+    even = abs(period - dt) < limit.EVEN * dt and bool(np.all(np.diff(place) > 0))
     lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
     return (begin + period * place if even else None), lost
 
@@ -84,7 +82,7 @@ def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampl
     def between(x: Array) -> Array:
         return np.stack([np.interp(grid, t, c) for c in x.T], axis=1)
 
-    torn = np.diff(t)[before] > GAP * dt
+    torn = np.diff(t)[before] > limit.GAP * dt
     return Sampled(
         grid, CubicSpline(t, r.q)(grid), between(r.tau), None if r.temp is None else between(r.temp), torn, scatter, lost
     )
@@ -93,7 +91,7 @@ def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampl
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:
     """What was made of the stamps, where they were not as even as a clock."""
     out, samples = [], sum(len(x.t) for x in read)
-    uneven = [x.scatter for x in read if x.scatter > WORTH]
+    uneven = [x.scatter for x in read if x.scatter > limit.WORTH]
     if uneven:
         out.append(
             f"stamps scatter by {1e3 * float(np.median(uneven)):.2g} ms about an even clock in {len(uneven)} of {len(read)} trials: "

@@ -13,7 +13,7 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
 
-CONTENDERS = 4  # best distinct (effect, joint) whose shapes are refined before one is claimed
+FINEST_LAG = 4e-4  # [s]
 
 
 def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
@@ -21,7 +21,7 @@ def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
     contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
     out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
     for s in scored:
-        if len(contenders) < CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
+        if len(contenders) < limit.CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
             contenders.setdefault(s.candidate.key, s)
     refined = [refine(now, s, hyper) for s in contenders.values()]
     return sorted((s for s in refined if possible(now.engine, s)), key=lambda s: -s.score)
@@ -85,7 +85,7 @@ def _shifted(now: Hypothesis, start: Scored, hyper: Hyper) -> float:
         return seen[lag]
 
     best, step = c.shapes["d0"], 0.008
-    while step > 0.0004:
+    while step > FINEST_LAG:
         better = max((best + step, best - step), key=value)
         if value(better) > value(best):
             best = better

@@ -50,9 +50,7 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(
-    start: Hypothesis, names: Sequence[str] | None = None, threshold: float = limit.THRESHOLD, tell: Tell = silent
-) -> Found:
+def search(start: Hypothesis, names: Sequence[str] | None = None, tell: Tell = silent) -> Found:
     """Claim effects beside ``start`` one after another, refit all after each, and drop a claim that later ones made needless.
 
     ``tell`` is told each claim as it is made.
@@ -77,11 +75,11 @@ def search(
         left = scores(now, fit, hyper)
         taken = {c.key for c in now.active}
         best = refined(now, [s for s in left if s.candidate.key not in taken | refused], hyper)
-        best = [s for s in best if s.score >= threshold]
+        best = [s for s in best if s.score >= limit.THRESHOLD]
         if best and claims:
             loose = with_forms(now, [c for c in now.active if c.key in {x.scored.candidate.key for x in claims}], p.theta)
             loose_hyper, _ = loose.fit(hyper)
-            best = [s for s in best if _stands(loose, s, loose_hyper, threshold)]
+            best = [s for s in best if _stands(loose, s, loose_hyper)]
         if not best:
             break
         earlier, (top, rivals) = now, settle(now, best, hyper)
@@ -104,7 +102,7 @@ def search(
         tell(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
     claims = _as_fitted(now, claims, p.theta)
-    now, retained = _needed(now, claims, hyper, threshold)
+    now, retained = _needed(now, claims, hyper)
     for k, claim in enumerate(retained):
         now, retained[k] = _settled_again(now, claim, hyper)
     hyper, p = now.fit(hyper)
@@ -140,13 +138,13 @@ def _unexcused(earlier: Hypothesis, candidate: Candidate, before: Array, hyper: 
     return held_out(replace(earlier, held=(int(earlier.engine.stamps[candidate.joints[0]]),)), hyper)
 
 
-def _stands(now: Hypothesis, s: Scored, hyper: Hyper, threshold: float) -> bool:
+def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
     """Whether a contender is as likely against ``now``, in which earlier claims' forms may be off."""
     c = s.candidate
     if not now.forms:
-        return s.score >= threshold
+        return s.score >= limit.THRESHOLD
     again = score_new(now, c.effect, c.joints, c.shapes, hyper)
-    return again is not None and again.score - c.charge >= threshold
+    return again is not None and again.score - c.charge >= limit.THRESHOLD
 
 
 def predicts(candidate: Candidate, before: Array, after: Array) -> bool:
@@ -166,12 +164,12 @@ def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothe
     return now.instead(top.candidate, key), replace(claim, scored=top.scored, score=top.scored.score, rivals=rivals)
 
 
-def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper, threshold: float) -> tuple[Hypothesis, list[Claim]]:
+def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hypothesis, list[Claim]]:
     """The claims that still stand when tried against all the others; what a later one made needless is dropped."""
     retained = list(claims)
     for claim in claims[:-1]:
         c = claim.scored.candidate
-        if scores(now.without(c.key), [c], hyper)[0].score < threshold:
+        if scores(now.without(c.key), [c], hyper)[0].score < limit.THRESHOLD:
             now = now.without(c.key)
             retained = [_heir(claim, k) for k in retained if k.scored.candidate.key != c.key]
     return now, retained

@@ -28,7 +28,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             continue  # the whole rigid body is in the base model
         if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):
             continue
-        places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > 50]
+        places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > limit.FEWEST_ROWS]
         if effect.scope == "arm":
             places = [()]
         elif effect.scope == "pair":
@@ -72,4 +72,5 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
 def _swings(engine: Engine, joint: int, K: float) -> bool:
     """Whether a stiffness gives a period that rows can show: 0.1 to 1.5 s."""
     M = float(np.median(engine.source.mass[:, joint, joint]))
-    return bool(4.0**2 * M < K < 70.0**2 * M)  # a link described without inertia swings at no frequency
+    slow, fast = limit.SWINGS
+    return bool(slow**2 * M < K < fast**2 * M)  # a link described without inertia swings at no frequency
