@@ -126,7 +126,10 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         vc[k] = 0.5 * (w_lo[k] + w_hi[k]);
         vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
         va[k] = size_of(vc[k]) + vr[k];
+        out->x[k] = mid[k];
         out->rad[k] = rad[k];
+        out->v[k] = vc[k];
+        out->v_rad[k] = vr[k];
     }
     inertia(E, K, mid, rad, far, parts, out);
     for (int i = 0; i < n; i++) {

@@ -1,131 +1,138 @@
-/* Accelerations of an arm whose joints slide or stick, with what the same angle or speed does to all of them at once.
+/* Accelerations of an arm whose joints slide or stick, with what one angle or one speed does to all of them at once.
  *
- *     M(q) a = r - h(q, v),   q = q_c + delta, v = v_c + nu
+ *     M(q) a = r - h(q, v),   q = q_c + delta, v = v_c + nu, payload in its middle and s times half its range
  *
- * Boxes of M and h forget that one delta_l, or nu_k, enters every row. Here every subset of moving joints carries the slopes of its inverse
- * along with it, so columns of h meet the inverse before their sizes are added: most of what they say then cancels. What is beyond first
- * slopes is bounded in the norm of M, one number for all subsets.
+ * A box of h and one of M forget that the same delta_l, nu_k and s enter every row. Here each subset of moving joints carries the slopes of its
+ * inverse along, so that columns of h and slopes of M meet the inverse before their sizes are added: most of what they say then cancels.
  *
  * The lemma and its proof are in docs/stops.md. Source: Goodnight (1979) for the sweep operator.
  */
-#include <math.h>
 #include <string.h>
 
 #include "stops.h"
 
-enum { WIDE = SN + 2, COLUMNS = SN + PAIRS }; /* an entry: its value, its slopes in all angles and in the payload */
+enum { WIDE = SN + 2 }; /* an entry: its value, its slopes in all angles and in the payload, each times its half range */
 
 typedef struct {
     int n, inside[SN], open[SN], count, fits;
-    double start[SN * SN * WIDE];
-    double near_lo[SN], near_hi[SN], speeds[SN * COLUMNS], angles[SN * (SN + 1)]; /* torque r - h: its middle, columns of nu, of delta */
-    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], most[SN], own[RATES][SN];
-    double push[SN], beyond[SN], diagonal[SN];
+    double start[SN * SN * WIDE], push[SN], beyond[SN]; /* M; torques of its change, and of what is beyond slopes, at claimed accelerations */
+    double speeds[SN * SN], turns[SN * WIDE];           /* h: columns of nu; of delta and s */
+    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], known[SN], own[RATES][SN]; /* r less the middle of h; sizes of columns; of joint i itself */
     const Step *s;
-    double (*out)[SN];
+    double (*out)[SN], shared;
 } Relation;
 
-/* Joint k into the moving set, slopes along. */
+/* Joint k into the moving set as stops_pivot does it, slopes along. */
 static void pivot(int n, double *A, int k) {
-    double row[SN * WIDE], share[SN];
     const int wide = n + 2;
-    const double *p = row + k * wide;
+    double row[SN * WIDE], share[SN];
     memcpy(row, A + k * n * wide, (size_t)(n * wide) * sizeof *row);
-    const double d = 1.0 / p[0];
+    const double *p = row + k * wide, d = 1.0 / p[0];
     for (int i = 0; i < n; i++) share[i] = row[i * wide] * d;
     for (int i = 0; i < n; i++) {
-        if (i == k) continue;
         const double b = share[i], *a = row + i * wide;
+        double *across = A + (i * n + k) * wide, *down = A + (k * n + i) * wide;
+        if (i == k) continue;
         for (int j = 0; j < n; j++) {
-            if (j == k) continue;
-            double *x = A + (i * n + j) * wide;
             const double c = share[j], *e = row + j * wide;
+            double *x = A + (i * n + j) * wide;
+            if (j == k) continue;
             x[0] -= b * e[0];
             for (int l = 1; l < wide; l++) x[l] += b * c * p[l] - a[l] * c - b * e[l];
         }
-        double *x = A + (i * n + k) * wide, *y = A + (k * n + i) * wide;
-        x[0] = y[0] = b;
-        for (int l = 1; l < wide; l++) x[l] = y[l] = d * (a[l] - b * p[l]);
+        across[0] = down[0] = b;
+        for (int l = 1; l < wide; l++) across[l] = down[l] = d * (a[l] - b * p[l]);
     }
-    double *x = A + (k * n + k) * wide;
-    x[0] = -d;
-    for (int l = 1; l < wide; l++) x[l] = d * d * p[l];
+    A[k * (n + 1) * wide] = -d;
+    for (int l = 1; l < wide; l++) A[k * (n + 1) * wide + l] = d * d * p[l];
 }
 
-/* Acceleration of joint i when it moves and so do those inside. */
+/* The hull grows by the accelerations of joint i when it moves and so do those inside. */
 static void read_row(const double *A, int i, Relation *x) {
     const int n = x->n, wide = n + 2;
-    const double *row = A + i * n * wide;
-    double lo = 0.0, hi = 0.0, spread = 0.0, scale = 0.0, column[COLUMNS], angle[SN + 1], own = 0.0;
-    memset(column, 0, sizeof column);
-    memset(angle, 0, sizeof angle);
+    const double *row = A + i * n * wide, w = -row[i * wide];
+    double lo = 0.0, hi = 0.0, spread = 0.0, scale = 1.0, own = 0.0, speed[SN] = {0}, turn[WIDE] = {0};
     for (int j = 0; j < n; j++) {
         if (j != i && !x->inside[j]) continue;
-        const double *e = row + j * wide, w = -e[0];
+        const double *e = row + j * wide, v = -e[0], largest = most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j];
         double turned = 0.0;
-        for (int l = 0; l <= n; l++) {
-            turned += size_of(e[1 + l]);
-            angle[l] += w * x->angles[j * (n + 1) + l] + e[1 + l] * x->r_mid[j];
+        for (int l = 1; l < wide; l++) {
+            turned += size_of(e[l]);
+            turn[l] += v * x->turns[j * WIDE + l] + e[l] * x->r_mid[j];
         }
-        for (int c = 0; c < n; c++) column[c] += w * x->speeds[j * COLUMNS + c];
-        const double unknown = x->most[j] - most(size_of(x->r_lo[j]), size_of(x->r_hi[j]));
-        spread += turned * unknown;
-        spread += turned * x->push[j] + size_of(w) * x->beyond[j];
-        scale += (size_of(w) + turned) * x->most[j];
+        for (int k = 0; k < n; k++) speed[k] += v * x->speeds[j * n + k];
+        spread += turned * (x->known[j] + x->push[j]) + size_of(v) * x->beyond[j];
+        scale += (size_of(v) + turned) * (largest + x->push[j]);
         if (j == i) {
             own = turned;
             continue;
         }
         spread += turned * x->r_rad[j];
-        lo += w > 0.0 ? w * x->r_lo[j] : w * x->r_hi[j];
-        hi += w > 0.0 ? w * x->r_hi[j] : w * x->r_lo[j];
+        lo += v > 0.0 ? v * x->r_lo[j] : v * x->r_hi[j];
+        hi += v > 0.0 ? v * x->r_hi[j] : v * x->r_lo[j];
     }
-    for (int c = 0; c < n; c++) spread += size_of(column[c]);
-    for (int l = 0; l <= n; l++) spread += size_of(angle[l]);
-    const double w = -row[i * wide];
-    spread += stopset_rate_rounding * (scale + 1.0);
-    if (!(w > own)) x->fits = 0;
+    for (int k = 0; k < n; k++) spread += size_of(speed[k]);
+    for (int l = 1; l < wide; l++) spread += size_of(turn[l]);
+    if (!(w > own)) x->fits = 0; /* else not even the sign of its own answer is known */
+    spread = x->shared * spread + stopset_rate_rounding * scale;
     for (int rate = 0; rate < RATES; rate++) {
-        const int forward = rate < 2 || rate == 4 || rate == 5 || rate == 8;
-        if (!(x->s->zero[i] || (forward ? x->s->plus[i] : x->s->minus[i]))) continue;
-        const double f = x->own[rate][i], away = own * size_of(f - x->r_mid[i]);
-        double *out = &x->out[rate][i];
-        *out = is_lower(rate) ? least(*out, lo + w * f - spread - away) : most(*out, hi + w * f + spread + away);
+        const int backward = rate == 2 || rate == 3 || rate == 6 || rate == 7 || rate == 9;
+        if (!x->s->zero[i] && !(backward ? x->s->minus[i] : x->s->plus[i])) continue;
+        const double f = x->own[rate][i], away = spread + own * size_of(f - x->r_mid[i]);
+        if (is_lower(rate))
+            x->out[rate][i] = least(x->out[rate][i], lo + w * f - away);
+        else
+            x->out[rate][i] = most(x->out[rate][i], hi + w * f + away);
     }
 }
 
+/* B: A with joint k inside; 0 if that is not surely possible. */
+static int joined(const double *A, int k, Relation *x, double *B) {
+    const int n = x->n, at = k * (n + 1) * (n + 2);
+    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
+    if (!(B[at] > 1e-6 * x->start[at])) return x->fits = 0;
+    pivot(n, B, k);
+    return 1;
+}
+
+/* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
 static void visit(const double *A, int k, Relation *x) {
-    const int n = x->n, wide = n + 2;
     double B[SN * SN * WIDE];
-    const size_t size = (size_t)(n * n * wide) * sizeof *B;
     if (k < x->count) {
         const int joint = x->open[k];
-        if (!x->s->zero[joint]) x->inside[joint] = 1; /* surely moves */
-        else visit(A, k + 1, x);
-        memcpy(B, A, size);
-        if (!(B[joint * (n + 1) * wide] > 1e-6 * x->diagonal[joint])) {
-            x->fits = 0;
-            return;
-        }
-        pivot(n, B, joint);
+        if (x->s->zero[joint]) visit(A, k + 1, x); /* else it surely moves */
+        if (!joined(A, joint, x, B)) return;
         x->inside[joint] = 1;
         visit(B, k + 1, x);
         x->inside[joint] = 0;
         return;
     }
-    for (int i = 0; i < n; i++) {
-        if (x->inside[i]) {
+    for (int i = 0; i < x->n; i++) {
+        if (x->inside[i])
             read_row(A, i, x);
-            continue;
+        else if (!x->s->plus[i] && !x->s->minus[i] && joined(A, i, x, B))
+            read_row(B, i, x); /* at rest: with this it would start, were it to start */
+    }
+}
+
+/* The inertia with its slopes. */
+static void inertia(const StopsetPlant *p, const Expansion *E, const Local *at, Relation *x) {
+    const int n = at->n;
+    for (int i = 0; i < n; i++) {
+        x->push[i] = x->beyond[i] = 0.0;
+        for (int j = 0; j < n; j++) {
+            const int ij = i * n + j;
+            const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
+            double *a = x->start + ij * (n + 2), linear = 0.0;
+            a[0] = at->M[ij];
+            for (int l = 0; l < n; l++) {
+                a[1 + l] = E->dM[ij * n + l] * at->rad[l];
+                linear += size_of(a[1 + l]);
+            }
+            a[1 + n] = at->Mp[ij] - rotor;
+            x->push[i] += at->dM[ij] * x->s->a_far[j];
+            x->beyond[i] += (most(at->M_rad[ij] - linear, 1e-12 * linear) + at->Mp_rad[ij] + rotor) * x->s->a_far[j];
         }
-        if (x->s->plus[i] || x->s->minus[i]) continue; /* visited with i moving instead */
-        memcpy(B, A, size); /* at rest: with what it would start, were it to start */
-        if (!(B[i * (n + 1) * wide] > 1e-6 * x->diagonal[i])) {
-            x->fits = 0;
-            return;
-        }
-        pivot(n, B, i);
-        read_row(B, i, x);
     }
 }
 
@@ -135,115 +142,103 @@ static double second(const Expansion *E, int i, int j, int k, int l) {
     return m > a ? E->ddM[pair(a, b) * PAIRS + pair(m, o)] : 0.0;
 }
 
-/* Middle, columns and remainder of the torque h of joint i, angles mid +- rad from the pose, speeds vc +- vr. */
-static void coriolis(const Expansion *E, const Local *at, const double *mid, const double *vc, const double *vr, int i, Relation *x, double *middle,
-                     double *rest) {
+/* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
+static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, double *middle, double *rest) {
     const int n = at->n;
-    double *angles = x->angles + i * (n + 1), *speeds = x->speeds + i * COLUMNS;
+    double *turns = x->turns + i * WIDE + 1;
     for (int k = 0; k < n; k++)
         for (int o = 0; o < n; o++) {
-            double G = E->Gamma[(i * n + k) * n + o], slopes = 0.0;
-            const double prod = vc[k] * vc[o], spread = size_of(vc[k]) * vr[o] + vr[k] * size_of(vc[o]) + vr[k] * vr[o];
+            const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
+            const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t;
+            double G = E->Gamma[ik], slopes = 0.0;
             for (int l = 0; l < n; l++) {
                 const double slope = 0.5 * (second(E, i, k, o, l) + second(E, i, o, k, l) - second(E, k, o, i, l));
-                G += slope * mid[l];
+                G += slope * at->x[l];
                 slopes += size_of(slope) * at->rad[l];
-                angles[l] += slope * prod * at->rad[l];
+                turns[l] += slope * at->rad[l] * c * b;
             }
-            const double Gp = E->Gammap[(i * n + k) * n + o];
-            const double beyond = 0.5 * (at->rest[(i * n + k) * n + o] + at->rest[(i * n + o) * n + k] + at->rest[(k * n + o) * n + i]);
-            angles[n] += Gp * prod;
-            *middle += G * prod;
-            if (k == o) *middle += 0.5 * G * vr[k] * vr[k]; /* a square is not negative */
-            speeds[k] += 2.0 * G * vc[o] * vr[k];
-            *rest += (slopes + size_of(Gp)) * spread + beyond * (size_of(vc[k]) + vr[k]) * (size_of(vc[o]) + vr[o]);
-            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * vr[k] * vr[o];
+            turns[n] += E->Gammap[ik] * c * b;
+            x->speeds[i * n + k] += 2.0 * G * b * r;
+            *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
+            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
+            *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
         }
 }
 
-/* The inertia with its slopes, and the torques of all of its change, and of what is beyond slopes, at the claimed accelerations. */
-static void inertia(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, Relation *x) {
-    const int n = at->n, wide = n + 2;
-    for (int i = 0; i < n; i++) {
-        x->push[i] = x->beyond[i] = 0.0;
-        x->diagonal[i] = at->M[i * n + i];
-        for (int j = 0; j < n; j++) {
-            double *a = x->start + (i * n + j) * wide, linear = 0.0;
-            a[0] = at->M[i * n + j];
-            for (int l = 0; l < n; l++) {
-                a[1 + l] = E->dM[(i * n + j) * n + l] * at->rad[l];
-                linear += size_of(a[1 + l]);
-            }
-            const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
-            a[1 + n] = at->Mp[i * n + j] - rotor;
-            const double rest = most(at->M_rad[i * n + j] - linear, 1e-12 * linear) + at->Mp_rad[i * n + j] + rotor;
-            x->push[i] += at->dM[i * n + j] * s->a_far[j];
-            x->beyond[i] += rest * s->a_far[j];
-        }
-    }
-}
-
-int stops_related_accelerations(const StopsetPlant *p, const Expansion *E, const Local *at, const double *x_lo, const double *x_hi, const double *w_lo,
-                                const double *w_hi, const Step *s, double out[RATES][SN]) {
+/* Torques of joint i: columns, and the box of all the rest. */
+static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, int i, Relation *x) {
     const int n = at->n;
-    double mid[SN], far[SN], vc[SN], vr[SN], found[RATES][SN];
-    Relation x;
-    x.n = n;
-    x.s = s;
-    x.out = found;
-    x.fits = 1;
-    x.count = 0;
-    inertia(p, E, at, s, &x);
-    memset(x.angles, 0, sizeof x.angles);
-    memset(x.speeds, 0, sizeof x.speeds);
+    const Step *s = x->s;
+    double middle = E->g[i], rest = 0.0;
+    memset(x->speeds + i * n, 0, (size_t)n * sizeof(double));
+    memset(x->turns + i * WIDE, 0, WIDE * sizeof(double));
     for (int k = 0; k < n; k++) {
-        mid[k] = 0.5 * (x_lo[k] + x_hi[k]);
-        far[k] = most(size_of(x_lo[k]), size_of(x_hi[k]));
-        vc[k] = 0.5 * (w_lo[k] + w_hi[k]);
-        vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
-        x.inside[k] = 0;
-        if (!s->zero[k]) x.open[x.count++] = k;
+        double bend = 0.0;
+        const double far = size_of(at->x[k]) + at->rad[k];
+        for (int o = 0; o < n; o++) bend += 0.5 * p->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
+        middle += E->dg[i * n + k] * at->x[k];
+        x->turns[i * WIDE + 1 + k] = E->dg[i * n + k] * at->rad[k];
+        rest += (size_of(E->dgp[i * n + k]) + bend) * far;
     }
-    for (int k = 0; k < n; k++)
-        if (s->zero[k] && (s->plus[k] || s->minus[k])) x.open[x.count++] = k;
+    x->turns[i * WIDE + 1 + n] = E->gp[i];
+    coriolis(E, at, i, x, &middle, &rest);
+    const double up = s->way[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->way[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
+    const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
+    const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
+                               hi + s->B_hi[i] - s->own_up[i], lo + down + s->own_down[i], hi - s->B_later[i], lo + s->B_later[i]};
+    for (int rate = 0; rate < RATES; rate++) x->own[rate][i] = own[rate];
+    x->r_lo[i] = s->plus[i] || !s->minus[i] ? own[0] : own[2];
+    x->r_hi[i] = s->minus[i] ? own[3] : own[1];
+    x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
+    x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
+    x->known[i] = 0.0;
+    for (int k = 0; k < n; k++) x->known[i] += size_of(x->speeds[i * n + k]);
+    for (int l = 1; l < n + 2; l++) x->known[i] += size_of(x->turns[i * WIDE + l]);
+}
+
+/* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
+void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]) {
+    const int n = at->n;
+    double found[RATES][SN];
+    Relation x = {.n = n, .fits = 1, .s = s, .out = found, .shared = parts->shared};
+    inertia(p, E, at, &x);
     for (int i = 0; i < n; i++) {
-        double middle = E->g[i], rest = 0.0, known = 0.0;
-        for (int k = 0; k < n; k++) {
-            double bend = 0.0;
-            for (int o = 0; o < n; o++) bend += p->curvature.g[(i * n + k) * n + o] * far[o];
-            middle += E->dg[i * n + k] * mid[k];
-            x.angles[i * (n + 1) + k] += E->dg[i * n + k] * at->rad[k];
-            rest += (size_of(E->dgp[i * n + k]) + 0.5 * bend) * far[k];
-        }
-        x.angles[i * (n + 1) + n] += E->gp[i];
-        coriolis(E, at, mid, vc, vr, i, &x, &middle, &rest);
-        for (int c = 0; c < n; c++) known += size_of(x.speeds[i * COLUMNS + c]);
-        for (int l = 0; l <= n; l++) known += size_of(x.angles[i * (n + 1) + l]);
-        const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
-        const double later = s->B_later[i] - s->B_lo[i];
-        const double f_lo = lo - s->B_hi[i], f_hi = hi - (s->way[i] >= 0.0 ? s->B_lo[i] : s->B_later[i]);
-        const double b_lo = lo + (s->way[i] <= 0.0 ? s->B_lo[i] : s->B_later[i]), b_hi = hi + s->B_hi[i];
-        x.own[0][i] = f_lo;
-        x.own[1][i] = f_hi;
-        x.own[2][i] = b_lo;
-        x.own[3][i] = b_hi;
-        x.own[4][i] = f_hi - s->own_up[i];
-        x.own[5][i] = f_lo + s->own_down[i];
-        x.own[6][i] = b_hi - s->own_up[i];
-        x.own[7][i] = b_lo + s->own_down[i];
-        x.own[8][i] = f_hi - (s->way[i] >= 0.0 ? later : 0.0);
-        x.own[9][i] = b_lo + (s->way[i] <= 0.0 ? later : 0.0);
-        x.r_lo[i] = s->plus[i] || !s->minus[i] ? f_lo : b_lo;
-        x.r_hi[i] = s->minus[i] ? b_hi : f_hi;
-        x.r_mid[i] = 0.5 * (x.r_lo[i] + x.r_hi[i]);
-        x.r_rad[i] = 0.5 * (x.r_hi[i] - x.r_lo[i]);
-        x.most[i] = most(size_of(x.r_lo[i]), size_of(x.r_hi[i])) + known;
+        torques(p, E, at, i, &x);
+        for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
+        if (!s->zero[i]) x.open[x.count++] = i;
     }
-    for (int row = 0; row < RATES; row++)
-        for (int i = 0; i < n; i++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
+    for (int i = 0; i < n; i++)
+        if (s->zero[i] && (s->plus[i] || s->minus[i])) x.open[x.count++] = i;
     visit(x.start, 0, &x);
-    if (!x.fits) return 0;
+    if (!x.fits) return;
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);
-    return 1;
+}
+
+int stopset_accelerations(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo, const double *w_hi,
+                          const double *B_lo, const double *B_hi, const double *claim, int related, const StopsetParts *parts, double *out) {
+    const int n = plant->arm.n;
+    Expansion E;
+    Local at;
+    Step s;
+    double rates[RATES][SN];
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    memset(&s, 0, sizeof s);
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, w_lo, w_hi, parts, &at);
+    for (int i = 0; i < n; i++) {
+        s.s_lo[i] = plant->u_lo[i] - at.h_hi[i] - most(plant->viscous_lo[i] * w_hi[i], plant->viscous_hi[i] * w_hi[i]);
+        s.s_hi[i] = plant->u_hi[i] - at.h_lo[i] - least(plant->viscous_lo[i] * w_lo[i], plant->viscous_hi[i] * w_lo[i]);
+        s.B_lo[i] = s.B_later[i] = B_lo[i];
+        s.B_hi[i] = B_hi[i];
+        s.a_far[i] = claim[i];
+        s.plus[i] = w_hi[i] > 0.0;
+        s.minus[i] = w_lo[i] < 0.0;
+        s.zero[i] = w_lo[i] <= 0.0 && w_hi[i] >= 0.0;
+    }
+    stops_accelerations(&at, &s, rates);
+    if (related) stops_related(plant, &E, &at, &s, parts, rates);
+    for (int row = 0; row < 4; row++) memcpy(out + row * n, rates[row], (size_t)n * sizeof *out);
+    return STOPSET_OK;
 }

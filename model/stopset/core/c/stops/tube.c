@@ -13,7 +13,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0};
 
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
@@ -203,7 +203,7 @@ static int verify(March *m, int64_t k) {
         stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->w_lo, m->w_hi, m->parts, &m->at);
         torques(m, v_lo, v_hi);
         stops_accelerations(&m->at, &m->s, m->out);
-        if (m->related) (void)stops_related_accelerations(m->p, &m->E, &m->at, m->x_lo, m->x_hi, m->w_lo, m->w_hi, &m->s, m->out);
+        if (m->related) stops_related(m->p, &m->E, &m->at, &m->s, m->parts, m->out);
         if (claims_hold(m)) return 1;
     }
     return 0;
