@@ -62,7 +62,7 @@ def bounds(plant: Plant, c: Case, related: bool, parts: Parts = ALL_PARTS) -> Ar
     claim, out, options = np.full(n, 10.0), np.empty((4, n)), ffi.new("StopsetParts *", tuple(parts))
     for _ in range(40):
         given_to = [view(given(y)) for y in (c.q, *c.x, *c.w, *c.B, claim)]
-        check(lib.stopset_accelerations(struct, *given_to, int(related), options, view(out)))
+        check(lib.stopset_acceleration_bounds(struct, *given_to, int(related), options, view(out)))
         moves = (c.w[0] < 0.0) | (c.w[1] > 0.0)
         largest = np.where(moves, np.where(np.isfinite(out), np.abs(out), 0.0).max(axis=0), 0.0)
         if np.all(largest <= claim):

@@ -215,7 +215,7 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
         for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);
 }
 
-int stopset_accelerations(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo, const double *w_hi,
+int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo, const double *w_hi,
                           const double *B_lo, const double *B_hi, const double *claim, int related, const StopsetParts *parts, double *out) {
     const int n = plant->arm.n;
     Expansion E;
