@@ -40,14 +40,15 @@ def recorded_low_pass(robot: Robot, trials: Sequence[Recording]) -> float:
         return 0.0
     plain = _left(robot, some, 0.0)
     tried = {f: _left(robot, some, f) for f in CUTOFFS}
-    best = min(tried, key=lambda f: tried[f])
+    best: float = min(CUTOFFS, key=lambda f: tried[f])
     if tried[best] > plain + np.log1p(-FILTER_LOWERS):
         return 0.0
     # the ends of pieces, which the filter did not have, pull the cut-off down: where it is, the longest trial says in one
     longest = max(trials, key=lambda r: float(r.t[-1] - r.t[0]) if r.phase != "static" else 0.0)
     whole = [longest.cut(0, int(np.searchsorted(longest.t, longest.t[0] + SECONDS)))]
     finer = {f * best: _left(robot, whole, f * best) for f in (1.0, *FINER)}
-    return round(min(finer, key=lambda f: finer[f]), 2)
+    sharpest: float = min(finer, key=lambda f: finer[f])
+    return round(sharpest, 2)
 
 
 def in_words(cutoff: float) -> str:
