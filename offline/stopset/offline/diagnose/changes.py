@@ -3,15 +3,18 @@
 The model's own torque, effects and all, is taken off the recordings; nothing is fitted again.  What is left is asked for a change
 of level: of Coulomb and viscous friction, of an offset, of the torque's scale, of the last link's mass and its moments.  A change
 counts where it lowers the error on blocks of time that it was not fitted to, is several standard errors large, and is more than an
-arm's friction differs from day to day anyway.
+arm's friction differs from day to day anyway.  How friction is shared between its two parts may always differ: motions of few speeds
+hardly tell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.base import Effect, Part
@@ -29,7 +32,7 @@ PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
 }  # fmt: skip
-Column = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
+RIDGE = 1e-9  # relative: rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +58,49 @@ class Change:
         return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
 
 
+class Level(NamedTuple):
+    """What one number of a change says: how much its level changes ``per`` unit of the coefficient ``of`` the change."""
+
+    effect: str
+    symbol: str
+    unit: str
+    before: float
+    per: float = 1.0
+    of: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Columns (rows, n, k) of a change, and what each says."""
+    """A change at a joint (None: of the whole arm): ``columns`` (rows, n, k), what they say, and which of it counts.
+
+    ``error, least`` (k,): the model's own error of each coefficient, and the least one that is no daily difference; ``beside``
+    (rows, n, m): what may differ besides.
+    """
 
     joint: int | None
     columns: Array
-    terms: tuple[Column, ...]
-    least: tuple[float, ...]
+    beside: Array
+    levels: tuple[Level, ...]
+    error: Array
+    least: Array
+    friction: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """A candidate's ``gain`` (none: not positive), coefficients ``theta``, ``std`` (k,), those of what is ``beside`` (m,), and the
+    held-out error (n,) before and after."""
+
+    gain: float
+    theta: Array
+    std: Array
+    beside: Array
+    before: Array
+    after: Array
+
+    def certain(self, c: _Candidate) -> NDArray[np.bool_]:
+        """(k,) which coefficients are a change."""
+        return np.asarray(np.abs(self.theta) > np.maximum(limit.CHANGE_SURE * np.hypot(self.std, c.error), c.least))
 
 
 def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
@@ -74,27 +112,46 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
     out: list[Change] = []
     scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
     for _ in range(limit.CHANGES):
-        tried = [(c, *_judged(left, block, count, scale, c)) for c in found]
-        best = max(tried, key=lambda t: t[1], default=None)
-        if best is None or best[1] <= 0:
+        tried = [(c, j) for c in found if (j := _judged(left, block, count, scale, c)).gain > 0]
+        tried = [(c, j) for c, j in tried if j.certain(c).any()]
+        if not tried:
             break
-        candidate, _, theta, std, before, after = best
-        where = range(model.n) if candidate.joint is None else [candidate.joint]
-        worst = max(where, key=lambda j: before[j] - after[j])
-        certain = [
-            Change(
-                effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
-            )
-            for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(limit.CHANGE_SURE * np.hypot(std[k], error), candidate.least[k])
-        ]  # fmt: skip
-        found = [c for c in found if c is not candidate]
-        if not certain:
-            continue
-        out += certain
-        left = left - np.einsum("rjk,k->rj", candidate.columns, theta)
+        candidate, judged = _simplest(tried)
+        out += _said(model, candidate, judged)
+        found = [
+            c for c in found if c is not candidate and not (c.friction and candidate.friction and c.joint == candidate.joint)
+        ]
+        left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])
+
+
+def _simplest(tried: Sequence[tuple[_Candidate, _Judged]]) -> tuple[_Candidate, _Judged]:
+    """The change of largest gain; of a joint's friction the one by which both its numbers need differ least from the model's.
+
+    A motion of few speeds tells how much friction there is, but hardly how it is shared between its dry and its viscous part.
+    """
+    best = max(tried, key=lambda t: t[1].gain)
+    if not best[0].friction:
+        return best
+    same = [t for t in tried if t[0].friction and t[0].joint == best[0].joint]
+    both = [t for t in same if len(t[1].theta) > 1 and t[1].certain(t[0]).all()]
+    alike = [t for t in same if len(t[1].theta) == 1 and t[1].gain > limit.ALIKE * best[1].gain]
+    return next(iter(both), min(alike, key=lambda t: float(np.sum(np.abs(t[1].beside))), default=best))
+
+
+def _said(model: Model, c: _Candidate, judged: _Judged) -> list[Change]:
+    """What is told of a change, the coefficients that are one."""
+    where = range(model.n) if c.joint is None else [c.joint]
+    worst = max(where, key=lambda j: judged.before[j] - judged.after[j])
+    certain, std = judged.certain(c), np.hypot(judged.std, c.error)
+    return [
+        Change(
+            x.effect, None if c.joint is None else model.joints[c.joint], x.symbol, x.unit, x.before,
+            x.before + x.per * float(judged.theta[x.of]), abs(x.per) * float(std[x.of]), float(judged.before[worst]),
+            float(judged.after[worst]),
+        )
+        for x in c.levels if certain[x.of]
+    ]  # fmt: skip
 
 
 def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate]]:
@@ -124,59 +181,89 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
     n, out = model.n, []
     dry_law, damping, offset, scale, body = map(of_part, PARTS)
-    fitted = {(f.effect, f.joint): f for f in model.effects}
-
-    def level(law: Effect, joint: str) -> tuple[float, float]:
-        """What the model says, and its error."""
-        f, symbol = fitted.get((law.name, joint)), law.terms[0].symbol
-        return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
-
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
+
+    def at(*columns: Array, j: int) -> Array:
+        block = np.zeros((len(q), n, len(columns)))
+        block[:, j] = np.column_stack(columns)
+        return block
+
+    rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
     for j, joint in enumerate(model.joints):
-        dry, wet = level(dry_law, joint), level(damping, joint)
-
-        def at(*columns: Array, j: int = j) -> Array:
-            block = np.zeros((len(q), n, len(columns)))
-            block[:, j] = np.column_stack(columns)
-            return block
-
-        friction = at(np.sign(dq[:, j]), dq[:, j])
-        out.append(
-            _Candidate(
-                j, friction, (_column(dry_law, *dry), _column(damping, *wet)), (limit.DAILY * dry[0], limit.DAILY * wet[0])
-            )
-        )
-        out.append(_Candidate(j, at(np.ones(len(q))), (_column(offset),), (limit.DAILY * dry[0],)))
-        out.append(_Candidate(j, at(rigid[:, j]), (_column(scale),), (limit.LEAST_GAIN,)))
-    tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = tuple(_column(body, term=k) for k in range(4))
-    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (limit.LEAST_MASS, *(3 * (1e9,)))))
+        (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
+        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
+        least = np.array([limit.DAILY * dry])
+        out.append(_Candidate(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
+        usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
+        if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
+            least = np.array([limit.LEAST_GAIN])
+            out.append(_Candidate(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
+    tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
+    load = tuple(_said_of(body, term=k) for k in range(4))
+    out.append(
+        _Candidate(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
+    )
     return out
 
 
-def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> Column:
-    """What a column says."""
-    return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
+def _friction(joint: int, rubs: Array, dry: tuple[Level, float], wet: tuple[Level, float]) -> list[_Candidate]:
+    """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
+
+    ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
+    at the speeds of these rows: what counts is how much friction there is.
+    """
+    (a, a_error), (b, b_error) = dry, wet
+    direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
+    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
+    shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
+    free = _Candidate(
+        joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
+        limit.DAILY * np.array([a.before, b.before]), True,
+    )  # fmt: skip
+    one = [
+        (direction, (a,), limit.DAILY * a.before),
+        (speed, (b,), limit.DAILY * b.before),
+        (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), limit.DAILY),
+    ]
+    return [free, *(_Candidate(joint, x, shares, said, np.zeros(1), np.array([least]), True) for x, said, least in one)]
 
 
-def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:
-    """Gain of a change (none: not positive), its numbers and their errors, held-out error (n,) before and after."""
+def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:
+    """What the model says of a law's first term, and its error."""
+    symbol = law.terms[0].symbol
+    f = next((f for f in model.effects if (f.effect, f.joint) == (law.name, joint)), None)
+    return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
+
+
+def _said_of(law: Effect, before: float = 0.0, term: int = 0) -> Level:
+    return Level(law.name, law.terms[term].symbol, law.terms[term].unit, before, of=term)
+
+
+def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> _Judged:
+    """A candidate beside what may differ besides, against the latter alone, on blocks that were left out."""
     use = np.isfinite(left)
     y = np.where(use, left, 0.0) / scale
-    X = np.where(use[:, :, None], c.columns, 0.0) / scale[:, None]
+    k = c.columns.shape[2]
+    X = np.where(use[:, :, None], np.concatenate([c.columns, c.beside], axis=2), 0.0) / scale[:, None]
+    e0, _ = _left_out(y, X[:, :, k:], block, count)
+    e1, (theta, rest) = _left_out(y, X, block, count)
+    std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
+    n = np.maximum(use.sum(axis=0), 1)
+    before, after = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (e0, e1))
+    where = list(range(len(scale))) if c.joint is None else [c.joint]
+    lowered = float(np.max(1.0 - after[where] / np.maximum(before[where], 1e-12)))
+    gain = float(np.sum(e0**2) - np.sum(e1**2)) if lowered > limit.CHANGE_LOWERED else 0.0
+    return _Judged(gain, theta[:k], std[:k], theta[k:], before, after)
+
+
+def _left_out(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, tuple[Array, Array]]:
+    """(rows, n) errors on blocks that a fit has not seen; coefficients of the whole (k,) and without each block (count, k)."""
     k = X.shape[2]
-    A = np.zeros((count, k, k))
-    b = np.zeros((count, k))
+    A, b = np.zeros((count, k, k)), np.zeros((count, k))
     np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
     np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
-    ridge = 1e-9 * np.eye(k) * np.trace(A.sum(axis=0))
-    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0))
-    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) for g in range(count)])
-    std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
-    after = y - np.einsum("rjk,rk->rj", X, rest[block])
-    n = np.maximum(use.sum(axis=0), 1)
-    e0, e1 = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (y, after))
-    where = list(range(len(scale))) if c.joint is None else [c.joint]
-    lowered = float(np.max(1.0 - e1[where] / np.maximum(e0[where], 1e-12)))
-    gain = float(np.sum(y**2) - np.sum(after**2)) if lowered > limit.CHANGE_LOWERED else 0.0
-    return gain, theta, std, e0, e1
+    size = np.sqrt(np.maximum(np.diagonal(A.sum(axis=0)), 1e-30))
+    ridge = RIDGE * np.diag(size**2)
+    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0)) if k else np.zeros(0)
+    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) if k else theta for g in range(count)])
+    return y - np.einsum("rjk,rk->rj", X, rest[block]), (theta, rest)
