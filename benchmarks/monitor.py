@@ -29,7 +29,7 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.core.library import ffi
 from stopset.effects import Fitted
 from stopset.monitor.authentication import Key
-from stopset.monitor.certificates import Answer, Numbers
+from stopset.monitor.certificates import Certificate, Numbers
 from stopset.monitor.config import Bus, Config, Publish
 from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.layout import unpack
@@ -108,7 +108,7 @@ class Desk(StopDesk):
         for category, c in self.counters.items():
             for k in range(c.narrow.kept):  # a full shelf, of which the last holds the arm
                 wide = np.full(2 * n, 10.0 if k == c.narrow.kept - 1 else 1e-6)
-                c.narrow.put(Answer(category, -wide, wide, Numbers(a, a, a, 0.02, np.full(n, True)), 0.001))
+                c.narrow.put(Certificate(category, -wide, wide, Numbers(a, a, a, 0.02, np.full(n, True)), 0.001, 0.001))
             c.wide.put(c.narrow.answers[-1])
         self._ready = True
 

@@ -31,7 +31,7 @@ from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.batch import Frame
 from stopset.monitor.links.canopen_map import Encoder
 from stopset.monitor.profile import SIGNALS, Profile, load_profile
-from stopset.monitor.source import CanSource, Source
+from stopset.monitor.source import CanSource, SampleSource
 from stopset.reach.flowpipe import discretise
 
 PROFILE: Profile = load_profile("lwa4p/monitor")
@@ -327,7 +327,7 @@ class World:
     def _open(self) -> CanSource:
         return CanSource(self, PROFILE, DT, VALID, clock=self)
 
-    def _reopen(self) -> Source:
+    def _reopen(self) -> SampleSource:
         if self.now < self.off_until:
             raise BusError("the bus is off")
         return self._open()

@@ -16,7 +16,7 @@ import pytest
 
 from monitor_process import free_port, wait
 from stopset.cli.main import main
-from stopset.monitor.fleet import Fleet, Page, terminal
+from stopset.monitor.fleet import Fleet, FleetPage, terminal
 from stopset.monitor.links.zenoh_link import ZenohLink
 
 ARM = """
@@ -55,7 +55,7 @@ def texts(browser: Any, selector: str) -> list[str]:
 def test_three_arms_are_found_and_a_killed_one_goes_grey_in_time(router: int, tmp_path: Path, browser: Any) -> None:
     arms = [arm(f"hall/cell{k}/arm", router, state) for k, state in enumerate(("OK", "VIOLATION", "OK"))]
     fleet, link = Fleet(), ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{router}"])
-    page: Any = Page(fleet, "127.0.0.1", 0)
+    page: Any = FleetPage(fleet, "127.0.0.1", 0)
     page.start()
     try:
         link.watch_alive("*/*/*/stopset/alive", fleet.take_alive)
@@ -135,7 +135,7 @@ def test_text_of_strangers_is_text(browser: Any) -> None:
     out = io.StringIO()
     Console(file=out, width=200, color_system=None).print(terminal(fleet))
     assert "\x1b" not in out.getvalue() and "\x07" not in out.getvalue() and "VIOLATION" in out.getvalue()
-    page = Page(fleet, "127.0.0.1", 0)
+    page = FleetPage(fleet, "127.0.0.1", 0)
     page.start()
     try:
         with urllib.request.urlopen(page.url + "now") as r:

@@ -26,7 +26,7 @@ from stopset.monitor.packer import Packer, pack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CycleCount
-from stopset.monitor.status import Limits, Recovery, Situation, believable
+from stopset.monitor.status import OkConditions, Recovery, Situation, believable
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.monitor.watch import Watch, check_cycle
 from stopset.recording import Recording
@@ -362,7 +362,7 @@ def test_the_worst_known_decides_the_state() -> None:
     inside = Verdict(Conformance.CONFORMANT, "inside", oldest=0.2)
     good = Situation(True, "", False, False, "", 0.01, 0.01, s, inside, True, numbers(True))
     unknown = Verdict(Conformance.UNKNOWN, "gap: ...")
-    limits = Limits(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25)
+    limits = OkConditions(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25)
 
     def decide(x: Situation) -> tuple[State, int, str]:
         return status.decide(x, limits)
@@ -391,7 +391,7 @@ def test_the_worst_known_decides_the_state() -> None:
 
 
 def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> None:
-    r = Recovery(Limits(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25))
+    r = Recovery(OkConditions(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25))
     told: list[tuple[State, int, str]] = []
 
     def turns(count: int, state: State, start: float) -> float:

@@ -23,7 +23,7 @@ from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
 from stopset.monitor.sample import Quantum, Sample
-from stopset.monitor.source import Source
+from stopset.monitor.source import SampleSource
 
 Script = list[Sample | Exception | None]
 
@@ -132,7 +132,7 @@ def samples(count: int = 20, k0: int = 0) -> list[Sample]:
     return [Sample(k0 + k, 0.0, r.q[k], r.dq[k], r.tau[k]) for k in range(count)]
 
 
-def never() -> Source:
+def never() -> SampleSource:
     raise AssertionError("the bus was not lost")
 
 
@@ -180,7 +180,7 @@ def test_a_lost_bus_is_fault_until_it_is_back(make: Callable[..., Made]) -> None
     second.daemon = daemon
     tries = iter([BusError("still out"), second])
 
-    def reopen() -> Source:
+    def reopen() -> SampleSource:
         step = next(tries)
         if isinstance(step, Exception):
             raise step
@@ -254,7 +254,7 @@ def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -
     """What the daemon publishes, through the viewer, in a real browser: readable on a telephone too."""
     from selenium.webdriver.support.ui import WebDriverWait
 
-    from stopset.monitor.viewer import Page, View
+    from stopset.monitor.viewer import View, ViewerPage
 
     r = motion(1, 60)
     tau = r.tau.copy()
@@ -266,7 +266,7 @@ def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -
     wire.ears = {"state": view.take_state, "state/json": view.take_json, "event": view.take_event}
     loop = threading.Thread(target=daemon.run, args=(never,))
     loop.start()
-    page = Page(view, "127.0.0.1", 0)
+    page = ViewerPage(view, "127.0.0.1", 0)
     page.start()
     try:
         for width in (420, 1250):

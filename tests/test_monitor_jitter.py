@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model, motion, with_torque_scaled
-from stopset.monitor.grid import REACH, SETTLE, Cycles, Motion
+from stopset.monitor.grid import REACH, SETTLE, Cycles, GridMotion
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.source import JointStateSource
 from stopset.monitor.verdict import Conformance
@@ -77,8 +77,8 @@ def test_an_altered_arm_is_found_in_spite_of_jitter() -> None:
 
 
 def test_without_the_uncertainty_a_good_arm_is_accused(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = Motion.onto_grid
-    monkeypatch.setattr(Motion, "onto_grid", lambda *a: (real(*a)[0], 0.01 * real(*a)[1], real(*a)[2]))
+    real = GridMotion.onto_grid
+    monkeypatch.setattr(GridMotion, "onto_grid", lambda *a: (real(*a)[0], 0.01 * real(*a)[1], real(*a)[2]))
     off = np.clip(np.random.default_rng(1).normal(0.0, SIGMA, 300), -2.9e-3, 2.9e-3)
     assert verdicts(truly_late(1, 300, off), off)[Conformance.VIOLATION]
 

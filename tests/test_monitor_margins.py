@@ -11,7 +11,7 @@ import pytest
 from monitor_arm import known_model
 from stopset.artifact import save_model
 from stopset.monitor.certificates import Numbers
-from stopset.monitor.config import ConfigError, Limits, Plane, Stops, load_config
+from stopset.monitor.config import ConfigError, Plane, StopLimits, Stops, load_config
 from stopset.monitor.margins import ends, exceeded, margins, travels
 from stopset.monitor.override import STRETCHES, keeps, largest_override
 from stopset.monitor.stopworker import answer_for, prepare
@@ -48,7 +48,7 @@ def test_no_end_of_a_link_outruns_its_bound() -> None:
 def test_planes_joint_limits_and_wanted_stops() -> None:
     q = np.array([0.0, 0.3, 0.2, 0.1, 0.0, 0.0])
     floor = Plane("floor", (0.0, 0.0, 2.0), 0.0)
-    limits = Limits("0", time_s=0.2, tcp_m=0.04, radius_m=0.05, planes=(floor,))
+    limits = StopLimits("0", time_s=0.2, tcp_m=0.04, radius_m=0.05, planes=(floor,))
     found = margins(ROBOT, limits, q, numbers(0.01), np.full(6, 1e-3))
     assert found["planes_m"]["floor"] == pytest.approx(ends(ROBOT, q)[0][0, 2] - 0.05), "the shoulder, which stays where it is"
     front = Plane("front", (1.0, 0.0, 0.0), -1.0)
@@ -75,15 +75,15 @@ def test_the_override_is_proven_for_all_slower_speeds(tmp_path: Path) -> None:
     q, dq = np.array([0.2, 0.4, 0.6, 0.1, 0.3, 0.0]), np.array([1.0, -0.6, 0.5, 0.4, -0.5, 0.8])
     whole = bound(np.concatenate([q, dq]), np.concatenate([q, dq]))
     assert whole.provable.all(), whole.why
-    assert largest_override(bound, q, dq, Limits("0")) == 1.0
-    wanted = Limits("0", tcp_m=0.5 * whole.tcp)
+    assert largest_override(bound, q, dq, StopLimits("0")) == 1.0
+    wanted = StopLimits("0", tcp_m=0.5 * whole.tcp)
     part = largest_override(bound, q, dq, wanted)
     assert 0.2 <= part < 1.0
     for x in np.random.default_rng(0).uniform(0.0, part, 10):
         assert keeps(bound(*[np.concatenate([q, x * dq])] * 2), wanted)
     faster = min(1.0, part + 2 / STRETCHES)
     assert not keeps(bound(*[np.concatenate([q, faster * dq])] * 2), wanted), "and it is not far below the truth"
-    assert largest_override(bound, q, dq, Limits("0", tcp_m=1e-6)) == 0.0
+    assert largest_override(bound, q, dq, StopLimits("0", tcp_m=1e-6)) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
+from collections import deque
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stopset.artifact import save_model
-from stopset.monitor.certificates import Answer, Numbers, Shelf
+from stopset.monitor.ahead import LONG, NARROW, WIDE, Heading
+from stopset.monitor.asking import FULL
+from stopset.monitor.certificates import Certificate, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
-from stopset.monitor.stopdesk import LEFT, NARROW, WIDE, Motion, StopDesk
+from stopset.monitor.stopdesk import LEFT, SPENT, StopDesk, seen_by
+from stopset.monitor.stopworker import answer_for
+from stopset.reach.stops import StopBounds
 from stopset.sets import Box
+from stopset.types import Array
 from test_monitor_stops import prbt_like
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from monitor_bounds import never_twice
+
+CYCLE = 0.004  # [s]
 SEEN = Box.symmetric(np.repeat([3.0, 2.0], 6))
 N = 6
 NONE = np.zeros(2 * N)
 
 
-def answer(middle: float, radius: float, angle: float) -> Answer:
+def answer(middle: float, radius: float, angle: float) -> Certificate:
     a, x = np.full(N, angle), np.full(2 * N, middle)
-    return Answer("0", x - radius, x + radius, Numbers(a, a, a, angle, np.full(N, True)), 0.01)
+    return Certificate("0", x - radius, x + radius, Numbers(a, a, a, angle, np.full(N, True)), 0.01, 0.01)
 
 
 def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
@@ -48,13 +60,13 @@ def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
 
 
 def test_the_box_ahead_holds_the_motion_it_was_made_for() -> None:
-    motion, rng = Motion(SEEN), np.random.default_rng(3)
+    motion, rng = Heading(SEEN), np.random.default_rng(3)
     q0, v0, a = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N), rng.uniform(-4, 4, N)
     for k in range(20):
         t = 0.004 * k
         motion.see(t, q0 + v0 * t + 0.5 * a * t * t, v0 + a * t)
     motion.settle()
-    for size in (NARROW, WIDE):
+    for size in (NARROW, LONG, WIDE):
         lo, hi = motion.box(size.ahead, size)
         for s in np.linspace(0.0, size.ahead, 9):
             t = 0.076 + s
@@ -81,6 +93,83 @@ class Hand:
         """Nobody sleeps."""
 
 
+class Beside(StopDesk):
+    """The desk with the proofs in this process: an answer comes when it would have come from a core of its own."""
+
+    prepared = StopBounds.of(prbt_like((0.0, 0.25)), fast=True)
+    cost = 0.0  # [s] that a proof is said to take
+
+    def _start(self) -> None:
+        self._ready, self._pipe, self.free, self.due = True, self, 0.0, deque()
+
+    def send(self, request: tuple[str, Array, Array]) -> None:
+        """As the pipe's."""
+        answer = answer_for(self.prepared, *request)
+        self.free = max(self.free, self.clock.monotonic()) + self.cost
+        self.due.append((self.free, replace(answer, cpu=self.cost, took=self.free - self.clock.monotonic())))
+
+    def see(self, q: Array, dq: Array) -> bool:
+        """A cycle later the arm is here; whether its stop is bounded."""
+        self.clock.now += CYCLE
+        now = self.clock.now
+        while self.due and self.due[0][0] <= now:
+            self._inbox.append(self.due.popleft()[1])
+        self.offer(now, q, dq)
+        numbers, fresh = self.now(q, dq)
+        return fresh and numbers["0"].proven
+
+
+class Still(Hand):
+    """Stands until it is set."""
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+def beside(cost: float) -> Beside:
+    desk = Beside("", seen_by(prbt_like()), Stops(("0",)), 0.0, Quantum.none(N), clock=Still())
+    desk.cost = cost
+    return desk
+
+
+@pytest.mark.parametrize("cost", [0.005, 0.02])
+def test_new_motion_costs_its_share_of_a_core_and_no_more(cost: float) -> None:
+    """The arm comes by no state twice; boxes reach as far as can be paid for, and still hold it."""
+    desk, (q, dq) = beside(cost), never_twice(prbt_like(), 20.0)
+    held = [desk.see(x, v) for x, v in zip(q, dq, strict=True)]
+    spent = desk.spending["cpu_s"]
+    assert 0.5 < spent <= 0.1 * len(q) * CYCLE + FULL + cost, f"{spent / (len(q) * CYCLE):.3f} of a core"
+    assert np.mean(held[250:]) > 0.98, "and the arm is in a box nearly all the time"
+
+
+def test_what_was_saved_makes_the_bounds_of_motion_that_comes_again_tight() -> None:
+    desk, (q, dq) = beside(0.02), never_twice(prbt_like(), 4.0)
+    angles, kept = [], []
+    for _ in range(6):
+        told = []
+        for x, v in zip(q, dq, strict=True):
+            desk.see(x, v)
+            told.append(desk.now(x, v)[0]["0"].forward.sum())
+        angles.append(np.median(told))
+        kept.append(desk.spending["kept"]["0"])
+    assert angles[-1] < 0.95 * angles[0]
+    assert kept[0] < kept[2] < kept[4] == kept[5], "it asked for tighter ones, and then no more"
+
+
+def test_a_share_that_is_used_up_is_no_bound_and_is_said() -> None:
+    desk = beside(3.0)  # what no machine takes: the first answer uses up half a minute
+    for _ in range(1000):
+        assert not desk.see(np.zeros(N), np.zeros(N)) or desk.budget.spent
+    moved = np.full(N, 1.0)
+    assert not desk.see(moved, 0.5 * moved)
+    numbers, fresh = desk.now(moved, 0.5 * moved)
+    assert not fresh and numbers["0"].why == SPENT and not numbers["0"].provable.any() and desk.spending["share_used_up"]
+    asked = desk.spending["cpu_s"]
+    for _ in range(20_000):  # 80 s
+        desk.see(moved, 0.0 * moved)
+    assert desk.see(moved, 0.0 * moved) and desk.spending["cpu_s"] > asked, "what is earned is spent again"
+
+
 @pytest.fixture
 def desk(tmp_path: Path) -> StopDesk:
     save_model(prbt_like(), tmp_path / "m.model.json")
@@ -104,7 +193,7 @@ def passed(desk: StopDesk, period: float = 1.0) -> list[bool]:
 
 
 def asked(desk: StopDesk) -> int:
-    return len(desk.counters["0"].narrow.answers) + len(desk.counters["0"].wide.answers)
+    return desk.counters["0"].kept
 
 
 def test_an_arm_that_comes_by_again_asks_for_nothing_and_a_lost_process_takes_nothing_away(desk: StopDesk) -> None:

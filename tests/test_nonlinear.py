@@ -18,6 +18,7 @@ from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction import IdentifiedArm, abstract, build, friction_polynomial, ranked
 from stopset.offline.campaign import survey
+from stopset.offline.campaign.trials import Pairs
 from stopset.offline.compare.compare import compare
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform import monotone_sets as co
@@ -25,7 +26,6 @@ from stopset.offline.conform import nonlinear, nonlinear_sets
 from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.conform.linear_sets import Pairs
 from stopset.offline.conform.nonlinear import coarser, leak
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.problem import SetProblem

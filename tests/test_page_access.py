@@ -22,7 +22,7 @@ from stopset.cli.main import main
 from stopset.monitor.layout import State
 from stopset.monitor.report import Turn, _stops
 from stopset.monitor.stopworker import answer_for
-from stopset.monitor.viewer import Page, View, terminal
+from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.offline.report.page import Page as Report
 from stopset.offline.workbench import Loop, Server
 from stopset.reach.stops import StopBounds
@@ -78,9 +78,9 @@ def moving(state: State) -> Alive:
 
 
 @contextmanager
-def shown(view: View, browser: Any, word: str) -> Iterator[Page]:
+def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
     """The live page in a browser, once it shows ``word`` and its joints."""
-    page = Page(view, "127.0.0.1", 0)
+    page = ViewerPage(view, "127.0.0.1", 0)
     page.start()
     try:
         browser.get(page.url)

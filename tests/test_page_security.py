@@ -16,7 +16,7 @@ import pytest
 
 from stopset.monitor.layout import State
 from stopset.monitor.packer import pack
-from stopset.monitor.viewer import Page, View, terminal
+from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.offline.workbench import Loop, Server
 
 EVIL = "<img src=x onerror=document.body.id='ran'><script>document.body.id='ran'</script>"
@@ -64,8 +64,8 @@ def heard(text: str) -> View:
 
 
 @pytest.fixture
-def watch() -> Iterator[Page]:
-    page = Page(heard(EVIL), "127.0.0.1", 0)
+def watch() -> Iterator[ViewerPage]:
+    page = ViewerPage(heard(EVIL), "127.0.0.1", 0)
     page.start()
     yield page
     page.shutdown()
@@ -83,12 +83,12 @@ def workbench(planar: Any, tmp_path: Path) -> Iterator[Server]:
 
 
 @pytest.fixture(params=["watch", "workbench"])
-def served(request: pytest.FixtureRequest) -> Page | Server:
-    page: Page | Server = request.getfixturevalue(request.param)
+def served(request: pytest.FixtureRequest) -> ViewerPage | Server:
+    page: ViewerPage | Server = request.getfixturevalue(request.param)
     return page
 
 
-def raw(server: Page | Server, request: bytes) -> bytes:
+def raw(server: ViewerPage | Server, request: bytes) -> bytes:
     """What the server sends back to these very bytes, until it hangs up."""
     with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=5) as s:
         s.sendall(request)
@@ -100,20 +100,20 @@ def raw(server: Page | Server, request: bytes) -> bytes:
         return out
 
 
-def ask(server: Page | Server, path: str, **headers: str) -> bytes:
+def ask(server: ViewerPage | Server, path: str, **headers: str) -> bytes:
     lines = [f"GET {path} HTTP/1.1", *(f"{k}: {v}" for k, v in headers.items()), "Connection: close", "", ""]
     return raw(server, "\r\n".join(lines).encode("latin-1"))
 
 
-def own(server: Page | Server) -> str:
+def own(server: ViewerPage | Server) -> str:
     return f"127.0.0.1:{server.server_address[1]}"
 
 
-def paths(server: Page | Server) -> list[str]:
-    return ["/", "/now", "/stream", "/page.js"] if isinstance(server, Page) else ["/", "/state", "/page.js", "/model/0"]
+def paths(server: ViewerPage | Server) -> list[str]:
+    return ["/", "/now", "/stream", "/page.js"] if isinstance(server, ViewerPage) else ["/", "/state", "/page.js", "/model/0"]
 
 
-def test_only_the_own_name_is_answered(served: Page | Server) -> None:
+def test_only_the_own_name_is_answered(served: ViewerPage | Server) -> None:
     """A foreign name that points to this machine (DNS rebinding) gets nothing, not even the state."""
     port = served.server_address[1]
     for path in paths(served):
@@ -134,7 +134,7 @@ def test_only_the_own_name_is_answered(served: Page | Server) -> None:
             assert b" 200 " in ask(served, path, Host=host).splitlines()[0]
 
 
-def test_only_the_own_origin_is_answered(served: Page | Server) -> None:
+def test_only_the_own_origin_is_answered(served: ViewerPage | Server) -> None:
     for path in paths(served):
         for origin in ("http://evil.example", "null", f"https://{own(served)}", "http://127.0.0.1", "file://"):
             got = ask(served, path, Host=own(served), Origin=origin)
@@ -142,7 +142,7 @@ def test_only_the_own_origin_is_answered(served: Page | Server) -> None:
         assert b" 200 " in ask(served, path, Host=own(served), Origin=f"http://{own(served)}").splitlines()[0]
 
 
-def test_elements_of_other_sites_are_not_answered(served: Page | Server) -> None:
+def test_elements_of_other_sites_are_not_answered(served: ViewerPage | Server) -> None:
     """A script or picture element sends no origin; the browser tells all the same whose it is. A link may be followed."""
     for path in paths(served):
         for site in ("cross-site", "same-site", "odd"):
@@ -155,7 +155,7 @@ def test_elements_of_other_sites_are_not_answered(served: Page | Server) -> None
     assert b" 200 " in ask(served, "/", **link).splitlines()[0]
 
 
-def test_every_answer_carries_a_policy_without_inline_script(served: Page | Server) -> None:
+def test_every_answer_carries_a_policy_without_inline_script(served: ViewerPage | Server) -> None:
     for path in (*paths(served), "/nothing"):
         head = ask(served, path, Host=own(served)).partition(b"\r\n\r\n")[0].decode()
         policy = next(x for x in head.splitlines() if x.startswith("Content-Security-Policy:"))
@@ -204,13 +204,15 @@ def test_headers_that_are_none_get_a_sentence(workbench: Server, line: str, caps
     "request_",
     [b"\x16\x03\x01\x02\x00\x01\r\n\r\n", b"GET\r\n\r\n", b"BREW / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n"],
 )
-def test_what_is_no_request_gets_a_sentence(served: Page | Server, request_: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_request_gets_a_sentence(
+    served: ViewerPage | Server, request_: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
     got = raw(served, request_)
     assert b"cannot be read" in got and b"<" not in got
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_crowd_does_not_take_the_machine(watch: Page) -> None:
+def test_a_crowd_does_not_take_the_machine(watch: ViewerPage) -> None:
     """Connections that say nothing are counted and end; the page answers again when they have gone."""
     from stopset.serving import CONNECTIONS
 
@@ -244,7 +246,7 @@ def wait(browser: Any, holds: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: Page, browser: Any) -> None:
+def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: ViewerPage, browser: Any) -> None:
     """Every text of the messages is markup with a script; in the page it is words."""
     browser.get_log("browser")
     browser.get(watch.url)
@@ -259,7 +261,7 @@ def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: Page, browser
     browser.get("about:blank")
 
 
-def test_were_a_script_ever_in_the_page_it_would_not_run(served: Page | Server, browser: Any) -> None:
+def test_were_a_script_ever_in_the_page_it_would_not_run(served: ViewerPage | Server, browser: Any) -> None:
     """The second wall: the policy, where escaping is forgotten."""
     browser.get(served.url)
     browser.execute_script(
@@ -272,9 +274,9 @@ def test_were_a_script_ever_in_the_page_it_would_not_run(served: Page | Server, 
     browser.get_log("browser")
 
 
-def test_another_site_in_the_browser_learns_nothing(watch: Page, browser: Any) -> None:
+def test_another_site_in_the_browser_learns_nothing(watch: ViewerPage, browser: Any) -> None:
     """A page of another origin asks for the state and the stream, as a script of a site somebody has open would."""
-    other = Page(View(), "127.0.0.1", 0)
+    other = ViewerPage(View(), "127.0.0.1", 0)
     other.start()
     try:
         browser.get(other.url)  # same machine, another port: another origin; its policy is taken off to let it try
@@ -357,7 +359,7 @@ def test_a_report_runs_its_own_script_only(browser: Any, tmp_path: Path) -> None
     browser.get_log("browser")
 
 
-def test_a_connection_of_http_client_still_works(watch: Page) -> None:
+def test_a_connection_of_http_client_still_works(watch: ViewerPage) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", watch.server_address[1], timeout=5)
     connection.request("GET", "/now")
     assert json.load(connection.getresponse())["word"] == "VIOLATION"
@@ -370,7 +372,7 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
     from stopset.monitor.orders import Reset
 
     sent: list[str] = []
-    page = Page(heard("fine"), "127.0.0.1", 0, lambda reason: sent.append(Reset.of("A. Turner", reason).reason))
+    page = ViewerPage(heard("fine"), "127.0.0.1", 0, lambda reason: sent.append(Reset.of("A. Turner", reason).reason))
     page.start()
 
     def post(token: str, body: bytes) -> bytes:
@@ -402,7 +404,7 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
         page.server_close()
 
 
-def test_a_page_without_a_name_orders_nothing(watch: Page, browser: Any) -> None:
+def test_a_page_without_a_name_orders_nothing(watch: ViewerPage, browser: Any) -> None:
     for token in ("", "x"):
         head = f"POST /reset HTTP/1.1\r\nHost: {own(watch)}\r\nX-Stopset-Token: {token}\r\nContent-Length: 15\r\n\r\n"
         assert b" 405 " in raw(watch, head.encode() + b'{"reason": "x"}').splitlines()[0]

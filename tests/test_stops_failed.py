@@ -14,7 +14,7 @@ import pytest
 
 from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.failed import Cell, Cover, cover, failed_cells
+from stopset.reach.stops.failed import Cover, StatesAtCut, cover, failed_cells
 from stopset.reach.stops.tube import OK
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -78,7 +78,7 @@ def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
 @pytest.mark.parametrize("together", [True, False])
 def test_cut_cells_cover_the_cell(together: bool) -> None:
     rng, dq = np.random.default_rng(2), np.array([1.0, 0.5, 0.0])
-    whole = Cell(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
+    whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
     parts = [whole]
     for _ in range(5):
         parts = [x for p in parts for x in p.halves(dq, together)]
@@ -96,12 +96,12 @@ class Fake(NamedTuple):
     end: int
 
 
-def covered(closes: Callable[[Cell, bool], bool], budget: int) -> tuple[Cover, list[tuple[Cell, bool]]]:
+def covered(closes: Callable[[StatesAtCut, bool], bool], budget: int) -> tuple[Cover, list[tuple[StatesAtCut, bool]]]:
     """A cover in which ``closes(cell, energetic)`` says which tubes come to rest, and all that was tried."""
     dq, tried = np.array([1.0, 0.5, 0.0]), []
-    whole = Cell(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
+    whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
 
-    def march(cell: Cell, plant: object, energetic: bool) -> Fake:
+    def march(cell: StatesAtCut, plant: object, energetic: bool) -> Fake:
         tried.append((cell, energetic))
         return Fake(OK if closes(cell, energetic) else 2)
 

@@ -15,7 +15,7 @@ from stopset.offline.compare.tightness import JUDGED, LIMIT, NAMES, Tightness, o
 from stopset.offline.description import load_robot
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.pipeline import identify
-from stopset.reach.flowpipe import Tube
+from stopset.reach.flowpipe import DeviationTube
 from synthetic import arm, names, recordings, save_trials, urdf
 
 JOINTS = names(2)
@@ -27,7 +27,7 @@ def tube(half: np.ndarray, seen: np.ndarray, dt: float = 0.01, steps: int = 60) 
     whole = np.tile(half, (101, 1))
     hi, lo = np.full((101, 4), -np.inf), np.full((101, 4), np.inf)
     hi[: steps + 1], lo[: steps + 1] = seen, -0.5 * seen
-    return of_tube(Tube(ages, -whole, whole), hi, lo, 2)
+    return of_tube(DeviationTube(ages, -whole, whole), hi, lo, 2)
 
 
 def test_the_ratio_is_half_the_width_over_the_largest_deviation() -> None:

@@ -26,7 +26,7 @@ from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.packer import pack
 from stopset.monitor.source import GAP, JointStateSource
-from stopset.monitor.viewer import Page, View, terminal
+from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.recording import read_recordings
 
 JOINTS = tuple(f"arm_{i}_joint" for i in range(1, 7))
@@ -154,7 +154,7 @@ def test_the_viewer_shows_what_holds_now_and_nothing_older() -> None:
             take("", rubbish)
     assert view.word()[0] == "OK"
     assert "100 ms" in text() and "20 mm" in text() and "not a safety function" in text()
-    page = Page(view, "127.0.0.1", 0)
+    page = ViewerPage(view, "127.0.0.1", 0)
     page.start()
     base = f"http://127.0.0.1:{page.server_address[1]}"
     with urllib.request.urlopen(f"{base}/now", timeout=5) as r:

@@ -22,7 +22,7 @@ STEMS = {"q": "rad", "dq": "rad/s", "q_lo": "rad", "q_hi": "rad", "dq_lo": "rad/
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class FmuCheck:
     """``problems``: of fmpy's validator; ``differences``: largest of motion and bounds by quantity [rad, rad/s]; ``rows``: compared.
 
     ``stops``: states whose stop bounds were compared, ``equal``: those with every bit the same; ``step``: CPU time of a step [s].
@@ -43,7 +43,7 @@ class Checked:
         return not self.problems and self.equal == self.stops and all(x <= AGREE for x in self.differences.values())
 
 
-def check_fmu(path: str | Path) -> Checked:
+def check_fmu(path: str | Path) -> FmuCheck:
     """Run a unit of `stopset.fmu.export` against the reference results inside it.
 
     Raises `OutputError` for a file that is no such unit, holds none, or has no library for this machine.
@@ -74,7 +74,7 @@ def check_fmu(path: str | Path) -> Checked:
         fmpy.extract(str(path), folder)
         rows, differences, step = _run(description, folder, tables["in"], tables["ref"])
         stops, equal = _stops(description, folder, tables["stops"]) if tables["stops"] else (0, 0)
-    return Checked(description.fmiVersion, here, problems, rows, differences, stops, equal, step)
+    return FmuCheck(description.fmiVersion, here, problems, rows, differences, stops, equal, step)
 
 
 def _runs_here(names: list[str]) -> bool:

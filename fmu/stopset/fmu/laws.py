@@ -43,7 +43,7 @@ class Remembered:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class TapedEffect:
     """An active effect: ``torque`` and ``rates`` on tape, ``at`` (joint, partner or -1) of every torque."""
 
     fitted: Fitted
@@ -58,7 +58,7 @@ class Carried:
         return parameters_of(self.effect, self.fitted.values) if self.torque.apart else []
 
 
-def carried(model: Model) -> tuple[Carried, ...]:
+def carried(model: Model) -> tuple[TapedEffect, ...]:
     """The effects that the input compensates; raises `EffectError` for one that the FMU cannot carry."""
     out = []
     for f in model.input.effects:
@@ -75,7 +75,7 @@ def carried(model: Model) -> tuple[Carried, ...]:
                 "law and flow are affine in it: export a revision without it"
             )
         rates = tuple(recorded(effect, f.values, k) for k in range(len(effect.states)))
-        out.append(Carried(f, effect, recorded(effect, f.values), rates, tuple(places(f, effect, model.joints))))
+        out.append(TapedEffect(f, effect, recorded(effect, f.values), rates, tuple(places(f, effect, model.joints))))
     return tuple(out)
 
 

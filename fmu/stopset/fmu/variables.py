@@ -20,10 +20,10 @@ from stopset.fmu.stops import controlled, ramp_time_of
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.payload import weighed
 
-Kind = Literal["Real", "Integer", "Boolean"]
+VariableKind = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["independent", "input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable"]
-KINDS: tuple[Kind, ...] = ("Real", "Integer", "Boolean")
+KINDS: tuple[VariableKind, ...] = ("Real", "Integer", "Boolean")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Variable:
 
     name: str
     group: str
-    kind: Kind
+    kind: VariableKind
     causality: Causality
     unit: str
     description: str
@@ -54,7 +54,7 @@ class Variables:
     def __iter__(self) -> Iterator[Variable]:
         return iter(self.all)
 
-    def of(self, kind: Kind) -> list[Variable]:
+    def of(self, kind: VariableKind) -> list[Variable]:
         """Those of one type."""
         return [v for v in self.all if v.kind == kind]
 

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.live import Live
 
     from stopset.errors import BusError
-    from stopset.monitor.fleet import Fleet, Page, terminal
+    from stopset.monitor.fleet import Fleet, FleetPage, terminal
     from stopset.monitor.links.zenoh_link import ZenohLink
 
     check_outputs(args.json)
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         link.watch_alive(f"{args.arms}/stopset/alive", fleet.take_alive)
         link.subscribe(f"{args.arms}/stopset/state/json", fleet.take_json)
         if args.port:
-            page = Page(fleet, args.host, args.port)
+            page = FleetPage(fleet, args.host, args.port)
             page.start()
             say(f"page: {page.url}")
         end = time.monotonic() + (args.seconds or float("inf"))

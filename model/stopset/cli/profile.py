@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 
 if TYPE_CHECKING:
-    from stopset.monitor.profile_check import Checked
+    from stopset.monitor.profile_check import ProfileCheck
 
 HELP = "check a bus profile by itself and against a log of its bus"
 
@@ -40,14 +40,14 @@ def run(args: argparse.Namespace) -> int:
     return int(bool(found.wrong))
 
 
-def _rows(found: Checked) -> list[tuple[str, str, str, str]]:
+def _rows(found: ProfileCheck) -> list[tuple[str, str, str, str]]:
     return [
         (f"0x{f['cob_id']:03X}", str(f["bytes"]), "every SYNC" if f["synchronous"] else "on change", ", ".join(f["carries"]))
         for f in found.frames
     ]
 
 
-def _tell(found: Checked) -> None:
+def _tell(found: ProfileCheck) -> None:
     say(f"{found.name}: {len(found.frames)} frames a cycle and SYNC, {found.load:.0%} of the bus's time")
     for cob, size, when, carries in _rows(found):
         say(f"  {cob}  {size} bytes  {when:10}  {carries}")
@@ -64,7 +64,7 @@ def _tell(found: Checked) -> None:
         say("  nothing is wrong with it" + ("" if found.heard else "; hold it against a --log of the bus too"))
 
 
-def _report(found: Checked, path: Path) -> None:
+def _report(found: ProfileCheck, path: Path) -> None:
     from stopset.offline.report.page import Page
 
     page = Page(f"Bus profile {found.name}")

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
-    from stopset.monitor.viewer import Page, View, terminal
+    from stopset.monitor.viewer import View, ViewerPage, terminal
     from stopset.serving import loopback
 
     link, expected = open_link(args)
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
-            page = Page(view, args.host, args.port, _order(link, args.reset_as))
+            page = ViewerPage(view, args.host, args.port, _order(link, args.reset_as))
             page.start()
             say(f"page: {page.url}{'' if loopback(args.host) else OPEN}")
         end = time.monotonic() + (args.seconds or float("inf"))

@@ -6,11 +6,10 @@ import os
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.build import HERE, library_name
 from stopset.errors import StopsetError
-from stopset.types import Array
+from stopset.types import Array, Index, Mask
 
 try:
     from stopset.core import _binding
@@ -38,14 +37,14 @@ def view(x: Array) -> Any:
     return ffi.from_buffer(_DOUBLES, x)
 
 
-def integers(x: NDArray[np.int64]) -> Any:
+def integers(x: Index) -> Any:
     """`view` of whole numbers."""
     if x.dtype != np.int64:
         raise TypeError(f"array of {x.dtype}; expected int64")
     return ffi.from_buffer(_INTEGERS, x)
 
 
-def flags(x: NDArray[np.bool_]) -> Any:
+def flags(x: Mask) -> Any:
     """`view` of true and false."""
     if x.dtype != np.bool_:
         raise TypeError(f"array of {x.dtype}; expected bool")

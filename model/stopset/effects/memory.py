@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from stopset.core.library import flags, given, lib, view
 from stopset.effects.base import Effect, Number, Signals
 from stopset.ring import Interval
-from stopset.types import Array
-
-Mask = NDArray[np.bool_]
+from stopset.types import Array, Mask
 
 
 @cache

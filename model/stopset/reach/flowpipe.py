@@ -119,7 +119,7 @@ def _signed(abstraction: Abstraction) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Tube:
+class DeviationTube:
     """What a measured state may differ from the nominal prediction at each age: ``lo``, ``hi`` (H+1, 2n) over (q, dq)."""
 
     ages: Array  # (H+1,) [s]
@@ -127,7 +127,7 @@ class Tube:
     hi: Array
 
 
-def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Array | None = None) -> Tube:
+def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Array | None = None) -> DeviationTube:
     """Tube of measured deviations for all ages up to the sets' horizon: the start's and the reading's noise included.
 
     ``across``: (k, n) directions in the joints; the tube is then that of their positions and speeds (2k columns), else that
@@ -145,7 +145,7 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
     lib.stopset_tubes(
         ages, looked, states, U.dim, look, *(view(x) for x in (R.E1, R.plus, R.minus)), struct, view(lo), view(hi)
     )  # fmt: skip
-    return Tube(np.asarray(sets.dt * np.arange(steps + 1)), lo, hi)
+    return DeviationTube(np.asarray(sets.dt * np.arange(steps + 1)), lo, hi)
 
 
 def torque_set(sets: UncertaintySets) -> tuple[Array | None, Box]:

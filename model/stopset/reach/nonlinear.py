@@ -17,15 +17,12 @@ Source: Liu & Althoff (2018), Sec. IV-C; Smith (1995), Monotone Dynamical System
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.core.library import check, given, lib, view
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 from stopset.types import Array
-
-Index = NDArray[np.int64]
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
 STEP = 0.1

@@ -26,7 +26,7 @@ from stopset.core.library import integers, lib, view
 from stopset.errors import StopsetError
 from stopset.types import Array
 
-Keys = NDArray[np.int64]
+MonomialKeys = NDArray[np.int64]
 MEMORY_LIMIT = 2 << 30  # [bytes] what one construction may need at most
 _KEY_BITS = 63
 _TERM_BYTES = 16  # a key and a coefficient
@@ -42,7 +42,9 @@ def monomials(variables: int, order: int) -> int:
     return math.comb(variables + order, order)
 
 
-def _multiply(ka: Keys, a: Array, kb: Keys, b: Array, order: int, shift: int, room: int) -> tuple[Keys, Array]:
+def _multiply(
+    ka: MonomialKeys, a: Array, kb: MonomialKeys, b: Array, order: int, shift: int, room: int
+) -> tuple[MonomialKeys, Array]:
     """Terms of the product up to ``order``, unsorted; ``room``: a bound of their number."""
     size = 16
     while size < 2 * room:
@@ -57,7 +59,7 @@ def _multiply(ka: Keys, a: Array, kb: Keys, b: Array, order: int, shift: int, ro
     return key[:used], value[:used]
 
 
-def _add(ka: Keys, a: Array, kb: Keys, b: Array, factor: float) -> tuple[Keys, Array]:
+def _add(ka: MonomialKeys, a: Array, kb: MonomialKeys, b: Array, factor: float) -> tuple[MonomialKeys, Array]:
     """Sorted terms of ``a + factor * b``."""
     key, value = np.empty(len(ka) + len(kb), np.int64), np.empty(len(ka) + len(kb))
     m = lib.stopset_taylor_add(len(ka), integers(ka), view(a), len(kb), integers(kb), view(b), factor, integers(key), view(value))
@@ -120,12 +122,12 @@ class Algebra:
         key = (1 << self._shift) | (1 << (self.bits * i))
         return self.from_terms(np.array([0, key], np.int64), np.array([float(at), 1.0]))
 
-    def from_terms(self, key: Keys, value: Array) -> Taylor:
+    def from_terms(self, key: MonomialKeys, value: Array) -> Taylor:
         """A form from sorted, distinct monomials."""
         keep = value != 0.0
         return Taylor(self, key[keep], value[keep])
 
-    def from_exponents(self, exponent: Keys, value: Array) -> Taylor:
+    def from_exponents(self, exponent: MonomialKeys, value: Array) -> Taylor:
         """A form from monomials in any order, equal ones added up and those above the order cut; ``exponent``: (m, d)."""
         degree = exponent.sum(axis=1)
         keep = degree <= self.order
@@ -146,7 +148,7 @@ class Taylor:
     """One Taylor polynomial: sorted monomials ``key`` (m,) and their coefficients ``value`` (m,)."""
 
     algebra: Algebra
-    key: Keys
+    key: MonomialKeys
     value: Array
     __array_ufunc__ = None  # numpy scalars and arrays hand over to the operators below
 
@@ -156,14 +158,14 @@ class Taylor:
         return float(self.value[0]) if self.key.size and self.key[0] == 0 else 0.0
 
     @property
-    def exponents(self) -> Keys:
+    def exponents(self) -> MonomialKeys:
         """(m, d) exponents of the monomials."""
         bits, d = self.algebra.bits, self.algebra.variables
         fields = np.arange(d, dtype=np.int64) * bits
         return np.asarray((self.key[:, None] >> fields) & ((1 << bits) - 1), dtype=np.int64)
 
     @property
-    def degrees(self) -> Keys:
+    def degrees(self) -> MonomialKeys:
         """(m,) total degrees of the monomials."""
         return np.asarray(self.key >> self.algebra._shift, dtype=np.int64)
 

@@ -52,14 +52,15 @@ def holds(lo: Array, hi: Array, x: Array, slack: Array) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make."""
+class Certificate:
+    """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make, ``cpu`` of it at work."""
 
     category: str
     lo: Array
     hi: Array
     numbers: Numbers
     took: float
+    cpu: float
 
     def covers(self, x: Array, slack: Array) -> bool:
         """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
@@ -72,7 +73,7 @@ class Shelf:
 
     n: int
     kept: int = KEPT
-    answers: list[Answer] = field(default_factory=list)
+    answers: list[Certificate] = field(default_factory=list)
     _lo: Array = field(init=False)  # (kept, 2n) so are the upper ends; rows beyond `answers` are not looked at
     _hi: Array = field(init=False)
     _cost: Array = field(init=False)  # (kept,) the tightest is taken where several hold
@@ -82,7 +83,7 @@ class Shelf:
         self._lo, self._hi = np.empty((self.kept, 2 * self.n)), np.empty((self.kept, 2 * self.n))
         self._cost = np.empty(self.kept)
 
-    def put(self, answer: Answer) -> None:
+    def put(self, answer: Certificate) -> None:
         """Keep a certified answer, in the place of the oldest where there is none left."""
         row = self._oldest
         if len(self.answers) < self.kept:
@@ -93,7 +94,7 @@ class Shelf:
         self._cost[row] = float(np.sum(answer.numbers.forward + answer.numbers.back))
         self._oldest = (row + 1) % self.kept
 
-    def best(self, x: Array, slack: Array) -> Answer | None:
+    def best(self, x: Array, slack: Array) -> Certificate | None:
         """The tightest that holds for the reading ``x`` (2n,) with ``slack`` (2n,) either way."""
         count = len(self.answers)
         row = lib.stopset_tightest(count, 2 * self.n, view(self._lo), view(self._hi), view(self._cost), view(x), view(slack))

@@ -69,7 +69,8 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """Which stops are bounded live, how often. Reaction times before the drives act are the consumer's to add.
+    """Which stops are bounded live; ``core_share``: part of a core that this may take in the long run, apart from the start.
+    Reaction times before the drives act are the consumer's to add.
 
     The ramp of STOP 1 and 2: what the model holds from stop1 recordings, or stated here: every speed to rest in
     ``ramp_time_s``, or with ``ramp_deceleration`` [rad/s^2], begun within ``ramp_control_s``; power taken after
@@ -83,6 +84,7 @@ class Stops:
     ramp_off_after_s: float = 0.0
     ramp_monitored: bool = False
     rate_hz: float = 40.0
+    core_share: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,7 @@ class Plane:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class StopLimits:
     """What a stop may take at most; margins to it are published in ``state/json``, for ``category`` ("": the first bounded).
 
     ``planes``: not to be passed by any link's axis, thickened by ``radius_m``; ``override``: also say by how much of the
@@ -170,7 +172,7 @@ class Config:
     fallback: Fallback = field(default_factory=Fallback)
     signed: Signed = field(default_factory=Signed)
     record: Records = field(default_factory=Records)
-    limits: Limits = field(default_factory=Limits)
+    limits: StopLimits = field(default_factory=StopLimits)
     sha256: str = ""
 
     @property
@@ -219,6 +221,7 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
         ("publish.evidence_min_s", config.publish.evidence_min_s, 0.0, 10.0),
         ("publish.recover_s", config.publish.recover_s, 0.0, 60.0),
         ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
+        ("stops.core_share", config.stops.core_share, 1e-3, 16.0),
         ("stops.ramp_time_s", config.stops.ramp_time_s, 0.0, 10.0),
         ("stops.ramp_deceleration", config.stops.ramp_deceleration, 0.0, 1e3),
         ("stops.ramp_control_s", config.stops.ramp_control_s, 0.0, 10.0),

@@ -23,7 +23,7 @@ from stopset.monitor.along import watch_for
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
-from stopset.monitor.evidence.recorder import Answer, Recorder
+from stopset.monitor.evidence.recorder import Filed, Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, State
 from stopset.monitor.margins import exceeded, margins
@@ -34,10 +34,10 @@ from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import U64, Outlet, Publisher
 from stopset.monitor.realtime import Granted
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
-from stopset.monitor.report import Tally, Turn, health, twin
+from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
-from stopset.monitor.source import NoSource, Source
-from stopset.monitor.status import Limits, Recovery, Situation, believable, decide, stop_fields
+from stopset.monitor.source import NoSource, SampleSource
+from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide, stop_fields
 from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.monitor.watch import check_cycle
@@ -69,7 +69,7 @@ class Daemon:
     """One arm's monitor. ``source`` gives samples, ``outlet`` takes messages; `cycle` does one turn, `run` all of them."""
 
     def __init__(
-        self, config: Config, model: Model, source: Source, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
+        self, config: Config, model: Model, source: SampleSource, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
     ) -> None:
         self.config, self.source, self.cycle_s, self.recorder = config, source, cycle_s, beside.recorder
         self.granted = beside.granted
@@ -78,8 +78,8 @@ class Daemon:
         self._use(self._prepare(model, beside.desk))
         p = config.publish
         valid = p.valid_for_ms * 1e-3
-        self.limits = Limits(valid, min(valid, cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
-        self.latch, self.tally, self.orders = beside.latch or Latch(), Tally(), Orders()
+        self.limits = OkConditions(valid, min(valid, cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
+        self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
         self.recovery = Recovery(self.limits)
         self.stopping = False
         self.sample: Sample | None = None
@@ -272,7 +272,7 @@ class Daemon:
         while self.recorder is not None and self.recorder.notes:
             self.publisher.event("plausibility", why=self.recorder.notes.popleft())
 
-    def _classed(self, answer: Answer, now: float) -> None:
+    def _classed(self, answer: Filed, now: float) -> None:
         """The recorder has looked at a violation: it is on the disk, and told."""
         self.latch.classed(answer.cause, now)
         self.publisher.event(
@@ -334,7 +334,7 @@ class Daemon:
         except Exception:  # noqa: BLE001 - as above; the bare message needs nothing of what has failed
             self.publisher.state(None)
 
-    def run(self, reopen: Callable[[], Source]) -> int:
+    def run(self, reopen: Callable[[], SampleSource]) -> int:
         """Until stopped; returns the exit code. A lost bus is FAULT until ``reopen`` succeeds."""
         faults = 0
         while not self.stopping:
@@ -354,7 +354,7 @@ class Daemon:
                     return 3
         return 0
 
-    def _lost_bus(self, words: str, reopen: Callable[[], Source]) -> None:
+    def _lost_bus(self, words: str, reopen: Callable[[], SampleSource]) -> None:
         with contextlib.suppress(Exception):  # it is lost anyway
             self.source.close()
         self._arrived = float("-inf")

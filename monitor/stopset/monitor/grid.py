@@ -49,7 +49,7 @@ class Cycles:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class GridMotion:
     """What a linear model knows of the motion between two samples: drag (n, n), gain (n, n), and the torque set."""
 
     drag: Array
@@ -59,7 +59,7 @@ class Motion:
     period: float
 
     @classmethod
-    def of(cls, model: Model) -> Motion:
+    def of(cls, model: Model) -> GridMotion:
         A, n, sets = model.abstraction.A, model.n, model.powered
         return cls(A[n:, n:], model.abstraction.Minv, sets.U.centre, sets.U.radius, sets.dt)
 

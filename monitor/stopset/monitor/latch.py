@@ -17,7 +17,7 @@ SAVE_EVERY = 1.0  # [s] a growing count is written this often; a new entry at on
 
 
 @dataclass(slots=True)
-class Entry:
+class LatchEntry:
     """All violations of one joint's state on one side since the last reset."""
 
     first: Deviation
@@ -46,7 +46,7 @@ class Record:
     schema: int = SCHEMA
     why: str = ""
     count: int = 0
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[LatchEntry] = field(default_factory=list)
     reset: dict[str, str] = field(default_factory=dict)  # who cleared it last, and why
     cause: dict[str, Any] = field(default_factory=dict)  # of the first violation, by the evidence; empty: not classed yet
 
@@ -68,18 +68,18 @@ class Latch:
             journal.renew(self.record)
         self._saved = self.record.count
 
-    def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[Entry]:
+    def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[LatchEntry]:
         """Record a verdict at ``now`` [s]; returns the entries that are new with it."""
         if verdict.conformance is not Conformance.VIOLATION:
             return []
         r = self.record
         r.count += 1
-        new: list[Entry] = []
+        new: list[LatchEntry] = []
         known = self.entries
         for d in verdict.deviations:
             entry = known.get((d.joint, d.state, d.side))
             if entry is None:
-                entry = Entry(d, d, float(sample.t), float(sample.t))
+                entry = LatchEntry(d, d, float(sample.t), float(sample.t))
                 new.append(entry)
             else:
                 entry.samples += 1
@@ -132,12 +132,12 @@ class Latch:
         return self.record.count
 
     @property
-    def entries(self) -> dict[tuple[str, str, str], Entry]:
+    def entries(self) -> dict[tuple[str, str, str], LatchEntry]:
         """By joint, state and side, in the order in which they came first."""
         return {(e.first.joint, e.first.state, e.first.side): e for e in self.record.entries}
 
     @property
-    def first(self) -> Entry | None:
+    def first(self) -> LatchEntry | None:
         """The entry that came first (first-out)."""
         return self.record.entries[0] if self.record.entries else None
 

@@ -19,7 +19,7 @@ from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
 if TYPE_CHECKING:
-    from stopset.monitor.config import Limits
+    from stopset.monitor.config import StopLimits
 
 
 def ends(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
@@ -45,7 +45,7 @@ def travels(robot: Robot, q: Array, s: Array) -> tuple[Array, Array]:
     return points, out
 
 
-def margins(robot: Robot, limits: Limits, q: Array, numbers: Numbers, slack: Array) -> dict[str, Any]:
+def margins(robot: Robot, limits: StopLimits, q: Array, numbers: Numbers, slack: Array) -> dict[str, Any]:
     """What is left at the pose read ``q`` (n,) if a stop with these bounds began now; negative: it is not kept, None: not known.
 
     ``slack`` (n,) [rad]: by how much the reading may be wrong.

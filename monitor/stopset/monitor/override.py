@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stopset.monitor.certificates import Numbers
-from stopset.monitor.config import Limits, Stops
+from stopset.monitor.config import StopLimits, Stops
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ FEWEST = 1e-3  # [rad/s] slower joints count as standing still
 Bound = Callable[[Array, Array], Numbers]  # of a box of states, its least and largest (2n,)
 
 
-def keeps(numbers: Numbers, limits: Limits) -> bool:
+def keeps(numbers: Numbers, limits: StopLimits) -> bool:
     """Whether a proven stop stays within the limits."""
     if not numbers.provable.all():
         return False
@@ -35,7 +35,7 @@ def keeps(numbers: Numbers, limits: Limits) -> bool:
     return bool(numbers.time.max() <= limits.time_s and angle <= limits.angle_rad and numbers.tcp <= limits.tcp_m)
 
 
-def largest_override(bound: Bound, q: Array, dq: Array, limits: Limits) -> float:
+def largest_override(bound: Bound, q: Array, dq: Array, limits: StopLimits) -> float:
     """Between 0 and 1: ``bound`` proves every speed from rest to this part of ``dq`` (n,) [rad/s] at ``q`` (n,) [rad]."""
     for k in range(STRETCHES):
         a, b = k / STRETCHES * dq, (k + 1) / STRETCHES * dq
@@ -45,7 +45,7 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: Limits) -> float
     return 1.0
 
 
-def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: Limits, pipe: Connection) -> None:
+def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: StopLimits, pipe: Connection) -> None:
     """The other process: takes a state, gives its override."""
     from stopset.monitor.stopworker import answer_for, asked, prepare
 

@@ -15,9 +15,8 @@ from stopset.artifact import Model
 from stopset.monitor.sample import Quantum
 from stopset.reach.nonlinear import STEP, nominal, parts, predicted_tube
 from stopset.sets import Box
-from stopset.types import Array
+from stopset.types import Array, Index
 
-Index = NDArray[np.int64]
 Tubes = tuple[Index, NDArray[np.bool_], Array, Array]  # ages (K,) in steps, passed outside the domain (K,), bounds (K, 2n)
 MARGIN = 0.5  # [rad/s] a corner is faster than the fastest reading
 FASTEST = 1e6  # [rad/s] where a corner that runs away is held

@@ -22,7 +22,7 @@ SERVICES = 0x580  # COB-IDs from here on are SDO, heartbeats and the like
 
 
 @dataclass(slots=True)
-class Checked:
+class ProfileCheck:
     """``wrong``: what keeps the monitor from a verdict; ``notes``: what somebody should know; ``frames``: one row per frame."""
 
     name: str
@@ -45,9 +45,9 @@ def bits(length: int) -> int:
     return 8 * length + 47 + (34 + 8 * length - 1) // 4
 
 
-def check_profile(profile: Profile) -> Checked:
+def check_profile(profile: Profile) -> ProfileCheck:
     """Of the profile by itself; raises `BusError` where its DCF cannot be used at all."""
-    out, maps = Checked(profile.name), frame_maps(profile)
+    out, maps = ProfileCheck(profile.name), frame_maps(profile)
     every = bits(1 if profile.sync_overflow else 0)
     for m in maps.values():
         carried = [f"{SIGNALS[t[0]]} {profile.joints[t[1]]}" if t else "-" for t in m.targets]
@@ -77,7 +77,7 @@ def check_profile(profile: Profile) -> Checked:
     return out
 
 
-def against_log(out: Checked, profile: Profile, frames: Iterable[Frame]) -> None:
+def against_log(out: ProfileCheck, profile: Profile, frames: Iterable[Frame]) -> None:
     """The same, held against what was heard on the bus."""
     decoder, seen, syncs = Decoder(profile), Counter[int](), []
     values = []
@@ -116,7 +116,7 @@ def against_log(out: Checked, profile: Profile, frames: Iterable[Frame]) -> None
         _plausible(out, profile, np.array(values))
 
 
-def _plausible(out: Checked, profile: Profile, x: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+def _plausible(out: ProfileCheck, profile: Profile, x: np.ndarray[Any, np.dtype[np.float64]]) -> None:
     """Do positions change as speeds say? A wrong scale or sign shows there."""
     n = len(profile.joints)
     q, dq = x[:, 0], x[:, 1]

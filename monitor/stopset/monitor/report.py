@@ -32,7 +32,7 @@ class Turn:
 
 
 @dataclass(slots=True)
-class Tally:
+class RunCounts:
     """Counts since start, and the loop's timing since the last health message [s]."""
 
     samples: int = 0
@@ -115,7 +115,7 @@ def health(d: Daemon) -> dict[str, Any]:
         "sync_to_publish_ms": {"median": 1e3 * float(np.median(delays)), "max": 1e3 * float(delays.max())},
         "loop_busy_ms": {"median": 1e3 * float(np.median(busy)), "max": 1e3 * float(busy.max())},
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
-        "stop_restarts": d.desk.restarts,
+        "stop_restarts": d.desk.restarts, "stop_cost": d.desk.spending,
         "realtime": d.granted.said, "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
         "recorder": None if d.recorder is None else {
             "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,

@@ -25,7 +25,7 @@ from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import Profile, load_profile
 from stopset.monitor.realtime import claim
 from stopset.monitor.report import about, health
-from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, Source
+from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, SampleSource
 from stopset.monitor.watch import check_cycle
 
 
@@ -45,7 +45,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None)
     valid_for = config.publish.valid_for_ms * 1e-3  # older samples need not wait
 
-    def open_source() -> Source:
+    def open_source() -> SampleSource:
         if config.bus and profile:
             return CanSource(listen(config.bus.link), profile, cycle_s / config.bus.time_scale, valid_for)
         assert config.joint_states is not None
@@ -53,7 +53,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
         link.subscribe("/" + config.joint_states.key, source.take)
         return source
 
-    def first_source() -> Source:
+    def first_source() -> SampleSource:
         try:
             return open_source()
         except BusError:

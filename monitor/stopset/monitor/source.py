@@ -29,7 +29,7 @@ LOG = 65536  # frames kept for the record of a violation: 5 s of six drives with
 SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a clock that was set
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
 
     ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the last frames of

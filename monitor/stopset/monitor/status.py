@@ -23,7 +23,7 @@ _DOUBTFUL = _OUTSIDE | _STALE | _NODE
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class OkConditions:
     """``valid_for``: oldest data [s] that OK is said for; ``ahead``: how far [s] a stamp may lie in the future;
     ``evidence``: OK needs a prediction at least this old [s]; ``recover``: and unbroken good cycles for this long [s]."""
 
@@ -75,7 +75,7 @@ def flags_of(s: Situation) -> int:
     return bits
 
 
-def decide(s: Situation, limits: Limits) -> tuple[State, int, str]:
+def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
     """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, no verdict, little
     evidence, no bound, OK."""
     flags, v = flags_of(s), s.verdict
@@ -120,7 +120,7 @@ class Recovery:
     A turn of the loop later than ``limits.valid_for`` after the one before is a break: nobody watched meanwhile.
     """
 
-    limits: Limits
+    limits: OkConditions
     _turn: float = float("-inf")
     _bad: float = float("-inf")  # when the state was last neither OK nor DEGRADED
     _degraded: float = float("-inf")

@@ -2,8 +2,8 @@
 
 A bound takes milliseconds, a cycle has not that many. So each answer covers a box around the motion ahead, is kept, and serves
 whenever the arm comes by again; only where no box holds what is coming is a new one asked for. Two sizes are asked for: a wide
-one, which the arm cannot leave soon, whatever it does; and within it narrow ones, which give tight numbers. A state in none
-of them has no bound.
+one, which the arm cannot leave soon, whatever it does; and within it narrow ones, which give tight numbers, or longer ones where
+narrow ones would cost more than their share of a core (`stopset.monitor.asking`). A state in none of them has no bound.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.certificates import Answer, Numbers, Shelf, holds
+from stopset.monitor.ahead import Heading
+from stopset.monitor.asking import Budget, Counter
+from stopset.monitor.certificates import Certificate, Numbers, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Stops
 from stopset.monitor.sample import Quantum
@@ -27,148 +29,10 @@ from stopset.monitor.stopworker import work
 from stopset.sets import Box
 from stopset.types import Array
 
-LOOK_BACK = 0.04  # [s] over which the acceleration is taken from the speeds
-START = 0.25  # [s] from rest to the largest speed identification has seen
-MEMORY = 2.0  # [s] in which the largest acceleration seen is forgotten to a third
-SPARE_SPEED = 0.04  # [rad/s] noise of a measured speed and of the acceleration made from it; too little costs answers, not truth
-SPARE_ANGLE = 5e-4  # [rad]
-SLOWER = 2.0  # an answer is expected to take no longer than so many times what the last ones took
-FIRST = 0.02  # [s] an answer takes that was never measured
-LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
-KEPT_WIDE = 256  # certificates of wide boxes, per category
-PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
-SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
 RESTARTS = 5  # of the other process, then it stays ended
 TINY = 1e-9  # [rad, rad/s]
 LEFT = "the arm has left the states the last bounds were computed for"
-PATH = np.linspace(0.0, 1.0, 5)[:, None]  # instants at which the motion ahead is looked at, as parts of it
-
-
-@dataclass(frozen=True, slots=True)
-class Size:
-    """A box that covers the motion ``ahead`` [s] of its answer, at accelerations off the present one by ``swerve`` times the
-    largest seen of late; ``starts``: also if the arm, still as it may be, starts with all it has."""
-
-    ahead: float
-    swerve: float
-    starts: bool
-
-
-# as found on recorded arms: the wide one holds nearly every motion, narrow ones give numbers that hardly widen
-WIDE, NARROW = Size(0.2, 1.0, starts=True), Size(0.04, 0.2, starts=False)
-
-
-@dataclass(slots=True)
-class Motion:
-    """Where the arm goes, from its last readings, as far as it is ``seen`` (2n,) [rad, rad/s] to go at all; it may always reach
-    the largest of these speeds within `START`."""
-
-    seen: Box
-    q: Array = field(init=False)
-    dq: Array = field(init=False)
-    a: Array = field(init=False)
-    _past: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=64))
-    _most: Array = field(init=False)  # (n,) [rad/s^2] largest acceleration seen of late
-    _fastest: Array = field(init=False)
-    _when: float = 0.0
-
-    def __post_init__(self) -> None:
-        n = len(self.seen.lo) // 2
-        self.q, self.dq, self.a, self._most = (np.zeros(n) for _ in range(4))
-        self._fastest = np.maximum(np.abs(self.seen.lo[n:]), np.abs(self.seen.hi[n:]))
-
-    def see(self, t: float, q: Array, dq: Array) -> None:
-        """A reading at ``t`` [s]: ``q`` [rad], ``dq`` [rad/s], (n,) each."""
-        self._past.append((t, dq))
-        self.q, self.dq = q, dq
-
-    def settle(self) -> None:
-        """Take the acceleration from what was seen; before `at` and `box`."""
-        past = self._past
-        if not past:
-            return
-        now = past[-1][0]
-        while len(past) > 2 and now - past[0][0] > LOOK_BACK:
-            past.popleft()
-        before, was = past[0]
-        dq = self.dq
-        self.a = (dq - was) / (now - before) if 0.0 < now - before < 2 * LOOK_BACK else np.zeros_like(dq)
-        forgotten = max(0.0, 1.0 - max(now - self._when, 0.0) / MEMORY)
-        self._most, self._when = np.maximum(forgotten * self._most, np.abs(self.a)), now
-
-    def at(self, after: float) -> Array:
-        """(2n,) where the arm is expected ``after`` [s]."""
-        x = np.concatenate([self.q + after * (self.dq + 0.5 * after * self.a), self.dq + after * self.a])
-        out: Array = np.clip(x, self.seen.lo, self.seen.hi)
-        return out
-
-    def box(self, until: float, size: Size) -> tuple[Array, Array]:
-        """(2n,) least and largest of what it may do from now ``until`` [s] from now."""
-        t = PATH * until
-        most = np.maximum(self._most, self._fastest / START) if size.starts else self._most
-        swerved = SPARE_SPEED + size.swerve * t * most
-        v = self.dq + t * self.a
-        q = self.q + t * (self.dq + 0.5 * t * self.a)
-        off = SPARE_ANGLE + 0.5 * t * swerved
-        lo, hi = np.hstack([q - off, v - swerved]).min(axis=0), np.hstack([q + off, v + swerved]).max(axis=0)
-        inner_lo, inner_hi = np.maximum(lo, self.seen.lo), np.minimum(hi, self.seen.hi)
-        apart = inner_lo > inner_hi  # the arm is where it never was: what then is answered says so
-        return np.where(apart, lo, inner_lo), np.where(apart, hi, inner_hi)
-
-
-@dataclass(slots=True)
-class Counter:
-    """What one category has asked for and got."""
-
-    narrow: Shelf
-    wide: Shelf
-    answer: Answer | None = None  # the one in use
-    refused: Answer | None = None  # the newest that has no number
-    waiting: Size | None = None  # asked for
-    only_narrow: int = 0  # so many answers, as a wide box could not be proved
-    reach: float = 1.0  # part of a wide box's time ahead that is asked for: less where more could not be proved
-    took: float = FIRST
-
-    @classmethod
-    def of(cls, n: int) -> Counter:
-        return cls(Shelf(n), Shelf(n, KEPT_WIDE))
-
-    def best(self, x: Array, slack: Array) -> Answer | None:
-        """The tightest certificate kept for a reading."""
-        return self.narrow.best(x, slack) or self.wide.best(x, slack)
-
-    def holds(self, x: Array, slack: Array) -> Answer | None:
-        """The certificate in use as long as it holds, else the tightest kept."""
-        if self.answer is None or not self.answer.covers(x, slack):
-            self.answer = self.best(x, slack)
-        return self.answer
-
-    def take(self, answer: Answer) -> None:
-        """An answer has come."""
-        size, self.waiting = self.waiting, None
-        self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
-        if answer.numbers.proven:
-            (self.wide if size is WIDE else self.narrow).put(answer)
-            self.reach = min(1.0, self.reach * (GROWS if size is WIDE else 1.0))
-            return
-        self.refused = answer
-        if size is WIDE:
-            self.only_narrow, self.reach = PATIENCE, max(SHRINKS * self.reach, LEAST)
-
-    def lacks(self, motion: Motion, slack: Array, period: float) -> tuple[float, Size] | None:
-        """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
-
-        A wide box where none holds the state now or will when an answer could be there; a narrow one likewise.
-        """
-        lead = SLOWER * self.took + period
-        here, later = motion.at(0.0), motion.at(2.0 * lead)
-        self.answer = self.best(here, slack)  # a tighter one may have come
-        if not self.only_narrow and (self.wide.best(here, slack) is None or self.wide.best(later, slack) is None):
-            return lead + self.reach * (lead + WIDE.ahead), WIDE
-        if self.narrow.best(motion.at(lead), slack) is None:
-            self.only_narrow = max(0, self.only_narrow - 1)
-            return lead + NARROW.ahead, NARROW
-        return None
+SPENT = "the arm moves as it never did, and new bounds would cost more than their share of a core (stops.core_share)"
 
 
 @dataclass(slots=True)
@@ -185,7 +49,8 @@ class StopDesk:
     clock: Clock = field(default_factory=SystemClock)
     sha256: str = ""  # of the model that is watched; its file may hold another one by now
     counters: dict[str, Counter] = field(init=False)
-    _motion: Motion = field(init=False)
+    budget: Budget = field(init=False)
+    _motion: Heading = field(init=False)
     _slack: Array = field(init=False)
     _told: dict[str, Numbers] = field(default_factory=dict)
     _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
@@ -193,18 +58,19 @@ class StopDesk:
     _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
-    _inbox: deque[Answer | str | None] = field(default_factory=deque)
+    _inbox: deque[Certificate | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
     _turn: int = 0
 
     def __post_init__(self) -> None:
-        self.counters = {c: Counter.of(self.n) for c in self.categories}
+        self.budget = Budget(self.stops.core_share)
+        self.counters = {c: Counter.of(self.n, self.budget, len(self.categories)) for c in self.categories}
         self._x = np.empty(2 * self.n)
         self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
         # a reading on the border lies inside with all that rounding may hide
         room = 2.0 * self._slack + TINY
-        self._motion = Motion(Box(self.seen.lo - room, self.seen.hi + room))
+        self._motion = Heading(Box(self.seen.lo - room, self.seen.hi + room))
         self._start()
 
     @property
@@ -220,6 +86,14 @@ class StopDesk:
     def slowest(self) -> float | None:
         """[s] the category that takes longest lately takes; None before the first answer."""
         return max((c.took for c in self.counters.values()), default=0.0) if self._ready else None
+
+    @property
+    def spending(self) -> dict[str, Any]:
+        """What the other process has cost, in words of `health`: processor time [s] so far, boxes kept, whether its share is used up."""
+        return {
+            "cpu_s": self.budget.total, "share": self.stops.core_share, "share_used_up": self.budget.spent,
+            "kept": {c: x.kept for c, x in self.counters.items()},
+        }  # fmt: skip
 
     def _start(self) -> None:
         context = mp.get_context("spawn")
@@ -248,6 +122,7 @@ class StopDesk:
         if c.waiting is not None or self._pipe is None:
             return
         self._motion.settle()
+        self.budget.at(now)
         self._common = None
         wanted = c.lacks(self._motion, self._slack, period)
         if wanted is not None:
@@ -290,8 +165,8 @@ class StopDesk:
                 told[category] = answer.numbers
                 continue
             fresh = False
-            asked = c.narrow.answers or c.wide.answers or c.refused
-            told[category] = self._nothing(LEFT if asked else self.why)
+            asked = c.wide.answers or c.refused or c.long.answers or c.narrow.answers
+            told[category] = self._nothing((SPENT if self.budget.spent else LEFT) if asked else self.why)
         # the same object as long as nothing changes: who makes a message of it need not do so again
         if len(told) != len(self._told) or any(told[c] is not self._told[c] for c in told):
             self._told = told
@@ -324,7 +199,7 @@ def seen_by(model: Model) -> Box:
     return Box(np.concatenate([lo, domain.dq.lo]), np.concatenate([np.maximum(lo, hi), domain.dq.hi]))
 
 
-def _receive(pipe: Connection, inbox: deque[Answer | str | None]) -> None:
+def _receive(pipe: Connection, inbox: deque[Certificate | str | None]) -> None:
     try:
         while True:
             inbox.append(pipe.recv())

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, cast
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from stopset.artifact import load_model
 from stopset.errors import ModelFileError, StopsetError
-from stopset.monitor.certificates import Answer, Numbers
+from stopset.monitor.certificates import Certificate, Numbers
 from stopset.monitor.config import Stops
 from stopset.types import Array
 
@@ -43,10 +44,13 @@ def work(
     requests: dict[str, queue.SimpleQueue[tuple[Array, Array]]] = {c: queue.SimpleQueue() for c in categories}
 
     def certify(category: str) -> None:
+        spent = time.thread_time()
         while True:
             lo, hi = requests[category].get()
-            refused = Answer(category, lo, hi, Numbers.none(len(lo) // 2, refusal), 0.0)
+            refused = Certificate(category, lo, hi, Numbers.none(len(lo) // 2, refusal), 0.0, 0.0)
             answer = refused if prepared is None else answer_for(prepared, category, lo, hi)
+            before, spent = spent, time.thread_time()
+            answer = replace(answer, cpu=spent - before)  # what sending the last one has cost is in it
             with sending, contextlib.suppress(OSError):  # the daemon is gone: the main thread sees it too
                 pipe.send(answer)
 
@@ -97,9 +101,9 @@ def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> 
         return None, str(e)
 
 
-def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Answer:
+def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Certificate:
     """The bound for every measured state ``lo <= (q, dq) <= hi``, (2n,) each; whatever goes wrong is its reason to have none."""
-    begin, n = time.monotonic(), len(lo) // 2
+    begin, spent, n = time.monotonic(), time.thread_time(), len(lo) // 2
     middle = 0.5 * (lo + hi)
     # the halves round: what they leave out of the box is put back
     radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
@@ -109,7 +113,7 @@ def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Ans
         numbers = Numbers.none(n, str(e))
     except Exception as e:  # noqa: BLE001 - a thread that died would leave its category without a word for ever
         numbers = Numbers.none(n, f"the bound failed: {type(e).__name__}: {e}")
-    return Answer(category, lo, hi, numbers, time.monotonic() - begin)
+    return Certificate(category, lo, hi, numbers, time.monotonic() - begin, time.thread_time() - spent)
 
 
 def numbers_of(bound: Any, n: int) -> Numbers:

@@ -18,7 +18,7 @@ from stopset.artifact.taped import Kept
 from stopset.core.library import check, ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
-from stopset.monitor.grid import Motion
+from stopset.monitor.grid import GridMotion
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.linear_tubes import LinearTubes
 from stopset.monitor.sample import Quantum, Sample
@@ -51,7 +51,7 @@ class Watch(Check):
     _kept: Kept = field(init=False)  # what it points at
     _slack: Array = field(init=False)  # (2n,) what the place in time of `_x` leaves unknown of it; stands in the tube's limits
     _loose: bool = False  # something of it does
-    _motion: Motion = field(init=False)
+    _motion: GridMotion = field(init=False)
     _payload_why: str = ""
     _last: Sample | None = None
 
@@ -61,7 +61,7 @@ class Watch(Check):
             self.quantum = Quantum.none(n)
         self._inputs = Inputs.of(m, self.quantum, self.warm)
         self.tubes = LinearTubes(m, self.quantum, self._inputs.plain)
-        self._motion, self._payload_why = Motion.of(m), unidentified_payload(m, self.payload)
+        self._motion, self._payload_why = GridMotion.of(m), unidentified_payload(m, self.payload)
         self._here, self._u, self._du = np.zeros((4, n)), np.zeros((2, n)), np.zeros((2, n))
         self._x, self._slack = np.zeros(2 * n), np.zeros(2 * n)
         d, kept, tubes = m.domain, Kept([]), self.tubes

@@ -38,7 +38,7 @@ ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class StatesAtCut:
     """States at power-off: ``travel`` (n, 2) in seconds at the speed of the request, ``share`` (n, 2) of that speed;
     ``time`` [s]: since the request, at most."""
 
@@ -58,7 +58,7 @@ class Cell:
         pace = np.abs(dq)
         return float(max((ANGLE_WEIGHT * pace * np.ptp(self.travel, axis=1)).max(), (pace * np.ptp(self.share, axis=1)).max()))
 
-    def halves(self, dq: Array, together: bool) -> tuple[Cell, Cell]:
+    def halves(self, dq: Array, together: bool) -> tuple[StatesAtCut, StatesAtCut]:
         """Cut across the side that matters most; all joints at once if they fail ``together``."""
         pace = np.abs(dq)
         harm = np.stack([ANGLE_WEIGHT * pace * np.ptp(self.travel, axis=1), pace * np.ptp(self.share, axis=1)])
@@ -68,16 +68,16 @@ class Cell:
         for end in (1, 0):
             new = (self.travel if side == 0 else self.share).copy()
             new[which, end] = new[which].mean(axis=1)
-            parts.append(Cell(new, self.share, self.time) if side == 0 else Cell(self.travel, new, self.time))
+            parts.append(StatesAtCut(new, self.share, self.time) if side == 0 else StatesAtCut(self.travel, new, self.time))
         return parts[0], parts[1]
 
 
-def failed_cells(ramp: Ramp, dq: Array) -> list[Cell]:
+def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
     """The boxes to begin with; none where nothing says when power is taken."""
     n, top = len(dq), ramp.share
 
-    def cell(way: float, speed: float, time: float) -> Cell:
-        return Cell(np.tile([0.0, way], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
+    def cell(way: float, speed: float, time: float) -> StatesAtCut:
+        return StatesAtCut(np.tile([0.0, way], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
 
     if not ramp.monitored:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]
@@ -94,10 +94,10 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[Cell]:
     return out
 
 
-class Part(NamedTuple):
+class CutPart(NamedTuple):
     """A box of states at power-off, an arm with the parameters it may then have, and the tube from there."""
 
-    cell: Cell
+    cell: StatesAtCut
     plant: Plant
     tube: Tube
 
@@ -107,14 +107,14 @@ class Cover:
     """Tubes that together hold every failure; the last is not OK if that failed. ``loose``: how many of them the kinetic energy
     had to bound, when the ``tried`` tubes of joint speeds had used up the budget."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[CutPart, ...]
     loose: int
     tried: int
 
 
 def cover(
-    cells: Sequence[Cell], plant: Plant, cut: Callable[[Cell, Plant], Sequence[tuple[Cell, Plant]]],
-    march: Callable[[Cell, Plant, bool], Tube], width: Callable[[Cell], float], budget: tuple[int, int],
+    cells: Sequence[StatesAtCut], plant: Plant, cut: Callable[[StatesAtCut, Plant], Sequence[tuple[StatesAtCut, Plant]]],
+    march: Callable[[StatesAtCut, Plant, bool], Tube], width: Callable[[StatesAtCut], float], budget: tuple[int, int],
 ) -> Cover:  # fmt: skip
     """Tubes for boxes that together are ``cells``; ``march(cell, plant, energetic)`` tries one, ``cut`` makes two of one.
 
@@ -125,8 +125,8 @@ def cover(
     order = count()
     todo = [(-width(c), next(order), c, plant, c) for c in cells]
     heapify(todo)
-    parts: list[tuple[Cell, Part]] = []  # each with the box it is of
-    left: list[tuple[Cell, Plant, Cell]] = []
+    parts: list[tuple[StatesAtCut, CutPart]] = []  # each with the box it is of
+    left: list[tuple[StatesAtCut, Plant, StatesAtCut]] = []
     tried = 0
     while todo:
         _, _, cell, arm, root = heappop(todo)
@@ -135,7 +135,7 @@ def cover(
             tried += 1
             tube = march(cell, arm, False)
             if tube.end == OK:
-                parts.append((root, Part(cell, arm, tube)))
+                parts.append((root, CutPart(cell, arm, tube)))
                 continue
             if tried + len(todo) + 2 <= allowed:
                 for c, a in cut(cell, arm):
@@ -152,7 +152,7 @@ def cover(
             cell, arm = root, plant
             parts = [x for x in parts if x[0] is not root]
             tube = march(root, plant, True)
-        parts.append((root, Part(cell, arm, tube)))
+        parts.append((root, CutPart(cell, arm, tube)))
         loose += 1
         if tube.end != OK:
             break
@@ -171,7 +171,7 @@ def failed_stops(
         return None
     lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
 
-    def march(cell: Cell, plant: Plant, energetic: bool) -> Tube:
+    def march(cell: StatesAtCut, plant: Plant, energetic: bool) -> Tube:
         lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
         # whatever the ramp did, the drives may still give while their power goes
         v_lo, v_hi = v_lo + setting.residual.lo, v_hi + setting.residual.hi
@@ -179,7 +179,7 @@ def failed_stops(
         knots = FAST_ENERGY_KNOTS if energetic else FAST_KNOTS if fast else KNOTS
         return march_box(setting, plant, *box, energetic, knots=knots)
 
-    def cut(cell: Cell, plant: Plant) -> Sequence[tuple[Cell, Plant]]:
+    def cut(cell: StatesAtCut, plant: Plant) -> Sequence[tuple[StatesAtCut, Plant]]:
         if cell.width(dq) > NARROW:
             return [(c, plant) for c in cell.halves(dq, ramp.together)]
         return [(cell, p) for p in halves(plant, q, lasts)]

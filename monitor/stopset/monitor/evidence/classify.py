@@ -265,7 +265,7 @@ def _columns(c: Case, j: int) -> Iterator[tuple[str, Array]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class PushFit:
     """A push ``size * course`` from row ``onset`` on; ``left``: the part of the pushes' squares that it does not explain."""
 
     size: float
@@ -274,9 +274,9 @@ class Fit:
     course: Array
 
 
-def _fit(c: Case, y: Array, shape: Callable[[int], Array], onsets: list[int]) -> Fit:
+def _fit(c: Case, y: Array, shape: Callable[[int], Array], onsets: list[int]) -> PushFit:
     """The best onset and size of a push whose course (N,) is ``shape(onset)``, for one joint's pushes ``y``."""
-    best, total = Fit(0.0, onsets[0], 1.0, np.zeros(len(c.w))), float(y @ y) or 1.0
+    best, total = PushFit(0.0, onsets[0], 1.0, np.zeros(len(c.w))), float(y @ y) or 1.0
     for onset in onsets:
         course = shape(onset)
         x = c.model.averaged(course)
@@ -285,7 +285,7 @@ def _fit(c: Case, y: Array, shape: Callable[[int], Array], onsets: list[int]) ->
             size = float(x @ y) / square
             left = 1.0 - size * float(x @ y) / total
             if left < best.left:
-                best = Fit(size, onset, left, course)
+                best = PushFit(size, onset, left, course)
     c.pause()
     return best
 

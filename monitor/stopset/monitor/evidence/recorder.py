@@ -46,7 +46,7 @@ PRIORITY = {"violation": 2, "fault": 3, "bundle": 4, "bus": 4, "journal": 3}  # 
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Filed:
     """What came of an incident: its class, the file, its SHA-256; ``trouble``: why there is no file."""
 
     cause: Cause
@@ -69,7 +69,7 @@ class Recorder:
     heard: Callable[[], list[tuple[float, int, bytes]]] = list
     clock: Clock = field(default_factory=SystemClock)
     pause: Callable[[], None] = lambda: time.sleep(2e-4)  # lets the loop have the interpreter
-    answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=WAITING))
+    answers: deque[Filed] = field(default_factory=lambda: deque(maxlen=WAITING))
     notes: deque[str] = field(default_factory=lambda: deque(maxlen=WAITING))
     trouble: str = ""
     dropped: int = 0
@@ -184,11 +184,11 @@ class Recorder:
                 contents = BundleContents(incident, cause, w, model, self._model[0].joints, self.heard())
                 incident.written, digest = write_bundle(self.folder, self.settings.keep_mb, contents, self.about(), self.pause)
                 self.files += whole
-            answer = Answer(cause, str(incident.written or ""), digest)
+            answer = Filed(cause, str(incident.written or ""), digest)
             self.trouble = ""
         except (OSError, StopsetError) as e:
             self.trouble = f"the violation could not be written to {self.folder} ({e}); what was published of it is all there is"
-            answer = Answer(cause, trouble=self.trouble)
+            answer = Filed(cause, trouble=self.trouble)
         if whole:
             self.answers.append(answer)
 

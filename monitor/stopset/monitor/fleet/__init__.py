@@ -1,7 +1,7 @@
 """Many arms at a glance: one line or tile each, from zenoh alone."""
 
 from stopset.monitor.fleet.fleet import Fleet
-from stopset.monitor.fleet.page import Page
+from stopset.monitor.fleet.page import FleetPage
 from stopset.monitor.fleet.terminal import terminal
 
-__all__ = ["Fleet", "Page", "terminal"]
+__all__ = ["Fleet", "FleetPage", "terminal"]

@@ -17,16 +17,16 @@ FILES = {
 }  # fmt: skip
 
 
-class Page(PageServer):
+class FleetPage(PageServer):
     """The fleet's page on ``http://host:port/``; raises `BusError` where it cannot be served."""
 
     def __init__(self, fleet: Fleet, host: str, port: int) -> None:
         self.fleet = fleet
-        super().__init__(host, port, _Handler)
+        super().__init__(host, port, _FleetHandler)
 
 
-class _Handler(Handler):
-    server: Page
+class _FleetHandler(Handler):
+    server: FleetPage
 
     def get(self, path: str) -> None:
         if path in FILES:

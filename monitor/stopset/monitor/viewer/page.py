@@ -20,7 +20,7 @@ FILES = {
 }  # fmt: skip
 
 
-class Page(PageServer):
+class ViewerPage(PageServer):
     """The live page on ``http://host:port/``; raises `BusError` where it cannot be served.
 
     ``order``: sends an order to clear the latch, given the reason; None: the page only shows.
@@ -28,11 +28,11 @@ class Page(PageServer):
 
     def __init__(self, view: View, host: str, port: int, order: Callable[[str], None] | None = None) -> None:
         self.view, self.order, self.token = view, order, secrets.token_urlsafe(16) if order else ""
-        super().__init__(host, port, _Handler)
+        super().__init__(host, port, _ViewerHandler)
 
 
-class _Handler(Handler):
-    server: Page
+class _ViewerHandler(Handler):
+    server: ViewerPage
 
     def get(self, path: str) -> None:
         if path in FILES:

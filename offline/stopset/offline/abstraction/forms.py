@@ -25,7 +25,7 @@ from stopset.robot import Robot
 from stopset.robot.generic import mass_matrix
 from stopset.types import Array
 
-Matrix = list[list[Taylor]]
+TaylorMatrix = list[list[Taylor]]
 # relative size of what is left where terms cancel exactly in real numbers
 ROUNDING = 1e-14
 
@@ -38,8 +38,8 @@ class DynamicsForms:
     ``centre``.
     """
 
-    M: Matrix
-    C: list[Matrix]
+    M: TaylorMatrix
+    C: list[TaylorMatrix]
     centre: Array
 
     @property
@@ -122,7 +122,7 @@ def _reduced(x: Taylor, m: int) -> Taylor:
     return x.algebra.from_exponents(e[keep], c[keep])
 
 
-def inverse(M: Matrix) -> Matrix:
+def inverse(M: TaylorMatrix) -> TaylorMatrix:
     """Inverse of a symmetric positive definite matrix of Taylor forms, by ``M = L D L'``."""
     n = len(M)
     algebra = M[0][0].algebra

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from stopset.artifact.abstraction import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected
 from stopset.errors import StopsetError
-from stopset.offline.abstraction.forms import DynamicsForms, Matrix, coriolis_degree, dynamics, inverse, terms
+from stopset.offline.abstraction.forms import DynamicsForms, TaylorMatrix, coriolis_degree, dynamics, inverse, terms
 from stopset.ring.taylor import MEMORY_LIMIT, Taylor, TaylorError, monomials
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -141,7 +141,7 @@ def _pairs(n: int) -> list[tuple[int, int]]:
     return [(j, k) for j in range(n) for k in range(j, n)]
 
 
-def _quadratic(C: Matrix, forms: DynamicsForms) -> Polynomial:
+def _quadratic(C: TaylorMatrix, forms: DynamicsForms) -> Polynomial:
     """``sum_{j<=k} C_jk dq_j dq_k`` of one joint."""
     rows = _Rows(forms, 3 * len(C))
     for j, k in _pairs(len(C)):

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from stopset.offline.campaign.independence import Ends, goes_on
-from stopset.offline.campaign.survey import Source, Survey
+from stopset.offline.campaign.survey import Survey
+from stopset.offline.campaign.trials import Source
 from stopset.recording import Recording
 
 FOLDS = 6  # parts that are left out in turn where an error is judged

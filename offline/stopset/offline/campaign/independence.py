@@ -8,14 +8,11 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from stopset.offline.conform.noise import spread
 from stopset.recording import Recording, SuiteKey
-from stopset.types import Array
-
-Index = NDArray[np.int64]
+from stopset.types import Array, Index
 
 OVERLAP = 0.4  # of the shorter recording must be shared at least
 FEWEST = 50  # samples, at least

@@ -13,7 +13,7 @@ from threading import Lock
 from typing import Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
-from stopset.offline.campaign.survey import Source
+from stopset.offline.campaign.trials import Source
 from stopset.progress import Tell, silent
 from stopset.recording import Recording
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stopset.errors import RecordingError
-from stopset.offline.campaign.survey import Source
+from stopset.offline.campaign.trials import Source
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
 

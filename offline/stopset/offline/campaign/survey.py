@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,14 +9,13 @@ import numpy as np
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.campaign.session import POWERED, Session
+from stopset.offline.campaign.trials import Source
 from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.noise import NoiseEstimate
 from stopset.offline.conform.reading_error import ReadingError
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array
-
-Source = Callable[[], Iterable[Recording]]  # gives the trials anew at every call
 
 JITTER = 0.05  # of a step: stamps this near to their neighbour's plus a step count as even
 DRIFT = 0.5  # steps: a clock that has run off the grid by more is resampled, however even its stamps are

@@ -21,7 +21,7 @@ from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.nominal.model import roller
 from stopset.progress import Tell, silent
-from stopset.reach.flowpipe import Tube, deviation_tube, predict
+from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, read_meta, stream_recordings
 from stopset.types import Array
@@ -64,7 +64,7 @@ class Comparison:
     figures: dict[str, dict[str, Any]]
     rows: tuple[Row, ...]
     survey: Survey
-    tube: Tube
+    tube: DeviationTube
     tightness: Tightness
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
 
@@ -171,7 +171,7 @@ class _Along:
 
     def __init__(self, model: Model, stride: int) -> None:
         self._model, self._stride, self._seen = model, stride, 0
-        self.tube = Tube(np.zeros(1), np.zeros((1, 2 * model.n)), np.zeros((1, 2 * model.n)))
+        self.tube = DeviationTube(np.zeros(1), np.zeros((1, 2 * model.n)), np.zeros((1, 2 * model.n)))
         self.bands: dict[str, tuple[int, int]] = {}
         self._tight = Along(model.abstraction, model.powered)
 
@@ -192,12 +192,12 @@ class _Along:
         side = "above" if e.above else "below"
         return Violation(r.label, name, side, e.start * sets.dt, e.age * sets.dt, e.size, e.size / e.half)
 
-    def _first(self, x: Array, u: Array) -> Tube:
+    def _first(self, x: Array, u: Array) -> DeviationTube:
         model, sets = self._model.abstraction, self._model.powered
         last = min(round(sets.horizon / sets.dt), len(x) - 1)
         lo, hi = predicted_tube(model, sets, x[0], u[:last])
         path = predict(model, sets.dt, x[0], u[: last + 1])
-        return Tube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
+        return DeviationTube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
 
 
 def _stride(model: Model, paths: Sequence[str | Path], found: Survey) -> int:
@@ -218,7 +218,7 @@ def check_effort(model: Model, paths: Sequence[str | Path]) -> None:
             )
 
 
-def _worst(names: Sequence[str], env: Envelope, tube: Tube, label: str) -> Violation | None:
+def _worst(names: Sequence[str], env: Envelope, tube: DeviationTube, label: str) -> Violation | None:
     """The furthest that one recording's envelope leaves a tube, if it does."""
     last = min(env.steps, len(tube.ages) - 1)
     above = env.hi[1 : last + 1] - tube.hi[1 : last + 1]

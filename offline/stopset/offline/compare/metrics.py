@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from stopset.artifact import Abstraction
+from stopset.offline.campaign.trials import Pairs
 from stopset.offline.nominal.open_loop import RollOut
 from stopset.reach.flowpipe import predict
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array
-
-Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]
 
 AVERAGING = (
     0.2  # [s] torque errors and deviations are averages over such windows, a stop's length: momentum balance, no differentiation

@@ -14,7 +14,7 @@ import numpy as np
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.offline.conform.corners import Trial
-from stopset.reach.flowpipe import Tube, predict
+from stopset.reach.flowpipe import DeviationTube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.types import Array
 
@@ -89,7 +89,7 @@ def _places(dt: float, last: int) -> list[int | None]:
     return [k if k <= last else None for k in at]
 
 
-def of_tube(tube: Tube, hi: Array, lo: Array, n: int) -> Tightness:
+def of_tube(tube: DeviationTube, hi: Array, lo: Array, n: int) -> Tightness:
     """Of a constant tube and the envelope ``hi``, ``lo`` (H+1, 2k) of all deviations, joints before other directions."""
     k = hi.shape[1] // 2
     columns = [*range(n), *range(k, k + n)]

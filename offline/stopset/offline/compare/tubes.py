@@ -15,7 +15,7 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, Violation, inputs
 from stopset.offline.report.page import Page
 from stopset.offline.report.thin import extremes, hulls
-from stopset.reach.flowpipe import Tube, deviation_tube, predict
+from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.types import Array
@@ -180,7 +180,7 @@ def around(model: Model, sets: UncertaintySets, trials: list[tuple[Recording, Ar
         tube = deviation_tube(model.abstraction, sets)
     else:  # another tube along every motion; the picture takes the one from the mean start
         a, b = predicted_tube(model.abstraction, sets, x0, u[: last - 1])
-        tube = Tube(np.asarray(dt * np.arange(last)), a - nominal, b - nominal)
+        tube = DeviationTube(np.asarray(dt * np.arange(last)), a - nominal, b - nominal)
     starts = np.array(
         [predict(model.abstraction, dt, np.concatenate([r.q[0], r.dq[0]]), w[:last])[:last] for r, w in trials if len(w) >= last]
     )

@@ -15,7 +15,7 @@ DIAGNOSE = "`stopset diagnose` tells which effect is missing, `stopset add` puts
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ComparisonVerdict:
     """``text``: a few sentences; ``kind``: how a page shows them, neither good nor bad where only the sets hold; ``next``: to do."""
 
     text: str
@@ -23,7 +23,7 @@ class Verdict:
     next: str
 
 
-def verdict(found: Comparison) -> Verdict:
+def verdict(found: Comparison) -> ComparisonVerdict:
     """What a comparison says, first thing.
 
     Recordings inside wide sets are enclosed, which is not to say explained: the joint with the largest torque error over its
@@ -33,7 +33,7 @@ def verdict(found: Comparison) -> Verdict:
     count, out, beyond = len(found.rows), len(found.violations), found.outside_domain
     where, healthy = _worst(found)
     if beyond == count and not out:
-        return Verdict(
+        return ComparisonVerdict(
             f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",
             "compare with recordings inside the domain (see the table at the end), or identify with these.",
         )  # fmt: skip
@@ -41,7 +41,7 @@ def verdict(found: Comparison) -> Verdict:
     if out:
         where = where or _left(found)
         text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
-        return Verdict(text, "bad", f"do not rely on bounds of this model; {DIAGNOSE}.")
+        return ComparisonVerdict(text, "bad", f"do not rely on bounds of this model; {DIAGNOSE}.")
     text = f"{where}All {count} recordings stay inside the predicted sets.{left}"
     if healthy:
         todo = "nothing is left to explain; `stopset stops` bounds the stops, `stopset monitor` watches the arm."
@@ -49,7 +49,7 @@ def verdict(found: Comparison) -> Verdict:
         todo = f"{DIAGNOSE}: the sets hold, but wider than they need be."
     else:
         todo = "record the same torques twice or more: without repetitions nobody can tell the model's error from their scatter."
-    return Verdict(text, "good" if healthy and not beyond else "", todo)
+    return ComparisonVerdict(text, "good" if healthy and not beyond else "", todo)
 
 
 def _left(found: Comparison) -> str:

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from stopset.core.library import ffi, given, integers, lib, view
 from stopset.core.library import flags as flags_of
 from stopset.errors import NotConformant
-from stopset.types import Array
+from stopset.types import Array, Index
 
-Index = NDArray[np.int64]
 Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 
 BUDGET = 2_000_000  # simulated steps per pass while searching; the final check takes every start

@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Abstraction, ActiveBound
 from stopset.errors import RecordingError
 from stopset.offline.conform.windows import Outermost, update, update_decoupled
 from stopset.reach.flowpipe import discretise
 from stopset.recording import Recording
-from stopset.types import Array
-
-Index = NDArray[np.int64]
+from stopset.types import Array, Index
 
 
 @dataclass(slots=True)

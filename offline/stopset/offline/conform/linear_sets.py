@@ -14,6 +14,7 @@ import numpy as np
 
 from stopset.artifact import Guarantee, UncertaintySets
 from stopset.errors import NotConformant
+from stopset.offline.campaign.trials import Pairs
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import FittedSets, fit_sets
@@ -25,7 +26,6 @@ from stopset.sets import Box
 from stopset.types import Array
 
 T = TypeVar("T")
-Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (motion, trial on the grid, its input u), anew per call
 
 
 BOX = "box, same directions"  # beside a zonotope: the narrowest box where the zonotope is the narrowest

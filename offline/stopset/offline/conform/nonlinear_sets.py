@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
+from stopset.offline.campaign.trials import Pairs
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
 from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.linear_program import FittedSets
-from stopset.offline.conform.linear_sets import ConformedSets, Pairs, few_motions, influence
+from stopset.offline.conform.linear_sets import ConformedSets, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.problem import Options, SetProblem
 from stopset.progress import Tell, silent

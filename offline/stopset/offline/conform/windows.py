@@ -8,12 +8,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import check, ffi, given, integers, lib, view
-from stopset.types import Array
-
-Index = NDArray[np.int64]
+from stopset.types import Array, Index
 
 
 class Outermost(NamedTuple):

@@ -18,12 +18,11 @@ import numpy as np
 
 from stopset.artifact import Abstraction
 from stopset.offline.compare.metrics import AVERAGING
+from stopset.offline.conform.corners import Trial
 from stopset.reach.flowpipe import along_joints
 from stopset.robot import Robot
 from stopset.robot.rigid import link_frames
 from stopset.types import Array
-
-Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
 
 POSES = 6  # at which the tool's directions are taken
 SAME = 1.0 - 1e-6  # cosine of directions that are one

@@ -58,7 +58,7 @@ class Change:
         return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
 
 
-class Level(NamedTuple):
+class ColumnLevel(NamedTuple):
     """What one number of a change says: how much its level changes ``per`` unit of the coefficient ``of`` the change."""
 
     effect: str
@@ -80,7 +80,7 @@ class _Candidate:
     joint: int | None
     columns: Array
     beside: Array
-    levels: tuple[Level, ...]
+    levels: tuple[ColumnLevel, ...]
     error: Array
     least: Array
     friction: bool = False
@@ -206,7 +206,7 @@ def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidat
     return out
 
 
-def _friction(joint: int, rubs: Array, dry: tuple[Level, float], wet: tuple[Level, float]) -> list[_Candidate]:
+def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[_Candidate]:
     """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
 
     ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
@@ -235,8 +235,8 @@ def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:
     return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
 
 
-def _said_of(law: Effect, before: float = 0.0, term: int = 0) -> Level:
-    return Level(law.name, law.terms[term].symbol, law.terms[term].unit, before, of=term)
+def _said_of(law: Effect, before: float = 0.0, term: int = 0) -> ColumnLevel:
+    return ColumnLevel(law.name, law.terms[term].symbol, law.terms[term].unit, before, of=term)
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> _Judged:

@@ -19,12 +19,13 @@ from stopset.offline.campaign.map_reduce import Progress, passing
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Tally, tallied
+from stopset.offline.campaign.trials import Pairs
 from stopset.offline.compare.metrics import Figures
 from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
-from stopset.offline.conform.linear_sets import ConformedSets, Pairs
+from stopset.offline.conform.linear_sets import ConformedSets
 from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio

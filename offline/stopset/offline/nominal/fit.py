@@ -11,7 +11,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from stopset.offline.nominal.floor import Floor
-from stopset.offline.nominal.friction import Limits, passivity, ranges, worst
+from stopset.offline.nominal.friction import ParameterLimits, passivity, ranges, worst
 from stopset.offline.nominal.normal_equations import TOGETHER, Layout, NormalEquations
 from stopset.offline.nominal.physical import consistent, solve_consistent
 from stopset.offline.nominal.prior import Prior
@@ -96,7 +96,7 @@ def assemble(p: _Problem, w: Array, w_still: Array, precision: Array, mean: Arra
 
 
 def _solve(
-    p: _Problem, H: Array, b: Array, limits: Limits, floor: Floor, speed: Array, reference: Array
+    p: _Problem, H: Array, b: Array, limits: ParameterLimits, floor: Floor, speed: Array, reference: Array
 ) -> tuple[Array, list[str], list[str]]:
     """Parameters under all limits, what was done, and of that what a limit decided."""
     notes: list[str] = []

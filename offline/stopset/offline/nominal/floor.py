@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.nominal.friction import Limits
+from stopset.offline.nominal.friction import ParameterLimits
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.preprocess import SLOWEST
 from stopset.offline.nominal.prior import Prior
@@ -42,8 +42,8 @@ class Floor:
         return Floor(self.A[k], self.lower[k], tuple(self.joint[i] for i in k), tuple(self.why[i] for i in k))
 
     @property
-    def limits(self) -> Limits:
-        return Limits(self.A, self.lower, np.full(len(self.lower), np.inf))
+    def limits(self) -> ParameterLimits:
+        return ParameterLimits(self.A, self.lower, np.full(len(self.lower), np.inf))
 
 
 def floor_of(robot: Robot, data: NormalEquations, prior: Prior) -> Floor:

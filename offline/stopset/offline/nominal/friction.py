@@ -27,15 +27,15 @@ DENSE = 2001  # speeds at which a solution is checked
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ParameterLimits:
     """``lower <= A theta <= upper`` over the whole parameter vector."""
 
     A: Array
     lower: Array
     upper: Array
 
-    def __add__(self, other: Limits) -> Limits:
-        return Limits(
+    def __add__(self, other: ParameterLimits) -> ParameterLimits:
+        return ParameterLimits(
             np.vstack([self.A, other.A]),
             np.concatenate([self.lower, other.lower]),
             np.concatenate([self.upper, other.upper]),
@@ -81,7 +81,7 @@ def _rows(layout: Layout, joint: int, dq: Array, load: Array, viscous: bool) -> 
     return A
 
 
-def ranges(layout: Layout, rotor_positive: bool = True) -> Limits:
+def ranges(layout: Layout, rotor_positive: bool = True) -> ParameterLimits:
     """Each term within its admissible range, rotors not negative."""
     rows, lo, hi = [], [], []
     for j, columns in enumerate(layout.columns):
@@ -97,10 +97,10 @@ def ranges(layout: Layout, rotor_positive: bool = True) -> Limits:
         rows.append(np.eye(1, layout.size, 10 * layout.n + j)[0])
         lo.append(0.0)
         hi.append(np.inf)
-    return Limits(np.array(rows).reshape(-1, layout.size), np.array(lo), np.array(hi))
+    return ParameterLimits(np.array(rows).reshape(-1, layout.size), np.array(lo), np.array(hi))
 
 
-def passivity(layout: Layout, speed: Array, load: Array) -> Limits:
+def passivity(layout: Layout, speed: Array, load: Array) -> ParameterLimits:
     """First rows: friction resists at both ends, the middle and between, of ``speed`` and ``load`` (n,) magnitudes."""
     blocks = []
     for j in range(layout.n):
@@ -112,10 +112,10 @@ def passivity(layout: Layout, speed: Array, load: Array) -> Limits:
         blocks.append(_rows(layout, j, np.full_like(g, CREEP), g, viscous=False))
     A = np.vstack(blocks) if blocks else np.zeros((0, layout.size))
     A = A[np.abs(A).max(axis=1, initial=0.0) > 0]
-    return Limits(A, np.zeros(len(A)), np.full(len(A), np.inf))
+    return ParameterLimits(A, np.zeros(len(A)), np.full(len(A), np.inf))
 
 
-def worst(layout: Layout, theta: Array, speed: Array) -> Limits:
+def worst(layout: Layout, theta: Array, speed: Array) -> ParameterLimits:
     """Rows at the speeds where the viscous friction of ``theta`` pushes hardest; none if it pushes nowhere."""
     rows = []
     for j in range(layout.n):
@@ -128,4 +128,4 @@ def worst(layout: Layout, theta: Array, speed: Array) -> Limits:
         if f[k] < -1e-9 * max(float(np.abs(f).max()), 1e-12):
             rows.append(A[k])
     A = np.array(rows).reshape(-1, layout.size)
-    return Limits(A, np.zeros(len(A)), np.full(len(A), np.inf))
+    return ParameterLimits(A, np.zeros(len(A)), np.full(len(A), np.inf))

@@ -14,8 +14,8 @@ from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.selection import base, matches, of_part, parse_effect
 from stopset.errors import EffectError
-from stopset.offline.campaign.survey import Source, Survey, on_grid
-from stopset.offline.conform.linear_sets import Pairs
+from stopset.offline.campaign.survey import Survey, on_grid
+from stopset.offline.campaign.trials import Pairs, Source
 from stopset.offline.conform.noise import TELLING
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque

@@ -24,7 +24,7 @@ from stopset.effects import Effect, get
 from stopset.effects.selection import base
 from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import EffectError, RecordingError
-from stopset.offline.nominal.preprocess import Motion, Pose, Preprocessing, motions, pose_of
+from stopset.offline.nominal.preprocess import Pose, PreparedMotion, Preprocessing, motions, pose_of
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
@@ -244,7 +244,7 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
         out.skipped["too short"] = out.skipped.get("too short", 0) + 1
 
 
-def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, NDArray[np.bool_]]:
+def moving_rows(out: NormalEquations, robot: Robot, m: PreparedMotion) -> tuple[Array, NDArray[np.bool_]]:
     """(n, rows, c) regression rows of every joint, and (rows, n) which of them count."""
     k, n = m.retained, robot.n
     Y = regressors(robot.chain, m.q[k], m.dq[k], m.ddq[k])
@@ -265,7 +265,7 @@ def moving_rows(out: NormalEquations, robot: Robot, m: Motion) -> tuple[Array, N
 
 
 def friction_columns(
-    layout: Layout, robot: Robot, m: Motion, still: float, direction: float | None = None
+    layout: Layout, robot: Robot, m: PreparedMotion, still: float, direction: float | None = None
 ) -> tuple[list[list[Array]], Array | None]:
     """Each joint's friction columns at the kept rows, through the torque's filter, and the load if it was needed.
 

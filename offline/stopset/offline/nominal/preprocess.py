@@ -47,7 +47,7 @@ class Preprocessing:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class PreparedMotion:
     """One even piece of a trial: ``q, dq, ddq, tau`` (N, n) filtered at full rate, ``retained`` the rows of the regression.
 
     ``moving`` (N, n): joint not within the stiction band or its ringing; ``raw_tau`` (N, n) before filtering.
@@ -151,7 +151,7 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
         yield grid, q, tau, None if temp is None else np.column_stack([np.interp(grid, t, x) for x in temp.T])
 
 
-def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
+def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
     """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
@@ -167,7 +167,7 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[Motion]:
         moving = ~_dilated(still, ring)
         every = max(1, round(1 / (h * settings.rate)))
         retained = np.arange(2 * ring, len(t) - 2 * ring, every)
-        yield Motion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, retained, sos)
+        yield PreparedMotion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, retained, sos)
 
 
 def _dilated(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from stopset.offline.nominal.delay import lag_weights
 from stopset.offline.nominal.friction import dry
 from stopset.offline.nominal.nominal import Nominal
 from stopset.offline.nominal.normal_equations import friction_columns, moving_rows
-from stopset.offline.nominal.preprocess import Motion, motions
+from stopset.offline.nominal.preprocess import PreparedMotion, motions
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
@@ -59,7 +59,7 @@ def residuals(nominal: Nominal, robot: Robot, recording: Recording) -> list[Resi
     return out
 
 
-def _dry_torque(nominal: Nominal, view: Robot, m: Motion, direction: float | None) -> Array:
+def _dry_torque(nominal: Nominal, view: Robot, m: PreparedMotion, direction: float | None) -> Array:
     """(rows, n) dry friction of the model along a motion, or while creeping in the direction ``direction``."""
     layout = nominal.data.layout
     columns, _ = friction_columns(layout, view, m, nominal.data.settings.still, direction)

@@ -5,11 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stopset.types import Array
-
-Index = NDArray[np.intp]
+from stopset.types import Array, Index
 
 
 def extremes(y: Array, points: int) -> Index:

@@ -56,7 +56,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Revised:
+class RevisionWritten:
     """A new revision was written; what follows is about it."""
 
     path: Path
@@ -70,7 +70,7 @@ class Ended:
     defect: bool = False
 
 
-Message = Says | Answered | Compared | Revised
+Message = Says | Answered | Compared | RevisionWritten
 
 
 @dataclass(slots=True)

@@ -23,7 +23,7 @@ from stopset.offline.report.page import DISCLAIMER
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.page import FIGURES, floor
 from stopset.offline.revise.page import page as history_page
-from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Job, Message, Order, Revised, Says
+from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Job, Message, Order, RevisionWritten, Says
 from stopset.offline.workbench.opened import Opened
 from stopset.offline.workbench.scene import Scene, scene
 from stopset.offline.workbench.worker import Worker
@@ -173,7 +173,7 @@ class Loop:
             if isinstance(message, Says):
                 job.tell(message.text, message.share)
                 return
-            if isinstance(message, Revised):
+            if isinstance(message, RevisionWritten):
                 self._models.append(Opened(message.path, load_model(message.path)))
             elif isinstance(message, Compared):
                 at.found, at.shares = message.found, message.shares

@@ -33,10 +33,10 @@ class Server(PageServer):
 
     def __init__(self, loop: Loop, host: str, port: int) -> None:
         self.loop, self.token = loop, secrets.token_urlsafe(16)
-        super().__init__(host, port, _Handler)
+        super().__init__(host, port, _WorkbenchHandler)
 
 
-class _Handler(Handler):
+class _WorkbenchHandler(Handler):
     server: Server
 
     def get(self, path: str) -> None:

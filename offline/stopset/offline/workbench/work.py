@@ -31,7 +31,7 @@ from stopset.offline.plan import Wishes, design, write_plan
 from stopset.offline.plan.page import page as plan_page
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.revise import add
-from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Message, Order, Revised, Says
+from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Message, Order, RevisionWritten, Says
 from stopset.offline.workbench.scene import listed
 from stopset.recording import read_recordings
 
@@ -148,7 +148,7 @@ def _add(order: Order, model: Model, send: Send) -> None:
         send(Answered("add", row))
         return
     saved = save_model(done.model, target)
-    send(Revised(target))
+    send(RevisionWritten(target))
     send(Answered("add", row))
     _compare(order, saved, send)
 

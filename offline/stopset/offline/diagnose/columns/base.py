@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.rows.rows import JointRows, joint_rows, pose_scatter
 from stopset.types import Array
 
 
-def all_rows(source: Source) -> list[JointRows]:
+def all_rows(source: ArmSignals) -> list[JointRows]:
     d, Ys = source.data, source.regressor_still
     thin = slice(None, None, max(1, len(d.q) // 500))
     square, phase = source.mass[thin] ** 2, d.phase[thin]
@@ -20,7 +20,7 @@ def all_rows(source: Source) -> list[JointRows]:
     return [joint_rows(d, j, typical[:, j], scatter[j]) for j in range(d.n)]
 
 
-def base_columns(source: Source, rows: JointRows) -> Array:
+def base_columns(source: ArmSignals, rows: JointRows) -> Array:
     """y (against the description), rigid body, all drives' scale, and the joint's rotor, friction, friction left in the poses, stamps."""
     d, j = source.data, rows.joint
     y = d.tau[:, j] - source.link[:, j] - source.robot.rotor[j] * d.ddq[:, j]

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.types import Array
 
 
-def lagged(source: Source, joint: int, lag: float) -> Array:
+def lagged(source: ArmSignals, joint: int, lag: float) -> Array:
     """(N, 1) change of the recorded torque by taking it ``lag`` [s] later, per second of lag: the law's ``-dtau``."""
     d = source.data
     out: Array = -np.asarray(d.torque_at(joint, lag) - d.tau[:, joint])[:, None] / lag

@@ -11,18 +11,17 @@ import numpy as np
 
 from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.columns.signals import Source
-from stopset.offline.diagnose.rows.prepare import Mask
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.robot.rigid import Bend, bent_torques
-from stopset.types import Array
+from stopset.types import Array, Mask
 
 SWING_ROUNDS = 2  # the first swing is that of a straight link; each round shrinks its error by the bend in radians, 0.1 at worst
 RATHER_NOT = 1e-6  # share of the rows' largest pattern below which one is not told from the others
 SUBSTEPS = 8  # integration steps of the swinging link per row: 2.5 ms, a tenth of the fastest period that rows can show
 
 
-def swing(source: Source, joint: int, shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
+def swing(source: ArmSignals, joint: int, shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
     """A link that swings behind its motor: row ``i`` sees ``M_ij x'' + dg_i/dq_j x``.
 
     The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.  ``shapes``: ``K, D``;
@@ -57,7 +56,7 @@ class _Filter:
     lead: float
 
     @staticmethod
-    def of(source: Source, joint: int, K: float, D: float) -> _Filter:
+    def of(source: ArmSignals, joint: int, K: float, D: float) -> _Filter:
         d = source.data
         M = np.ascontiguousarray(source.mass[:, joint, joint])
         g = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
@@ -83,7 +82,7 @@ class _Filter:
         return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D))
 
 
-def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = False) -> Array:
+def _true_swing(source: ArmSignals, joint: int, K: float, D: float, begun: bool = False) -> Array:
     """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
 
     A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small
@@ -106,7 +105,7 @@ def _true_swing(source: Source, joint: int, K: float, D: float, begun: bool = Fa
     return out
 
 
-def _bend(source: Source, joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array) -> None:
+def _bend(source: ArmSignals, joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array) -> None:
     """`bent_torques` of all rows, two halves side by side: the kernel releases the interpreter."""
     d = source.data
 
@@ -118,7 +117,7 @@ def _bend(source: Source, joint: int, x: Array, dx: Array, ddx: Array, lowest: i
         list(pool.map(part, (slice(len(x) // 2), slice(len(x) // 2, None))))
 
 
-def _begun(source: Source, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+def _begun(source: ArmSignals, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
     """(N,) state at each trial's first row that its own torque speaks for; swings as large as later ones are expected.
 
     What the link did before is in no channel, and a swing that is hardly damped lasts longer than a stop.  Two numbers for each

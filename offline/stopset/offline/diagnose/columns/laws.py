@@ -11,14 +11,14 @@ from stopset.effects import Effect
 from stopset.offline.diagnose.columns.delay import lagged
 from stopset.offline.diagnose.columns.elasticity import swing
 from stopset.offline.diagnose.columns.memory import memory
-from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.types import Array
 
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
 
 
 def columns(
-    source: Source, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
+    source: ArmSignals, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
 ) -> dict[int, tuple[Array, Array]]:
     """Columns of an effect by the joint whose row they stand in: moving rows (N, k) and poses (P, k)."""
     d = source.data
@@ -47,7 +47,7 @@ def columns(
     return out
 
 
-def _rate(source: Source, joint: int) -> Array:
+def _rate(source: ArmSignals, joint: int) -> Array:
     """(M,) acceleration of a joint at the recording's rate [rad/s^2], trial by trial."""
     d, out = source.data, np.zeros(len(source.data.t_fine))
     for trial in d.trials:
@@ -55,7 +55,7 @@ def _rate(source: Source, joint: int) -> Array:
     return out
 
 
-def _at_rest(source: Source, effect: Effect, joint: int, shapes: Mapping[str, float]) -> Array:
+def _at_rest(source: ArmSignals, effect: Effect, joint: int, shapes: Mapping[str, float]) -> Array:
     """(P, k) columns of the poses: the mean over approaches from both sides, as far as friction had built up there."""
     P = len(source.data.q_still)
     rest = replace(source.still(joint), memory=tuple(np.zeros(P) for _ in effect.states))

@@ -14,8 +14,7 @@ import numpy as np
 
 from stopset.effects import Effect, Signals
 from stopset.effects.memory import along
-from stopset.offline.diagnose.rows.prepare import Mask
-from stopset.types import Array
+from stopset.types import Array, Mask
 
 
 def memory(effect: Effect, s: Signals, shapes: Mapping[str, float], start: Mask, dt: float) -> tuple[Array, ...]:

@@ -10,15 +10,15 @@ import numpy as np
 from stopset.effects import REFERENCE_TEMPERATURE, Signals
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.gravity import GravityMoments, gravity_moments
-from stopset.offline.diagnose.rows.prepare import Mask, Prepared
+from stopset.offline.diagnose.rows.prepare import Prepared
 from stopset.offline.diagnose.rows.smooth import calm
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrices, regressors, torques
-from stopset.types import Array
+from stopset.types import Array, Mask
 
 
 @dataclass(slots=True)
-class Source:
+class ArmSignals:
     """Signals of the arm over the prepared rows, each computed once when first asked for."""
 
     robot: Robot

@@ -10,8 +10,7 @@ import numpy as np
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.evidence import gain
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 HELD = 1e12  # prior precision of a term held at zero
 

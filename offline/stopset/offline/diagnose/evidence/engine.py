@@ -14,16 +14,16 @@ from stopset.offline.campaign.independence import Ends, uncut
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
-from stopset.offline.diagnose.columns.signals import Source
+from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
-from stopset.offline.diagnose.rows.prepare import Index, Prepared, prepare
+from stopset.offline.diagnose.rows.prepare import Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
-from stopset.types import Array
+from stopset.types import Array, Index
 
 EMPTY = 1e-9  # [N m] rounding: a column no larger leaves no trace
 RECENT = 8  # laws whose columns are kept
@@ -36,7 +36,7 @@ class Engine:
 
     robot: Robot
     data: Prepared
-    source: Source
+    source: ArmSignals
     rows: list[JointRows]
     fold_of_trial: Index
     friction: Array  # (n, 2) F_c, F_v of the first fit
@@ -60,7 +60,7 @@ class Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
         data, tol = prepare(recordings), tolerance or Tolerance()
         compensated = recordings.meta.effort == "compensated_torque"
-        source, n = Source(robot, data, compensated), robot.n
+        source, n = ArmSignals(robot, data, compensated), robot.n
         motion = _motions(data)
         folds = np.array([motion[t.unit] % FOLDS for t in data.trials], dtype=np.intp)
         if known:

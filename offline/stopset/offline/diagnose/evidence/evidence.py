@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)  # relative, the first that makes a matrix of repeated columns regular
 

@@ -14,8 +14,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Form
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import Projection, project
-from stopset.offline.diagnose.rows.prepare import Index, Mask
-from stopset.types import Array
+from stopset.types import Array, Index, Mask
 
 ROUNDS = 3  # of choosing one hyperparameter after another: they settle in two
 GIVEN = 1e-7  # prior deviation of a coefficient that is given

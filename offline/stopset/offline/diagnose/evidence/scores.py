@@ -12,8 +12,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
 from stopset.offline.diagnose.evidence.evidence import Projection, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
-from stopset.types import Array
+from stopset.types import Array, Index
 
 
 class _Best:

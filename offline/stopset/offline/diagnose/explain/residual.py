@@ -9,9 +9,8 @@ import numpy as np
 from stopset.offline.campaign.hold_out import FOLDS
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index
 from stopset.offline.diagnose.search.held_out import by_time, few_motions
-from stopset.types import Array
+from stopset.types import Array, Index
 
 BINS, FEW_BINS = 24, 4
 BLOCK = 25  # rows of half a second of motion: short against a wander of friction, long against what sensors and lags leave

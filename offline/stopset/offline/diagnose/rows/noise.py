@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import ffi, flags, given, integers, lib, view
 from stopset.offline.diagnose.rows.prepare import Kernel
-from stopset.types import Array
+from stopset.types import Array, Index, Mask
 
 ORDER = 6  # rows the prediction looks back: the kernel's correlation is below 1e-4 after 5 rows
 
@@ -52,13 +51,13 @@ class Whitening:
     """Makes K rows independent: ``a`` (P, ORDER + 1, ORDER), ``sd`` (P, ORDER + 1) of `predictor` for each kind of row, ``kind``
     (K,) of each row, ``start`` (K,): a new run of rows begins."""
 
-    start: NDArray[np.bool_]
-    kind: NDArray[np.int64]
+    start: Mask
+    kind: Index
     a: Array
     sd: Array
 
     @staticmethod
-    def of(start: NDArray[np.bool_], kind: NDArray[np.int64], covariances: Sequence[Array]) -> Whitening:
+    def of(start: Mask, kind: Index, covariances: Sequence[Array]) -> Whitening:
         """For rows of these `autocovariance`s, one for each kind."""
         a, sd = zip(*map(predictor, covariances), strict=True)
         return Whitening(start, np.ascontiguousarray(kind, np.int64), np.stack(a), np.stack(sd))

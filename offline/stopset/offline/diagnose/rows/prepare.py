@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.core.library import check, given, integers, lib, view
 from stopset.errors import RecordingError
@@ -18,10 +17,7 @@ from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.sampling import in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
-from stopset.types import Array
-
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from stopset.types import Array, Index, Mask
 
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
@@ -64,7 +60,7 @@ class Kernel:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class PreparedTrial:
     """Where one moving trial lies: ``fine`` samples at the recording's rate, ``rows`` after thinning."""
 
     key: tuple[int, str, int, int]
@@ -94,7 +90,7 @@ class Prepared:
     joints: tuple[str, ...]
     kernel: Kernel
     step: int
-    trials: tuple[Trial, ...]
+    trials: tuple[PreparedTrial, ...]
     t: Array
     q: Array
     dq: Array
@@ -189,7 +185,7 @@ def prepare(recordings: Recordings) -> Prepared:
         if g.temp is not None:
             temps.append(g.temp)
         centre = np.arange(kernel.half, m - kernel.half, step) + offset
-        trials.append(Trial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
+        trials.append(PreparedTrial(r.key, slice(offset, offset + m), slice(rows, rows + len(centre))))
         centres.append(centre)
         offset, rows = offset + m, rows + len(centre)
     fine = {k: np.concatenate(v) for k, v in fine_parts.items()}

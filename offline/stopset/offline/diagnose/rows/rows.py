@@ -8,8 +8,8 @@ import numpy as np
 
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
-from stopset.offline.diagnose.rows.prepare import Index, Prepared
-from stopset.types import Array
+from stopset.offline.diagnose.rows.prepare import Prepared
+from stopset.types import Array, Index
 
 DEPENDENT = 1e-9  # of the largest singular value: rounding
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stopset.core.library import flags, given, lib, view
-from stopset.offline.diagnose.rows.prepare import Mask
-from stopset.types import Array
+from stopset.types import Array, Mask
 
 
 def calm(x: Array, first: Mask) -> Array:

@@ -8,8 +8,7 @@ from stopset.offline.campaign.hold_out import BLOCK, FOLDS, GUARD
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Index, Mask
-from stopset.types import Array
+from stopset.types import Array, Index, Mask
 
 WHOLE = "motions left out in turn"
 BLOCKS = f"every sixth {BLOCK:g} s in turn, {GUARD:g} s away from what was fitted: this speaks of the same motion only"
