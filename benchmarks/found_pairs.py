@@ -15,13 +15,14 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from as_found import ONE, PROGRAM, Trouble, play_in_the_gear, recorded
 
+from stopset.errors import StopsetError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose_model
@@ -44,7 +45,7 @@ class Case:
     name: str
     pair: bool
     lengths: tuple[float, ...] = PROGRAM
-    trouble: Trouble = Trouble()
+    trouble: Trouble = field(default_factory=Trouble)
     effect: str = ""
     place: str = ""  # upright, loaded, wrist, arm
     size: Callable[[Robot, int], float] = lambda robot, joint: 0.0
@@ -111,7 +112,8 @@ def asked(path: str, case: Case, seed: int) -> dict[str, Any]:
     scenario = prepare(robot, ["none"], seed, "short", cad="wrong" if seed % 3 else "exact")
     joint = joint_of(robot, case.place)
     made = _changed(scenario, case, joint)
-    first = recorded(scenario if case.pair else made, PROGRAM if case.pair else case.lengths, rate, Trouble() if case.pair else case.trouble, seed + 100)  # fmt: skip
+    arm, lengths, trouble = (scenario, PROGRAM, Trouble()) if case.pair else (made, case.lengths, case.trouble)
+    first = recorded(arm, lengths, rate, trouble, seed + 100)
     first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
     campaign = Campaign(first.meta, lambda: iter(first.trials))
     model = identified(scenario.robot, campaign, Settings(), silent, None, (), None).model
@@ -167,7 +169,7 @@ def one(job: tuple[str, str, int, Path]) -> str:
         case = next(c for c in CASES if c.name == name)
         try:
             answer = asked(path, case, seed)
-        except Exception as error:
+        except StopsetError as error:  # a refusal is an answer, too
             answer = {"case": name, "right": False, "false": [], "verdict": f"{type(error).__name__}: {error}", "named": []}
         file.write_text(json.dumps(answer, default=str))
     answer = json.loads(file.read_text())

@@ -68,7 +68,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.search.held_out", "WHOLE BLOCKS", WORDS),
     ("stopset.offline.diagnose.thresholds", "SETTLED TABLE", SHOWN),
     ("stopset.offline.diagnose.thresholds", " ".join(t.name for t in thresholds.LATER) + " LATER", "asked of a finished model only"),
-    ("stopset.offline.diagnose.changes", "PARTS", ROLES),
+    ("stopset.offline.diagnose.levels", "PARTS", ROLES),
     ("stopset.offline.diagnose.changes", "RIDGE", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE", "the table itself"),
     ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),

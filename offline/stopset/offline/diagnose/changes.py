@@ -11,27 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.effects.base import Effect, Part
 from stopset.effects.registry import get
-from stopset.effects.selection import of_part
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
-from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
 
-PARTS: dict[Part, str] = {
-    "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
-    "torque scale": "torque scale", "load": "load at the flange",
-}  # fmt: skip
 RIDGE = 1e-9  # relative: rounding
 
 
@@ -55,35 +48,9 @@ class Change:
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
-        return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
-
-
-class ColumnLevel(NamedTuple):
-    """What one number of a change says: how much its level changes ``per`` unit of the coefficient ``of`` the change."""
-
-    effect: str
-    symbol: str
-    unit: str
-    before: float
-    per: float = 1.0
-    of: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Candidate:
-    """A change at a joint (None: of the whole arm): ``columns`` (rows, n, k), what they say, and which of it counts.
-
-    ``error, least`` (k,): the model's own error of each coefficient, and the least one that is no daily difference; ``beside``
-    (rows, n, m): what may differ besides.
-    """
-
-    joint: int | None
-    columns: Array
-    beside: Array
-    levels: tuple[ColumnLevel, ...]
-    error: Array
-    least: Array
-    friction: bool = False
+        part = get(self.effect).part
+        what = PARTS[part] if part else f"{self.symbol} of {self.effect}"
+        return f"The {what}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +65,7 @@ class _Judged:
     before: Array
     after: Array
 
-    def certain(self, c: _Candidate) -> NDArray[np.bool_]:
+    def certain(self, c: LevelChange) -> NDArray[np.bool_]:
         """(k,) which coefficients are a change."""
         return np.asarray(np.abs(self.theta) > np.maximum(limit.CHANGE_SURE * np.hypot(self.std, c.error), c.least))
 
@@ -125,7 +92,7 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
     return tuple(out[: limit.CHANGES])
 
 
-def _simplest(tried: Sequence[tuple[_Candidate, _Judged]]) -> tuple[_Candidate, _Judged]:
+def _simplest(tried: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange, _Judged]:
     """The change of largest gain; of a joint's friction the one by which both its numbers need differ least from the model's.
 
     A motion of few speeds tells how much friction there is, but hardly how it is shared between its dry and its viscous part.
@@ -139,7 +106,7 @@ def _simplest(tried: Sequence[tuple[_Candidate, _Judged]]) -> tuple[_Candidate, 
     return next(iter(both), min(alike, key=lambda t: float(np.sum(np.abs(t[1].beside))), default=best))
 
 
-def _said(model: Model, c: _Candidate, judged: _Judged) -> list[Change]:
+def _said(model: Model, c: LevelChange, judged: _Judged) -> list[Change]:
     """What is told of a change, the coefficients that are one."""
     where = range(model.n) if c.joint is None else [c.joint]
     worst = max(where, key=lambda j: judged.before[j] - judged.after[j])
@@ -154,7 +121,7 @@ def _said(model: Model, c: _Candidate, judged: _Judged) -> list[Change]:
     ]  # fmt: skip
 
 
-def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate]]:
+def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[LevelChange]]:
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
@@ -175,71 +142,10 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     if not parts:
         return np.zeros((0, model.n)), np.zeros(0, np.intp), []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return left, np.array(block), _candidates(model, q, dq, ddq)
+    return left, np.array(block), level_changes(model, q, dq, ddq)
 
 
-def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
-    n, out = model.n, []
-    dry_law, damping, offset, scale, body = map(of_part, PARTS)
-    rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
-
-    def at(*columns: Array, j: int) -> Array:
-        block = np.zeros((len(q), n, len(columns)))
-        block[:, j] = np.column_stack(columns)
-        return block
-
-    rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
-    for j, joint in enumerate(model.joints):
-        (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
-        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
-        least = np.array([limit.DAILY * dry])
-        out.append(_Candidate(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
-        usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
-        if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
-            least = np.array([limit.LEAST_GAIN])
-            out.append(_Candidate(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
-    tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
-    load = tuple(_said_of(body, term=k) for k in range(4))
-    out.append(
-        _Candidate(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
-    )
-    return out
-
-
-def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[_Candidate]:
-    """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
-
-    ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
-    at the speeds of these rows: what counts is how much friction there is.
-    """
-    (a, a_error), (b, b_error) = dry, wet
-    direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
-    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
-    shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
-    free = _Candidate(
-        joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
-        limit.DAILY * np.array([a.before, b.before]), True,
-    )  # fmt: skip
-    one = [
-        (direction, (a,), limit.DAILY * a.before),
-        (speed, (b,), limit.DAILY * b.before),
-        (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), limit.DAILY),
-    ]
-    return [free, *(_Candidate(joint, x, shares, said, np.zeros(1), np.array([least]), True) for x, said, least in one)]
-
-
-def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:
-    """What the model says of a law's first term, and its error."""
-    symbol = law.terms[0].symbol
-    f = next((f for f in model.effects if (f.effect, f.joint) == (law.name, joint)), None)
-    return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
-
-
-def _said_of(law: Effect, before: float = 0.0, term: int = 0) -> ColumnLevel:
-    return ColumnLevel(law.name, law.terms[term].symbol, law.terms[term].unit, before, of=term)
-
-
-def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> _Judged:
+def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> _Judged:
     """A candidate beside what may differ besides, against the latter alone, on blocks that were left out."""
     use = np.isfinite(left)
     y = np.where(use, left, 0.0) / scale

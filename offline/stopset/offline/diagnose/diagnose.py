@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
@@ -19,6 +20,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
+from stopset.offline.diagnose.rows.sampling import in_step
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
@@ -102,6 +104,8 @@ def diagnose_model(
 
         return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
     base = baseline(model, recordings)
+    taken_out = _common_lag(model)
+    recordings = in_step(recordings, -sum(x["value"] for x in taken_out))
     # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
     fitted = settled(model) if base.known is None else model.effects
     if not any(moves(r) for r in recordings):
@@ -113,12 +117,16 @@ def diagnose_model(
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
     found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *found.notes))
-    if base.known is None:
-        found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
+    found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())) if base.known is None else taken_out)
     if base.known is None or names is not None:
         return found, base.against
     tell("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
+
+
+def _common_lag(model: Model) -> tuple[Mapping[str, Any], ...]:
+    """The lag of all joints' torque that identification took out: it is told, and nothing is asked of it again."""
+    return tuple(x for x in model.provenance.get("taken_out", ()) if x["joint"] is None)
 
 
 def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
