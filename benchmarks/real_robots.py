@@ -87,16 +87,22 @@ def least_squares(robot: Robot, fit: Sequence[Recording], test: Sequence[Recordi
 
 
 def ours(model: Model, test: Sequence[Recording]) -> np.ndarray:
-    """(n,) held-out error [N m] of a model's rigid body, friction and effects in full; friction passes the torque's filter."""
+    """(n,) held-out error [N m] of a model's rigid body, friction and effects in full; all of it passes the filter that the torque went through."""
     out = []
     for r in test:
-        for m in motions(r, Preprocessing()):
+        for m in motions(r, Preprocessing(low_pass=filtered_at(model))):
             q, dq, ddq = (np.ascontiguousarray(x) for x in (m.q, m.dq, m.ddq))
             whole = Recording("closed_loop", 0, 0, 0, m.t, q, dq, m.raw_tau)
             u = model.input(q, dq, m.raw_tau, m.temp, 0.0, m.t)
-            left = m.smooth(left_over(model, whole, u, float("nan"), ddq, window=1))
+            left = left_over(model, whole, u, float("nan"), ddq, window=1)
+            left = m.raw_tau - m.smooth(m.raw_tau - left) if m.narrow else m.smooth(left)
             out.append(left[m.retained[np.abs(dq[m.retained]).max(axis=1) > MOVING]])
     return np.sqrt(np.mean(np.concatenate(out) ** 2, axis=0))
+
+
+def filtered_at(model: Model) -> float:
+    """Cut-off [Hz] of the low-pass that identification found the recorded torque to have gone through; 0: none."""
+    return next((out["value"] for out in model.provenance.get("taken_out", ()) if out["unit"] == "Hz"), 0.0)
 
 
 def stopset(*words: str) -> tuple[int, str, float]:

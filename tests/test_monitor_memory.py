@@ -10,17 +10,20 @@ import pytest
 from monitor_arm import DT, known_model, motion
 from stopset.artifact import Model
 from stopset.artifact.inputs import effect_torques
-from stopset.effects import Signals, get
-from stopset.effects.base import Fitted
+from stopset.effects import Effect, Signals, get
+from stopset.effects.base import Fitted, Law
 from stopset.effects.memory import coefficients, stepped
 from stopset.effects.signals import Samples
 from stopset.errors import NotCovered
+from stopset.monitor import unseen
+from stopset.monitor.along import watch_for
 from stopset.monitor.carried import Carried
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.monitor.watch import Watch
 from stopset.recording import Recording
 from stopset.types import Array
+from test_monitor_along import curved
 
 HYSTERESIS = {"F_h": 12.0, "delta": 0.02}
 HEATING = {"k_c": -6.0, "k_v": -4.0, "tau_w": 0.5}
@@ -152,3 +155,32 @@ def test_a_memory_that_no_ends_enclose_is_refused(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("stopset.monitor.carried.affine", lambda _: False)
     with pytest.raises(NotCovered, match=r"hysteresis:.* remembers z"):
         Watch(lasting("hysteresis", HYSTERESIS))
+
+
+def test_a_law_of_time_is_refused_and_never_taken_at_time_zero(own_effect: Effect) -> None:
+    """A healthy arm whose hose gives way: at t = 0 for ever it would be accused, as its torque is another by then."""
+    values = {"k": 300.0, "T": 0.2}
+    with pytest.raises(NotCovered, match=r"relaxing_hose.*time since its recording began"):
+        Watch(lasting(own_effect.name, values))
+    with pytest.raises(NotCovered, match="time since its recording began"):
+        watch_for(
+            replace(lasting(own_effect.name, values), abstraction=curved().abstraction), Quantum.none(6), 0.0, (0.0, 1.0), DT
+        )
+
+
+def bent(name: str, needs: tuple[str, ...], law: Law) -> Effect:
+    return replace(get("warm_up"), name=name, needs=needs, law=law, terms=get("warm_up").terms[:1])
+
+
+def test_a_law_that_looks_at_what_no_sample_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the place in the session the two ends are known: enough for a straight law, not for one with a top between them."""
+    made = {
+        "top": bent("top", ("warm",), lambda s, _: (s.warm * (1.0 - s.warm),)),
+        "late": bent("late", ("dtau",), lambda s, _: (s.dtau,)),
+    }  # fmt: skip
+    monkeypatch.setattr(unseen, "get", lambda name: made.get(name) or get(name))
+    for name, words in (("top", "place in the session along a curve"), ("late", "rate of its torque")):
+        with pytest.raises(NotCovered, match=words):
+            unseen.refuse_unseen([Fitted(name, "j", {"k_v": 1.0}, {})])
+    unseen.refuse_unseen([Fitted("warm_up", "j", {"k_v": 1.0, "k_c": 1.0}, {})])
+    assert unseen.even_in_session(get("warm_up"))

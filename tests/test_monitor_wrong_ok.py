@@ -45,7 +45,8 @@ from stopset.recording import write_recordings
 WATCHDOG = 400  # [ms] a machine shared with everything else
 GOOD = {State.OK, State.DEGRADED}
 RECOVER = 0.05  # [s]
-PUBLISH = f"valid_for_ms = 300\nstale_ms = 600\nrecover_s = {RECOVER}"
+VALID_MS = 300
+PUBLISH = f"valid_for_ms = {VALID_MS}\nstale_ms = 600\nrecover_s = {RECOVER}"
 STOPS = '[stops]\ncategories = ["0"]'
 
 
@@ -262,6 +263,8 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
     router = ZenohLink(PREFIX, mode="router", listen=[f"tcp/127.0.0.1:{(relay := free_port())}"])
     text = cell.config.read_text()
     cell.config.write_text(text.replace("listen = [", f'mode = "client"\nconnect = ["tcp/127.0.0.1:{relay}"]\nlisten = ['))
+    heard: list[tuple[int, dict[str, Any]]] = []
+    router.subscribe("state", lambda _, d: heard.append((time.time_ns(), unpack(d))))
     with cell.replay(), consumers(cell, reader, router) as both:
         with cell.daemon(**preload) as monitor:
             assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
@@ -271,11 +274,19 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             time.sleep(1.0)
             on = time.monotonic()
             assert not any(c.since(at + 0.7) & GOOD for c in both)
+            woken = time.time_ns()
             monitor.send_signal(signal.SIGCONT)
             time.sleep(0.1)
             early = [s for c in both for t, s, _ in c.said if on <= t < on + RECOVER]
             assert not GOOD & set(early), "two seconds old data are not OK when it goes on"
             assert wait(all_in(both, GOOD), 10.0), [c.said[-3:] for c in both]
+            good = [(at, m) for at, m in list(heard) if at >= woken and State(m["state"]) in GOOD]
+            assert good and min(at for at, _ in good) >= woken + RECOVER * 1e9
+            for at, m in good:
+                # the drives' side stamps the SYNC when it sends it: so old the data truly are
+                assert m["t_meas_ns"] >= woken, "nothing of what waited while it stood is OK"
+                assert m["t_pub_ns"] - m["t_meas_ns"] <= VALID_MS * 1e6
+                assert at - m["t_meas_ns"] <= (VALID_MS + WATCHDOG) * 1e6
             for jump in (3_600_000, 0):
                 at = time.monotonic()
                 order.write_text(str(jump))  # its clock is an hour ahead of its samples, and back

@@ -13,6 +13,7 @@ from stopset.artifact.taped import Kept, places, taped
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.registry import get
 from stopset.monitor.carried import Carried
+from stopset.monitor.unseen import refuse_unseen
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -34,11 +35,12 @@ class Inputs:
 
     @classmethod
     def of(cls, model: Model, quantum: Quantum, warm: tuple[float, float]) -> Inputs:
-        """Raises `NotCovered` for effects with a memory that cannot be carried, see `Carried`.
+        """Raises `NotCovered` for effects with a memory that cannot be carried, see `Carried`, or that look at what is not seen.
 
         ``warm``: between which places of the session (0 first trial of the identification, 1 last) the arm is now.
         """
         taken_off = model.input
+        refuse_unseen(taken_off.effects)
         plain = taken_off.plain
         uses_warm = any("warm" in get(f.effect).needs for f in taken_off.effects)
         carried, between = Carried.of(model), warm if uses_warm else (warm[0], warm[0])

@@ -44,6 +44,7 @@ class Survey:
     irregular: bool
     session: Session  # what warming is counted in: that of the nominal model where one is given
     learnt: frozenset[SuiteKey] = frozenset()  # suites that a nominal model that is given was fitted to
+    low_pass: float = 0.0  # [Hz] of the filter that the recorded torque went through; 0: none was found, or looked for
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
 
     @property

@@ -34,8 +34,10 @@ from stopset.offline.identify.model_file import Identification, concluded, packe
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
+from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
+from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.update.signals_file import RetainedSignals
 from stopset.progress import Tell, silent
 from stopset.recording import Recording
@@ -87,6 +89,9 @@ def identified(
     def learning() -> Iterator[Recording]:
         return (r for r in source() if r.suite_key not in held)
 
+    if meta.effort != "compensated_torque" and (cutoff := recorded_low_pass(robot, learnt.sample)):
+        learnt = replace(learnt, low_pass=cutoff)
+        tell(in_words(cutoff))
     run = Run(robot, meta, source, found, chosen)
     fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, tell), survey=learnt)
     shared = _shared(fitting, known)
@@ -118,7 +123,8 @@ def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:
     if run.meta.effort == "compensated_torque" or run.settings.friction != "evidence":
         return ()
     told = {f.label for f in known} | set(run.settings.effects)
-    return tuple(g for g in coupled(run.robot, run.trials, run.survey.sample) if g.effect not in told and g.name not in told)
+    found = coupled(run.robot, run.trials, run.survey.sample, Preprocessing(low_pass=run.survey.low_pass))
+    return tuple(g for g in found if g.effect not in told and g.name not in told)
 
 
 def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None, tally: Tally | None) -> Identification:

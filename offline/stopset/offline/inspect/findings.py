@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.inspect.tally import EVEN, LAGS, SignalSums
+from stopset.offline.nominal.low_pass import TURNS_OVER
 from stopset.recording.types import Meta
 from stopset.types import Array
 
@@ -313,6 +314,19 @@ def torque_delay(
         if told(d, s, own):
             out.append(finding(name, d, s, "the other joints'", own))
     return out
+
+
+def torque_smoothed(cutoff: float) -> list[Finding]:
+    """A low-pass without phase that the torque went through before it was recorded, where one was found: ``cutoff`` [Hz] above 0."""
+    if not cutoff:
+        return []
+    return [
+        Finding("torque_smoothed", "warning", None,
+                f"the torque went through a low-pass of about {cutoff:.2g} Hz, forwards and backwards, so that friction turns over "
+                f"{TURNS_OVER / cutoff:.2g} s too slowly at every reversal",
+                "torque as the drives report it", "record it unfiltered; identification passes its model through the same filter",
+                cutoff)
+    ]  # fmt: skip
 
 
 def torque_limits(t: SignalSums, joints: Sequence[str], limit: Array) -> list[Finding]:

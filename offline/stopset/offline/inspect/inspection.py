@@ -19,6 +19,7 @@ from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.needs import Inventory, Need, needs
 from stopset.offline.inspect.tally import MOVING, SignalSums
 from stopset.offline.inspect.units import UnitSample, degrees
+from stopset.offline.nominal import low_pass
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
@@ -76,8 +77,11 @@ class _Campaign:
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: UnitSample = field(default_factory=UnitSample)
+    heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
+        if r.phase != "static" and sum(float(x.t[-1] - x.t[0]) for x in self.heard) < low_pass.SECONDS:
+            self.heard.append(r)
         self.tally.add(r)
         self.sample.add(r)
         if self.momentum is not None:
@@ -169,6 +173,8 @@ def _findings(
         torn = any(f.severity == "error" for f in clock)
         scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
         out += _torque(robot, data, scales, meta, sign, torn)
+        if meta.effort != "compensated_torque" and not torn:
+            out += detect.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
 
 

@@ -22,6 +22,7 @@ from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.fit import assemble, problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import GROUPS, NormalEquations, accumulate
+from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
@@ -56,7 +57,12 @@ class Gain:
 
 
 def choose(
-    robot: Robot, trials: Callable[[], Iterable[Recording]], motions: int, asked: Sequence[str] = (), barred: Sequence[str] = ()
+    robot: Robot,
+    trials: Callable[[], Iterable[Recording]],
+    motions: int,
+    asked: Sequence[str] = (),
+    barred: Sequence[str] = (),
+    settings: Preprocessing | None = None,
 ) -> tuple[Gain, ...]:
     """The laws that ``trials`` ask for beside `base` friction and those ``asked`` for, none of them ``barred`` (``effect:joint``
     or ``effect``); ``motions``: independent ones in the trials."""
@@ -70,9 +76,9 @@ def choose(
             yield from ([r] if whole or r.phase == "static" else _named(blocks(r)))
 
     # the load that friction may depend on is that of a fit that had all laws: friction left out would be taken for masses
-    reference = solve_nominal(robot, accumulate(robot, pieces(), (*base(), *asked))).pi
+    reference = solve_nominal(robot, accumulate(robot, pieces(), (*base(), *asked), settings)).pi
     for _ in range(LOADS):
-        data = accumulate(robot, pieces(), (*base(), *asked, *laws), reference=reference)
+        data = accumulate(robot, pieces(), (*base(), *asked, *laws), settings, reference)
         richest = solve_nominal(robot, data)
         reference = richest.pi
     # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack

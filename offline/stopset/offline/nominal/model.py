@@ -25,6 +25,7 @@ from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
+from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -138,11 +139,13 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     def trials() -> Iterator[Recording]:
         return (plain(r, cad, known, found.warm(r)) for r in source())
 
+    prepared = Preprocessing(low_pass=found.low_pass)
     chosen: tuple[Gain, ...] = ()
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
-        chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred)
-    nominal = identify_nominal(cad, trials, tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen)))))
+        chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred, prepared)
+    laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
+    nominal = identify_nominal(cad, trials, laws, settings=prepared)
     strange = check_torque(cad, meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):

@@ -17,6 +17,7 @@ from stopset.errors import RecordingError
 from stopset.offline.nominal.delay import Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
 from stopset.offline.nominal.floor import floor_of
+from stopset.offline.nominal.low_pass import KNOWN, in_words
 from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
@@ -26,6 +27,7 @@ from stopset.robot import Robot
 from stopset.types import Array
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
+LOW_PASS = "low-pass of the recorded torque, without phase"
 LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with
 
 
@@ -93,7 +95,13 @@ class Nominal:
             out.append((None, float(lag.common), float(lag.common_std)))
         out += [(self.joints[j], float(self.delay_applied[j]), float(lag.std[j])) for j in own]
         said = "lag of the recorded torque against the motion"
-        return tuple({"what": said, "joint": joint, "value": d, "std": std, "unit": "s"} for joint, d, std in out if d != 0.0)
+        late = tuple({"what": said, "joint": joint, "value": d, "std": std, "unit": "s"} for joint, d, std in out if d != 0.0)
+        cutoff = self.data.settings.low_pass
+        return (
+            late
+            if cutoff == 0.0
+            else ({"what": LOW_PASS, "joint": None, "value": cutoff, "std": KNOWN * cutoff, "unit": "Hz"}, *late)
+        )
 
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""
@@ -220,6 +228,8 @@ def _nominal(
                     {s: float(std[p]) for s, p in mine},
                 )
             )
+    through = data.settings.low_pass
+    filtered = () if through == 0.0 else (in_words(through),)
     skipped = [f"{count} recordings left out: {why}" for why, count in sorted(data.skipped.items())]
     return Nominal(
         joints=robot.joints,
@@ -239,7 +249,7 @@ def _nominal(
         inflation=result.inflation,
         base_parameters=base_count(robot),
         undetermined=undetermined(robot, data, prior, result),
-        notes=(*notes, *result.notes, *skipped),
+        notes=(*filtered, *notes, *result.notes, *skipped),
         limited=result.limited,
         data=data,
         prior=replace(prior, precision=result.precision),

@@ -247,13 +247,14 @@ def _add_motions(out: NormalEquations, robot: Robot, r: Recording) -> None:
 def moving_rows(out: NormalEquations, robot: Robot, m: PreparedMotion) -> tuple[Array, NDArray[np.bool_]]:
     """(n, rows, c) regression rows of every joint, and (rows, n) which of them count."""
     k, n = m.retained, robot.n
-    Y = regressors(robot.chain, m.q[k], m.dq[k], m.ddq[k])
+    at = np.arange(len(m.t)) if m.narrow else k
+    Y = regressors(robot.chain, *(np.ascontiguousarray(x[at]) for x in (m.q, m.dq, m.ddq)))
     if out.compensated:  # eq. (11): gravity is not in u
-        zero = np.zeros_like(m.q[k])
-        Y = Y - regressors(robot.chain, m.q[k], zero, zero)
+        zero = np.zeros_like(m.q[at])
+        Y = Y - regressors(robot.chain, np.ascontiguousarray(m.q[at]), zero, zero)
+    body = np.concatenate([Y, m.ddq[at][:, :, None]], axis=2)
     X = np.zeros((n, len(k), out.moving.shape[-1]))
-    X[:, :, : 10 * n] = Y.transpose(1, 0, 2)
-    X[:, :, 10 * n] = m.ddq[k].T
+    X[:, :, : 10 * n + 1] = (m.smooth(body)[k] if m.narrow else body).transpose(1, 0, 2)
     friction, load = friction_columns(out.layout, robot, m, out.settings.still)
     for j in range(n):
         for c, column in enumerate(friction[j]):

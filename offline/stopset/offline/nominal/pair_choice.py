@@ -16,6 +16,7 @@ from stopset.effects.selection import base, usual
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.nominal import identify_nominal
+from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.residual import Residual, residuals
 from stopset.recording.types import Recording
 from stopset.robot import Robot
@@ -25,9 +26,11 @@ LOWERED = 0.2  # share by which the law must lower the held-out torque error of 
 LOOKED_AT = 16  # trials
 
 
-def coupled(robot: Robot, trials: Callable[[], Iterable[Recording]], sample: Sequence[Recording]) -> tuple[Gain, ...]:
+def coupled(
+    robot: Robot, trials: Callable[[], Iterable[Recording]], sample: Sequence[Recording], settings: Preprocessing | None = None
+) -> tuple[Gain, ...]:
     """Pairs of neighbouring joints that ask for a law, worst error first; ``sample``: trials to judge on."""
-    nominal = identify_nominal(robot, trials, base())
+    nominal = identify_nominal(robot, trials, base(), settings=settings)
     some = sample[:: max(1, len(sample) // LOOKED_AT)]
     parts = [x for r in some for b in blocks(r) for x in residuals(nominal, robot, b)]
     if len(parts) < 2:

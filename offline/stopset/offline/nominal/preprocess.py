@@ -1,7 +1,7 @@
 """From raw samples to what a regression can use: even spacing, zero-phase low-pass, derivatives, stiction left out.
 
 Friction turns over where a joint reverses; a step that went through the low-pass on the torque side only would look
-like a missing effect, so `Motion.smooth` passes every non-smooth regressor through the very same filter.  At standstill
+like a missing effect, so `PreparedMotion.smooth` passes every non-smooth regressor through the very same filter.  At standstill
 the motor torque is anything inside the stiction band: such samples say nothing of friction and are masked, together
 with the filter's ringing around them.
 
@@ -29,6 +29,7 @@ GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be inv
 SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are noise above it
 LOWEST = 6.0  # [Hz] of an adapted cut-off: below, the ringing around reversals costs more samples than noise does
 CLEAR, ABOVE = 4.0, 1.5  # spectrum over noise where the motion's band ends; cut-off over that end
+SEAM = 0.4  # periods of a recorded low-pass within which a piece's end, which it did not have, is felt
 RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
 
 
@@ -38,19 +39,22 @@ class Preprocessing:
 
     ``cutoff`` [Hz], lowered to the motion's own `band` and to `SLOWEST` of the sampling rate;
     ``still`` [rad/s]: below it a joint is
-    taken to stand still; ``rate`` [Hz] of the rows kept for the regression.
+    taken to stand still; ``rate`` [Hz] of the rows kept for the regression; ``low_pass`` [Hz]: the cut-off of what the torque went
+    through before it was recorded (`stopset.offline.nominal.low_pass`), 0: nothing.
     """
 
     cutoff: float = 15.0
     still: float = 0.015
     rate: float = 20.0
+    low_pass: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedMotion:
     """One even piece of a trial: ``q, dq, ddq, tau`` (N, n) filtered at full rate, ``retained`` the rows of the regression.
 
-    ``moving`` (N, n): joint not within the stiction band or its ringing; ``raw_tau`` (N, n) before filtering.
+    ``moving`` (N, n): joint not within the stiction band or its ringing; ``raw_tau`` (N, n) before filtering; ``narrow``: the torque
+    came low-passed below the motion's band, so that all of a model must pass the same filter, not only what is not smooth.
     """
 
     t: Array
@@ -63,6 +67,7 @@ class PreparedMotion:
     temp: Array | None
     retained: NDArray[np.intp]
     sos: Array
+    narrow: bool = False
 
     @property
     def period(self) -> float:
@@ -166,8 +171,13 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
         still = np.abs(dq) < settings.still
         moving = ~_dilated(still, ring)
         every = max(1, round(1 / (h * settings.rate)))
-        retained = np.arange(2 * ring, len(t) - 2 * ring, every)
-        yield PreparedMotion(t, qf, dq, ddq, _zero_phase(sos, tau), tau, moving, temp, retained, sos)
+        edge = 2 * ring
+        if narrow := 0.0 < settings.low_pass < cutoff:
+            sos = _low_pass(round(settings.low_pass * h, 9))
+            edge = max(edge, int(np.ceil(SEAM / (settings.low_pass * h))))
+        retained = np.arange(edge, len(t) - edge, every)
+        # what was low-passed already is not low-passed again: the columns then pass its filter once, as it did
+        yield PreparedMotion(t, qf, dq, ddq, tau if narrow else _zero_phase(sos, tau), tau, moving, temp, retained, sos, narrow)
 
 
 def _dilated(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.metrics import joint_figures
 from stopset.offline.identify.settings import Settings
+from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.offline.nominal.model import fit_nominal, pairs_of, roller
 from stopset.robot import Robot
 
@@ -21,7 +22,10 @@ def nominal_figures(
 ) -> dict[str, dict[str, Any]]:
     """Errors per joint, on what judges by the ``division``, of a nominal model fitted to the rest alone."""
     meta, fitted, judging = campaign.meta, division.to_fit(campaign.trials), division.to_judge(campaign.trials)
-    nominal = fit_nominal(robot, meta, fitted, replace(survey(fitted), session=session), settings, known)
+    found = replace(survey(fitted), session=session)
+    if meta.effort != "compensated_torque":
+        found = replace(found, low_pass=recorded_low_pass(robot, found.sample))
+    nominal = fit_nominal(robot, meta, fitted, found, settings, known)
     judged = replace(survey(judging), session=session)
     pairs = pairs_of(judging, judged, nominal, meta.effort)
     return joint_figures(pairs, nominal.abstraction, robot.joints, judged.dt, roller(nominal, meta.effort, judged))
