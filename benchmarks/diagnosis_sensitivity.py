@@ -58,6 +58,9 @@ class Watched:
         LEAKED.update(name for name, _ in self.other)
         return self.value
 
+    def __format__(self, spec: str) -> str:
+        return format(self.value, spec)
+
     def __float__(self) -> float:
         return float(self._leak())
 
@@ -160,9 +163,15 @@ def vary(name: str, way: str, todo: dict[str, Path], out: Path) -> None:
         (out / f"{key}.{name}.{way}.json").write_text(json.dumps(answer))
 
 
+def read(folders: list[Path], out: Path) -> dict[str, Any]:
+    """What was watched so far, by set."""
+    files = {key: out / f"{key}.watched.json" for key in sets(folders)}
+    return {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
+
+
 def work(folders: list[Path], out: Path, few: set[str]) -> Iterator[tuple[str, str, list[str]]]:
     """Threshold, factor and the sets to ask again with it."""
-    watched = {key: json.loads((out / f"{key}.watched.json").read_text()) for key in sets(folders)}
+    watched = read(folders, out)
     leaked = {n for w in watched.values() for n in w["leaked"]} | {t.name for t in limit.SETTLED if isinstance(t.value, tuple)}
     for t in limit.SETTLED:
         for way in FACTORS:
@@ -178,32 +187,34 @@ def parts(todo: dict[str, Path], count: int) -> list[dict[str, Path]]:
 
 
 def table(folders: list[Path], out: Path) -> str:
-    """The table of docs: for each threshold how many answers change, and which."""
-    watched = {key: json.loads((out / f"{key}.watched.json").read_text()) for key in sets(folders)}
+    """The table of docs: which answers change with each threshold, of how many sets whose answer to that is known."""
+    watched = read(folders, out)
     leaked = {n for w in watched.values() for n in w["leaked"]} | {t.name for t in limit.SETTLED if isinstance(t.value, tuple)}
-    asked_again = {p.name for p in out.glob("*.json")}
-    rows, still = [], []
+    rows, still, later = [], [], []
     for t in limit.SETTLED:
-        cells = []
+        cells, fewest, changes = [], len(watched), 0
         for way in FACTORS:
-            done = [key for key in watched if f"{key}.{t.name}.{way}.json" in asked_again]
-            new = {key: json.loads((out / f"{key}.{t.name}.{way}.json").read_text()) for key in done}
+            files = {key: out / f"{key}.{t.name}.{way}.json" for key in watched}
+            new = {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
+            known = set(new)
+            if t.name not in leaked:  # without a comparison that comes out otherwise the answer is the same
+                known |= {key for key, w in watched.items() if way not in w["flipped"].get(t.name, ())}
             changed = [f"{key.partition('.')[2]} {_words(watched[key]['answer'])} → {_words(a)}"
                        for key, a in new.items() if a != watched[key]["answer"]]  # fmt: skip
-            of = len(done) if t.name in leaked else len(watched)
-            cells.append((len(changed), of, "; ".join(changed)))
-        if not any(c[0] for c in cells):
-            still.append((t.name, min(c[1] for c in cells)))
-            continue
-        rows.append(
-            f"| `{t.name}` | " + " | ".join(f"{n} of {of}{': ' + which if which else ''}" for n, of, which in cells) + " |"
-        )
-    whole = [n for n, of in still if of == len(watched)]
-    some = [f"{n} ({of})" for n, of in still if of < len(watched)]
-    head = ["| threshold | 30 % less | 30 % more |", "|---|---|---|", *rows, ""]
-    head.append(f"No answer of the {len(watched)} sets changes with 30 % of: {', '.join(f'`{n}`' for n in whole)}.")
-    if some:
-        head.append(f"None of as many as were asked (in brackets) with: {', '.join(some)}.")
+            fewest, changes = min(fewest, len(known)), changes + len(changed)
+            cells.append(f"{len(changed)} of {len(known)}{': ' * bool(changed)}{'; '.join(changed)}")
+        if changes:
+            rows.append(f"| `{t.name}` | " + " | ".join(cells) + " |")
+        elif fewest:
+            still.append(f"`{t.name}`" + (f" ({fewest})" if fewest < len(watched) else ""))
+        else:
+            later.append(f"`{t.name}`")
+    head = ["| threshold | 30 % less | 30 % more |", "|---|---|---|", *rows, ""] if rows else []
+    head.append(
+        f"No answer changes of {len(watched)} sets (of fewer, where a number stands in brackets) with 30 % of {', '.join(still)}."
+    )
+    if later:
+        head.append(f"Not asked yet: {', '.join(later)}.")
     return "\n".join(head)
 
 
