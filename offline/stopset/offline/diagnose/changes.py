@@ -44,13 +44,16 @@ class Change:
     std: float
     error_before: float
     error_after: float
+    since: str = ""
 
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
         part = get(self.effect).part
         what = PARTS[part] if part else f"{self.symbol} of {self.effect}"
-        return f"The {what}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
+        when = f"from {self.since} on" if self.since else "before the first of these recordings"
+        level = f"from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})"
+        return f"The {what}{where} changed {level}, {when}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,24 +75,45 @@ class _Judged:
 
 def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
     """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
-    left, block, found = _rows(model, recordings)
+    left, block, found, begins = _rows(model, recordings)
     count = int(block.max()) + 1 if len(block) else 0
     if count < limit.CHANGE_TRIALS:
         return ()
     out: list[Change] = []
     scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
-    for _ in range(limit.CHANGES):
+    while len(out) < limit.CHANGES:
         tried = [(c, j) for c in found if (j := _judged(left, block, count, scale, c)).gain > 0]
-        tried = [(c, j) for c, j in tried if j.certain(c).any()]
         if not tried:
             break
         candidate, judged = _simplest(tried)
-        out += _said(model, candidate, judged)
-        found = [
-            c for c in found if c is not candidate and not (c.friction and candidate.friction and c.joint == candidate.joint)
-        ]
-        left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
+        onset = _onset(left, block, count, scale, candidate)
+        if onset:
+            here = block >= onset
+            alike = [
+                c
+                for c in found
+                if (c.joint, c.friction) == (candidate.joint, candidate.friction) and (c.friction or c is candidate)
+            ]
+            again = [(c.only(here), _judged(left[here], block[here] - onset, count - onset, scale, c.rows(here))) for c in alike]
+            candidate, judged = _simplest([(c, j) for c, j in again if j.gain > 0] or [(candidate, judged)])
+        certain = bool(judged.certain(candidate).any())
+        same = [c for c in found if c.friction and candidate.friction and c.joint == candidate.joint and (certain or onset)]
+        found = [c for c in found if c.levels != candidate.levels and not any(c is x for x in same)]
+        if certain:
+            out += _said(model, candidate, judged, begins[onset] if onset else "")
+            left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])
+
+
+def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> int:
+    """The block from which on a change explains most; 0 where that is not clearly more than from the first one on."""
+    y, X, _ = _scaled(left, scale, c.columns)
+    A, b = _normal(y, X, block, count)
+    later_A, later_b = (np.cumsum(x[::-1], axis=0)[::-1] for x in (A, b))
+    ridge = RIDGE * np.eye(A.shape[1]) * np.trace(later_A[0])
+    gains = np.array([v @ np.linalg.solve(M + ridge, v) for M, v in zip(later_A, later_b, strict=True)])
+    best = int(np.argmax(gains[: max(1, count - limit.CHANGE_BLOCKS + 1)]))
+    return best if best >= limit.CHANGE_BLOCKS and gains[best] > (1 + limit.CHANGE_ONSET) * gains[0] else 0
 
 
 def _simplest(tried: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange, _Judged]:
@@ -106,7 +130,7 @@ def _simplest(tried: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange
     return next(iter(both), min(alike, key=lambda t: float(np.sum(np.abs(t[1].beside))), default=best))
 
 
-def _said(model: Model, c: LevelChange, judged: _Judged) -> list[Change]:
+def _said(model: Model, c: LevelChange, judged: _Judged, since: str) -> list[Change]:
     """What is told of a change, the coefficients that are one."""
     where = range(model.n) if c.joint is None else [c.joint]
     worst = max(where, key=lambda j: judged.before[j] - judged.after[j])
@@ -115,16 +139,17 @@ def _said(model: Model, c: LevelChange, judged: _Judged) -> list[Change]:
         Change(
             x.effect, None if c.joint is None else model.joints[c.joint], x.symbol, x.unit, x.before,
             x.before + x.per * float(judged.theta[x.of]), abs(x.per) * float(std[x.of]), float(judged.before[worst]),
-            float(judged.after[worst]),
+            float(judged.after[worst]), since,
         )
         for x in c.levels if certain[x.of]
     ]  # fmt: skip
 
 
-def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[LevelChange]]:
-    """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
+def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[LevelChange], list[str]]:
+    """Leftover torque (rows, n), nan where a joint stands, the block of each row, all that may have changed, and where blocks begin."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
+    begins: list[str] = []
     number, moving = 0, [r for r in recordings if r.phase != "static"]
     whole = len(moving) >= limit.CHANGE_TRIALS  # friction scatters from trial to trial: pieces of one err alike
     for r in moving:
@@ -138,19 +163,19 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
                 e = left_over(model, part, u, float("nan"), ddq, window=1)
                 parts.append((q, dq, ddq, np.where(m.moving[k], e, np.nan)))
                 block += [number] * len(k)
-            number += 1
+            if number in block[-1:]:  # one that gave no row, as a stop's, is none
+                begins.append(r.label if whole else f"{piece.t[0]:.0f} s of {r.label}")
+                number += 1
     if not parts:
-        return np.zeros((0, model.n)), np.zeros(0, np.intp), []
+        return np.zeros((0, model.n)), np.zeros(0, np.intp), [], []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return left, np.array(block), level_changes(model, q, dq, ddq)
+    return left, np.array(block), level_changes(model, q, dq, ddq), begins
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> _Judged:
     """A candidate beside what may differ besides, against the latter alone, on blocks that were left out."""
-    use = np.isfinite(left)
-    y = np.where(use, left, 0.0) / scale
     k = c.columns.shape[2]
-    X = np.where(use[:, :, None], np.concatenate([c.columns, c.beside], axis=2), 0.0) / scale[:, None]
+    y, X, use = _scaled(left, scale, np.concatenate([c.columns, c.beside], axis=2))
     e0, _ = _left_out(y, X[:, :, k:], block, count)
     e1, (theta, rest) = _left_out(y, X, block, count)
     std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
@@ -165,11 +190,24 @@ def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelCh
 def _left_out(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, tuple[Array, Array]]:
     """(rows, n) errors on blocks that a fit has not seen; coefficients of the whole (k,) and without each block (count, k)."""
     k = X.shape[2]
-    A, b = np.zeros((count, k, k)), np.zeros((count, k))
-    np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
-    np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
+    A, b = _normal(y, X, block, count)
     size = np.sqrt(np.maximum(np.diagonal(A.sum(axis=0)), 1e-30))
     ridge = RIDGE * np.diag(size**2)
     theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0)) if k else np.zeros(0)
     rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) if k else theta for g in range(count)])
     return y - np.einsum("rjk,rk->rj", X, rest[block]), (theta, rest)
+
+
+def _scaled(left: Array, scale: Array, columns: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Leftover (rows, n) and columns in units of ``scale``, zero where a joint stands; which count."""
+    use = np.isfinite(left)
+    return np.where(use, left, 0.0) / scale, np.where(use[:, :, None], columns, 0.0) / scale[:, None], use
+
+
+def _normal(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, Array]:
+    """Normal matrices (count, k, k) and right-hand sides of each block."""
+    k = X.shape[2]
+    A, b = np.zeros((count, k, k)), np.zeros((count, k))
+    np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
+    np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
+    return A, b

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import effect_torques
@@ -50,6 +51,14 @@ class LevelChange:
     error: Array
     least: Array
     friction: bool = False
+
+    def only(self, here: NDArray[np.bool_]) -> LevelChange:
+        """The same where ``here``, nothing elsewhere."""
+        return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
+
+    def rows(self, here: NDArray[np.bool_]) -> LevelChange:
+        """The same of these rows alone."""
+        return replace(self, columns=self.columns[here], beside=self.beside[here])
 
 
 def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelChange]:
