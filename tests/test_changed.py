@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +15,15 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.identify.pipeline import Settings, identified
+from stopset.offline.nominal.model import known_effects
 from stopset.progress import silent
 from stopset.recording import Recordings
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.plant import SimulatedPlant
 from test_hidden_effects import ARM
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import as_found
 
 LATER = 103  # other motions, other noise, other scatter of friction
 WORN, DRAGGING = (0, 2), 1  # joints whose friction rises, and one whose brake does not open wholly
@@ -84,6 +90,52 @@ def test_more_friction_and_a_dragging_brake_are_changes_with_their_joints_and_si
 def test_a_load_and_a_drives_gain_are_named_with_what_the_model_said_of_them(pair: Pair) -> None:
     found = pair.weeks_later(lambda plant: plant._replace(gain=np.array([1.0, 1.06, 1.0])))
     assert found.verdict == "missing" and [r.label for r in found.ranked] == ["torque_gain:lift"]
+
+
+@pytest.fixture(scope="module")
+def program() -> Pair:
+    """Identified from six motions of a production program, which hardly tell dry friction from viscous."""
+    healthy = prepare(robot_from_text(ARM), ["none"], 7, "short", cad="wrong")
+    recordings = _logged(healthy, 107)
+    campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
+    return Pair(healthy, identified(healthy.robot, campaign, Settings(), silent, None, (), None).model)
+
+
+def _logged(s: Scenario, seed: int, late: float = 0.0) -> Recordings:
+    made = as_found.recorded(s, as_found.PROGRAM, 125.0, as_found.Trouble(late=late), seed)
+    return replace(made, meta=replace(made.meta, sources=((f"{seed}.parquet", f"{seed}"),)))
+
+
+def test_worn_gears_are_told_from_a_program_of_few_speeds(program: Pair) -> None:
+    """Neither part of the friction is certain there; how much of it there is, is."""
+    s, joints = program.scenario, program.model.joints
+    assert diagnose_model(program.model, _logged(s, LATER))[0].verdict == "none"
+    more = np.where(np.isin(np.arange(3), WORN), RISE, 1.0)
+    plant = s.cell.truth.plant
+    worn = replace(
+        s, cell=replace(s.cell, truth=replace(s.cell.truth, plant=plant._replace(fc=plant.fc * more, fv=plant.fv * more)))
+    )
+    found = diagnose_model(program.model, _logged(worn, LATER))[0]
+    assert found.verdict == "changed" and {r.joints[0] for r in found.ranked} == {joints[j] for j in WORN}
+    assert {r.effect for r in found.ranked} <= {"coulomb", "viscous"}
+
+
+def test_a_lag_of_all_joints_that_identification_took_out_is_told_and_no_name(program: Pair) -> None:
+    late = _logged(program.scenario, 107, late=0.012)
+    campaign = Campaign(late.meta, lambda: iter(late.trials))
+    model = identified(program.scenario.robot, campaign, Settings(), silent, None, (), None).model
+    found, _ = diagnose_model(model, late)
+    assert found.verdict == "none" and not found.claims
+    (out,) = found.taken_out
+    assert out["joint"] is None and out["value"] == pytest.approx(-0.012, abs=0.002)
+
+
+def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:
+    """One that was looked for, not asked for, may be missing beside all else."""
+    r = _logged(program.scenario, 107)
+    name = "coupled_wrist:" + "+".join(program.model.joints[:2])
+    asked = program.scenario.robot, r.meta, lambda: iter(r.trials), Settings(), ()
+    assert known_effects(*asked, [name]) == ()
 
 
 def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) -> None:

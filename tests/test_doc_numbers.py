@@ -98,6 +98,7 @@ def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
 
 # numbers of the diagnosis that decide nothing: module, names, why
 FINENESS = (
+    ("changes", "RIDGE", "rounding"),
     ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
     ("columns/ripple", "STEP RIPPLES", "grid of a search"),
     ("compensated", "STEP SCREENING FINALISTS", "how finely is simulated, and how many are simulated to the end"),

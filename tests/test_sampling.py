@@ -32,6 +32,15 @@ def test_stamps_that_scatter_about_a_clock_are_read_as_that_clock() -> None:
     assert "scatter by 1 ms" in in_words([got])[0]
 
 
+def test_a_stamp_more_than_half_a_period_late_is_no_lost_sample() -> None:
+    """One that is rounded to the next place would move all after it; two that share a place would leave no clock at all."""
+    clock = DT * np.arange(N)
+    stamps = clock + np.random.default_rng(1).normal(0, 5e-4, N)
+    stamps[[300, 700, 1100]] += [0.62 * DT, -0.58 * DT, 0.55 * DT]
+    got = sampled(recorded(np.sort(stamps), clock), DT, white)
+    assert got.lost == 0 and not got.torn.any() and 0 < got.scatter < 1e-3
+
+
 def test_stamps_of_a_clock_that_is_uneven_are_believed() -> None:
     taken = np.cumsum(DT * np.random.default_rng(1).uniform(0.7, 1.3, N))
     got = sampled(recorded(taken, taken), DT, white)

@@ -3,42 +3,36 @@
 The model's own torque, effects and all, is taken off the recordings; nothing is fitted again.  What is left is asked for a change
 of level: of Coulomb and viscous friction, of an offset, of the torque's scale, of the last link's mass and its moments.  A change
 counts where it lowers the error on blocks of time that it was not fitted to, is several standard errors large, and is more than an
-arm's friction differs from day to day anyway.
+arm's friction differs from day to day anyway.  How friction is shared between its two parts may always differ: motions of few speeds
+hardly tell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.effects.base import Effect, Part
 from stopset.effects.registry import get
-from stopset.effects.selection import of_part
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
-from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
 
-PARTS: dict[Part, str] = {
-    "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
-    "torque scale": "torque scale", "load": "load at the flange",
-}  # fmt: skip
-ColumnLevel = tuple[str, str, str, float, float]  # of a column: effect, symbol, unit, level before, its error
+RIDGE = 1e-9  # relative: rounding
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
     """One level ``before`` (the model's) and ``after`` in ``unit``, with the error ``std`` of the difference.
 
-    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None);
-    ``since``: from where in the recordings on; empty where they all show it.
+    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None).
     """
 
     effect: str
@@ -55,27 +49,28 @@ class Change:
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
+        part = get(self.effect).part
+        what = PARTS[part] if part else f"{self.symbol} of {self.effect}"
         when = f"from {self.since} on" if self.since else "before the first of these recordings"
         level = f"from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})"
-        return f"The {PARTS[get(self.effect).part]}{where} changed {level}, {when}."
+        return f"The {what}{where} changed {level}, {when}."
 
 
 @dataclass(frozen=True, slots=True)
-class _Candidate:
-    """Columns (rows, n, k) of a change, and what each says."""
+class _Judged:
+    """A candidate's ``gain`` (none: not positive), coefficients ``theta``, ``std`` (k,), those of what is ``beside`` (m,), and the
+    held-out error (n,) before and after."""
 
-    joint: int | None
-    columns: Array
-    terms: tuple[ColumnLevel, ...]
-    least: tuple[float, ...]
+    gain: float
+    theta: Array
+    std: Array
+    beside: Array
+    before: Array
+    after: Array
 
-    def only(self, here: NDArray[np.bool_]) -> _Candidate:
-        """The same where ``here``, nothing elsewhere."""
-        return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
-
-    def rows(self, here: NDArray[np.bool_]) -> _Candidate:
-        """The same of these rows alone."""
-        return replace(self, columns=self.columns[here])
+    def certain(self, c: LevelChange) -> NDArray[np.bool_]:
+        """(k,) which coefficients are a change."""
+        return np.asarray(np.abs(self.theta) > np.maximum(limit.CHANGE_SURE * np.hypot(self.std, c.error), c.least))
 
 
 def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
@@ -86,46 +81,71 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         return ()
     out: list[Change] = []
     scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
-    for _ in range(limit.CHANGES):
-        tried = [(c, *_judged(left, block, count, scale, c)) for c in found]
-        best = max(tried, key=lambda t: t[1], default=None)
-        if best is None or best[1] <= 0:
+    while len(out) < limit.CHANGES:
+        tried = [(c, j) for c in found if (j := _judged(left, block, count, scale, c)).gain > 0]
+        if not tried:
             break
-        candidate, _, theta, std, before, after = best
+        candidate, judged = _simplest(tried)
         onset = _onset(left, block, count, scale, candidate)
-        here = block >= onset
         if onset:
-            candidate = candidate.only(here)
-            _, theta, std, before, after = _judged(left[here], block[here] - onset, count - onset, scale, candidate.rows(here))
-        where = range(model.n) if candidate.joint is None else [candidate.joint]
-        worst = max(where, key=lambda j: before[j] - after[j])
-        certain = [
-            Change(
-                effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]), begins[onset] if onset else "",
-            )
-            for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
-            if abs(theta[k]) > max(limit.CHANGE_SURE * np.hypot(std[k], error), candidate.least[k])
-        ]  # fmt: skip
-        found = [c for c in found if c is not best[0]]
-        if not certain:
-            continue
-        out += certain
-        left = left - np.einsum("rjk,k->rj", candidate.columns, theta)
+            here = block >= onset
+            alike = [
+                c
+                for c in found
+                if (c.joint, c.friction) == (candidate.joint, candidate.friction) and (c.friction or c is candidate)
+            ]
+            again = [(c.only(here), _judged(left[here], block[here] - onset, count - onset, scale, c.rows(here))) for c in alike]
+            candidate, judged = _simplest([(c, j) for c, j in again if j.gain > 0] or [(candidate, judged)])
+        certain = bool(judged.certain(candidate).any())
+        same = [c for c in found if c.friction and candidate.friction and c.joint == candidate.joint and (certain or onset)]
+        found = [c for c in found if c.levels != candidate.levels and not any(c is x for x in same)]
+        if certain:
+            out += _said(model, candidate, judged, begins[onset] if onset else "")
+            left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])
 
 
-def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> int:
+def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> int:
     """The block from which on a change explains most; 0 where that is not clearly more than from the first one on."""
-    A, b, _ = _sums(left, block, count, scale, c)
+    y, X, _ = _scaled(left, scale, c.columns)
+    A, b = _normal(y, X, block, count)
     later_A, later_b = (np.cumsum(x[::-1], axis=0)[::-1] for x in (A, b))
-    ridge = 1e-9 * np.eye(A.shape[1]) * np.trace(later_A[0])
+    ridge = RIDGE * np.eye(A.shape[1]) * np.trace(later_A[0])
     gains = np.array([v @ np.linalg.solve(M + ridge, v) for M, v in zip(later_A, later_b, strict=True)])
     best = int(np.argmax(gains[: max(1, count - limit.CHANGE_BLOCKS + 1)]))
     return best if best >= limit.CHANGE_BLOCKS and gains[best] > (1 + limit.CHANGE_ONSET) * gains[0] else 0
 
 
-def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate], list[str]]:
+def _simplest(tried: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange, _Judged]:
+    """The change of largest gain; of a joint's friction the one by which both its numbers need differ least from the model's.
+
+    A motion of few speeds tells how much friction there is, but hardly how it is shared between its dry and its viscous part.
+    """
+    best = max(tried, key=lambda t: t[1].gain)
+    if not best[0].friction:
+        return best
+    same = [t for t in tried if t[0].friction and t[0].joint == best[0].joint]
+    both = [t for t in same if len(t[1].theta) > 1 and t[1].certain(t[0]).all()]
+    alike = [t for t in same if len(t[1].theta) == 1 and t[1].gain > limit.ALIKE * best[1].gain]
+    return next(iter(both), min(alike, key=lambda t: float(np.sum(np.abs(t[1].beside))), default=best))
+
+
+def _said(model: Model, c: LevelChange, judged: _Judged, since: str) -> list[Change]:
+    """What is told of a change, the coefficients that are one."""
+    where = range(model.n) if c.joint is None else [c.joint]
+    worst = max(where, key=lambda j: judged.before[j] - judged.after[j])
+    certain, std = judged.certain(c), np.hypot(judged.std, c.error)
+    return [
+        Change(
+            x.effect, None if c.joint is None else model.joints[c.joint], x.symbol, x.unit, x.before,
+            x.before + x.per * float(judged.theta[x.of]), abs(x.per) * float(std[x.of]), float(judged.before[worst]),
+            float(judged.after[worst]), since,
+        )
+        for x in c.levels if certain[x.of]
+    ]  # fmt: skip
+
+
+def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[LevelChange], list[str]]:
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, all that may have changed, and where blocks begin."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
@@ -149,73 +169,45 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
     if not parts:
         return np.zeros((0, model.n)), np.zeros(0, np.intp), [], []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return left, np.array(block), _candidates(model, q, dq, ddq), begins
+    return left, np.array(block), level_changes(model, q, dq, ddq), begins
 
 
-def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
-    n, out = model.n, []
-    dry_law, damping, offset, scale, body = map(of_part, PARTS)
-    fitted = {(f.effect, f.joint): f for f in model.effects}
-
-    def level(law: Effect, joint: str) -> tuple[float, float]:
-        """What the model says, and its error."""
-        f, symbol = fitted.get((law.name, joint)), law.terms[0].symbol
-        return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
-
-    rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
-    for j, joint in enumerate(model.joints):
-        dry, wet = level(dry_law, joint), level(damping, joint)
-
-        def at(*columns: Array, j: int = j) -> Array:
-            block = np.zeros((len(q), n, len(columns)))
-            block[:, j] = np.column_stack(columns)
-            return block
-
-        friction = at(np.sign(dq[:, j]), dq[:, j])
-        out.append(
-            _Candidate(
-                j, friction, (_column(dry_law, *dry), _column(damping, *wet)), (limit.DAILY * dry[0], limit.DAILY * wet[0])
-            )
-        )
-        out.append(_Candidate(j, at(np.ones(len(q))), (_column(offset),), (limit.DAILY * dry[0],)))
-        out.append(_Candidate(j, at(rigid[:, j]), (_column(scale),), (limit.LEAST_GAIN,)))
-    tip = regressors(model.robot.chain, q, dq, ddq)[:, :, -10:]
-    load = tuple(_column(body, term=k) for k in range(4))
-    out.append(_Candidate(None, np.ascontiguousarray(tip[:, :, :4]), load, (limit.LEAST_MASS, *(3 * (1e9,)))))
-    return out
+def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> _Judged:
+    """A candidate beside what may differ besides, against the latter alone, on blocks that were left out."""
+    k = c.columns.shape[2]
+    y, X, use = _scaled(left, scale, np.concatenate([c.columns, c.beside], axis=2))
+    e0, _ = _left_out(y, X[:, :, k:], block, count)
+    e1, (theta, rest) = _left_out(y, X, block, count)
+    std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
+    n = np.maximum(use.sum(axis=0), 1)
+    before, after = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (e0, e1))
+    where = list(range(len(scale))) if c.joint is None else [c.joint]
+    lowered = float(np.max(1.0 - after[where] / np.maximum(before[where], 1e-12)))
+    gain = float(np.sum(e0**2) - np.sum(e1**2)) if lowered > limit.CHANGE_LOWERED else 0.0
+    return _Judged(gain, theta[:k], std[:k], theta[k:], before, after)
 
 
-def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0) -> ColumnLevel:
-    """What a column says."""
-    return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
+def _left_out(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, tuple[Array, Array]]:
+    """(rows, n) errors on blocks that a fit has not seen; coefficients of the whole (k,) and without each block (count, k)."""
+    k = X.shape[2]
+    A, b = _normal(y, X, block, count)
+    size = np.sqrt(np.maximum(np.diagonal(A.sum(axis=0)), 1e-30))
+    ridge = RIDGE * np.diag(size**2)
+    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0)) if k else np.zeros(0)
+    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) if k else theta for g in range(count)])
+    return y - np.einsum("rjk,rk->rj", X, rest[block]), (theta, rest)
 
 
-def _sums(
-    left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate
-) -> tuple[Array, Array, tuple[Array, Array, NDArray[np.bool_]]]:
-    """Normal matrices (count, k, k) and right-hand sides of each block; columns, leftover and which rows count, in units of ``scale``."""
+def _scaled(left: Array, scale: Array, columns: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Leftover (rows, n) and columns in units of ``scale``, zero where a joint stands; which count."""
     use = np.isfinite(left)
-    y = np.where(use, left, 0.0) / scale
-    X = np.where(use[:, :, None], c.columns, 0.0) / scale[:, None]
+    return np.where(use, left, 0.0) / scale, np.where(use[:, :, None], columns, 0.0) / scale[:, None], use
+
+
+def _normal(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, Array]:
+    """Normal matrices (count, k, k) and right-hand sides of each block."""
     k = X.shape[2]
     A, b = np.zeros((count, k, k)), np.zeros((count, k))
     np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
     np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
-    return A, b, (X, y, use)
-
-
-def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:
-    """Gain of a change (none: not positive), its numbers and their errors, held-out error (n,) before and after."""
-    A, b, (X, y, use) = _sums(left, block, count, scale, c)
-    k = X.shape[2]
-    ridge = 1e-9 * np.eye(k) * np.trace(A.sum(axis=0))
-    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0))
-    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) for g in range(count)])
-    std = np.sqrt((count - 1) / count * np.sum((rest - rest.mean(axis=0)) ** 2, axis=0))
-    after = y - np.einsum("rjk,rk->rj", X, rest[block])
-    n = np.maximum(use.sum(axis=0), 1)
-    e0, e1 = (scale * np.sqrt(np.sum(x**2, axis=0) / n) for x in (y, after))
-    where = list(range(len(scale))) if c.joint is None else [c.joint]
-    lowered = float(np.max(1.0 - e1[where] / np.maximum(e0[where], 1e-12)))
-    gain = float(np.sum(y**2) - np.sum(after**2)) if lowered > limit.CHANGE_LOWERED else 0.0
-    return gain, theta, std, e0, e1
+    return A, b

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
@@ -20,6 +21,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
+from stopset.offline.diagnose.rows.sampling import in_step
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
@@ -108,6 +110,8 @@ def diagnose_model(
     if cutoff:
         recordings = replace(recordings, trials=tuple(restored(model, recordings, cutoff)))
     base = baseline(model, recordings)
+    taken_out = _common_lag(model)
+    recordings = in_step(recordings, -sum(x["value"] for x in taken_out))
     # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
     fitted = settled(model) if base.known is None else model.effects
     if not moving:
@@ -120,12 +124,16 @@ def diagnose_model(
 
     told = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
     found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *told, *found.notes))
-    if base.known is None:
-        found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
+    found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())) if base.known is None else taken_out)
     if base.known is None or names is not None:
         return found, base.against
     tell("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
+
+
+def _common_lag(model: Model) -> tuple[Mapping[str, Any], ...]:
+    """The lag of all joints' torque that identification took out: it is told, and nothing is asked of it again."""
+    return tuple(x for x in model.provenance.get("taken_out", ()) if x["joint"] is None)
 
 
 def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:

@@ -91,6 +91,8 @@ CHANGE_SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level
 LEAST_GAIN = 0.02  # of the torque
 LEAST_MASS = 0.05  # [kg]
+LOADED_GAIN = 1.0  # of a joint's friction
+ALIKE = 0.98  # of the best change's gain
 CHANGE_TRIALS = 6
 CHANGES = 8
 CHANGE_ONSET = 0.1  # of what a change explains
@@ -269,6 +271,9 @@ LATER = (
               "chosen: descriptions are off by as much"),
     Threshold("LEAST_MASS", "change of the load at the flange", "kg",
               "chosen"),
+    Threshold("LOADED_GAIN", "torque of the rigid body over a joint's friction from which on its torque scale is asked for", "",
+              "chosen: at a joint that carries nothing a scale is friction by another name"),
+    Threshold("ALIKE", "share of the best change of a joint's friction from which on another one explains it as well", "%", "chosen"),
     Threshold("CHANGE_TRIALS", "trials, or of fewer ones blocks of time, from which on a change is asked for", "",
               "chosen: the scatter of fewer tells nothing"),
     Threshold("CHANGES", "changes that are told", "",

@@ -11,6 +11,7 @@ import numpy as np
 
 from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
+from stopset.effects.selection import matches
 from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.abstraction.swift import swift
@@ -95,8 +96,8 @@ def identified(
     run = Run(robot, meta, source, found, chosen)
     fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, tell), survey=learnt)
     shared = _shared(fitting, known)
-    asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
-    numbers = known_effects(robot, meta, fitting.trials, asked, known)
+    numbers = known_effects(robot, meta, fitting.trials, chosen, known, [g.name for g in shared])
+    shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))
     nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
     plain = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
 

@@ -63,17 +63,18 @@ def fit_nominal(
 
 
 def known_effects(
-    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = ()
+    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = (), chosen: Sequence[str] = ()
 ) -> tuple[Fitted, ...]:
     """Numbers of the effects that ``settings`` ask for beyond friction, estimated from the motor torque of ``source``.
 
-    ``known`` ones are kept; friction of single joints is regressed with the rigid body, see `regressed`.
+    ``known`` ones are kept, ``chosen`` ones taken where they leave a trace; friction of single joints is regressed with the rigid
+    body, see `regressed`.
     Raises `EffectError` for an effect that these recordings show no trace of.
     """
     if meta.effort == "compensated_torque":
         return ()  # fitted with everything else, by output error
     wanted = [
-        name for name in settings.effects
+        name for name in (*settings.effects, *chosen)
         if not regressed(parse_effect(name, robot)[0]) and not any(matches(f, name) for f in known)
     ]  # fmt: skip
     if not wanted:
@@ -83,7 +84,7 @@ def known_effects(
     trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
     found = estimates(robot, trials, wanted, known).found
     for name in wanted:
-        if not any(e.name == name for e in found):
+        if name not in chosen and not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
     return (*known, *(e.fitted for e in found))
 

@@ -7,14 +7,14 @@ position a milliradian off.  Positions between samples come from a cubic; what l
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.recording import Recording
+from stopset.recording import Recording, Recordings
 from stopset.types import Array
 
 FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
@@ -62,16 +62,31 @@ def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
     """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
     place, now = np.zeros(len(t)), float(t[0])
     for k in range(1, len(t)):
-        steps = max(1, round((t[k] - now) / dt))
+        steps = round((t[k] - now) / dt)
+        if steps < 1 and k > 1 and place[k - 1] - place[k - 2] > 1:  # the stamp before came late: nothing was lost before it
+            place[k - 1] -= 1
+            now -= dt
+        steps = max(1, steps)
         place[k] = place[k - 1] + steps
         now += steps * dt
         now += FOLLOW * (t[k] - now)
     for _ in range(2):
         period, begin = np.polyfit(place, t, 1)
-        place = np.round((t - begin) / period)
+        place = _apart(np.round((t - begin) / period))
     even = abs(period - dt) < limit.EVEN * dt and bool(np.all(np.diff(place) > 0))
     lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
     return (begin + period * place if even else None), lost
+
+
+def _apart(place: Array) -> Array:
+    """Places of samples of which a stamp half a period off shares its neighbour's: it belongs into the hole beside."""
+    out = place.copy()
+    for k in np.flatnonzero(np.diff(out) <= 0):
+        if k == 0 or out[k - 1] < out[k] - 1:
+            out[k] -= 1
+        elif k + 2 == len(out) or out[k + 2] > out[k + 1] + 1:
+            out[k + 1] += 1
+    return out
 
 
 def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampled:
@@ -86,6 +101,24 @@ def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampl
     return Sampled(
         grid, CubicSpline(t, r.q)(grid), between(r.tau), None if r.temp is None else between(r.temp), torn, scatter, lost
     )
+
+
+def in_step(recordings: Recordings, lag: float) -> Recordings:
+    """The recordings with every torque taken ``lag`` [s] after its stamp, by whole samples.
+
+    What is left of the lag is within what stamps mean; between samples the torque would lose some of its noise.
+    """
+
+    def earlier(r: Recording) -> Recording:
+        dt = period_of([r])
+        late = dt * round(lag / dt)
+        inside = np.flatnonzero((r.t + late > r.t[0] - dt / 2) & (r.t + late < r.t[-1] + dt / 2))
+        if late == 0.0 or r.phase == "static" or len(inside) < 2:
+            return r
+        tau = np.stack([np.interp(r.t + late, r.t, c) for c in r.tau.T], axis=1)
+        return replace(r, tau=tau).cut(int(inside[0]), int(inside[-1]) + 1)
+
+    return replace(recordings, trials=tuple(map(earlier, recordings)))
 
 
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:

@@ -1,0 +1,215 @@
+"""Recordings of hardware size as found, alone and in pairs: how often is the name right, and how often is one named that is not there?
+
+Simulated arms (``ARMS``: URDF files or names of shipped arms) play a production program or one trajectory, and a logger of 100 or 125 Hz
+writes it, with what goes wrong with such files (`as_found`).  *Alone*: identified and diagnosed from that file.  *Pair*: identified
+from a healthy file, diagnosed from one of weeks later.  Effects have sizes of real arms, whatever trace they leave.  Answers are kept in
+OUT, so a run may be broken off and taken up again.
+
+    python benchmarks/found_pairs.py ask ARMS... --seed 300 --out OUT [--parallel 2]
+    python benchmarks/found_pairs.py rate --out OUT
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from as_found import ONE, PROGRAM, Trouble, play_in_the_gear, recorded
+
+from stopset.errors import StopsetError
+from stopset.offline.campaign.source import Campaign
+from stopset.offline.description import load_robot
+from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.identify.pipeline import Settings, identified
+from stopset.progress import silent
+from stopset.recording import Recordings
+from stopset.robot import Robot
+from stopset.simulation import Scenario, prepare
+from stopset.simulation.hidden import Hidden
+from stopset.simulation.plant import SimulatedPlant, largest_gravity
+from stopset.simulation.sizing import inject
+
+RISE, DRAG = 1.3, 3.0  # friction of two joints, a brake that does not open wholly [N m]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is hidden at ``size`` (or made of the plant by ``change``), where, and which answers are right."""
+
+    name: str
+    pair: bool
+    lengths: tuple[float, ...] = PROGRAM
+    trouble: Trouble = field(default_factory=Trouble)
+    effect: str = ""
+    place: str = ""  # upright, loaded, wrist, arm
+    size: Callable[[Robot, int], float] = lambda robot, joint: 0.0
+    change: Callable[[SimulatedPlant, int], SimulatedPlant] | None = None
+    verdicts: tuple[str, ...] = ("missing", "changed")
+    says: tuple[str, ...] = ()  # effects that name it, any of them; its own, unless given
+
+
+def _of(x: float) -> Callable[[Robot, int], float]:
+    return lambda robot, joint: x
+
+
+def _worn(plant: SimulatedPlant, joint: int) -> SimulatedPlant:
+    more = np.ones(len(plant.fc))
+    more[[joint, (joint + 2) % len(more)]] = RISE
+    return plant._replace(fc=plant.fc * more, fv=plant.fv * more)
+
+
+def _dragging(plant: SimulatedPlant, joint: int) -> SimulatedPlant:
+    return plant._replace(fc=plant.fc + DRAG * (np.arange(len(plant.fc)) == joint))
+
+
+FRICTION = ("coulomb", "viscous")
+EFFECTS = (
+    ("stribeck", "loaded", _of(0.4)), ("load_coulomb", "loaded", _of(0.08)), ("asymmetric_coulomb", "upright", _of(0.15)),
+    ("asymmetric_coulomb", "wrist", _of(0.15)), ("cubic_viscous", "wrist", _of(3.0)), ("spring", "upright", _of(8.0)),
+    ("cable", "upright", _of(0.8)), ("payload", "arm", _of(2.0)), ("torque_gain", "loaded", _of(0.1)),
+    ("rotor_inertia", "upright", _of(0.6)), ("delay", "loaded", _of(0.012)), ("base_tilt", "arm", _of(0.03)),
+    ("counterbalance", "loaded", lambda r, j: 0.4 * float(largest_gravity(r)[j])), ("elasticity", "loaded", _of(0.4)),
+    ("torque_ripple", "wrist", _of(0.8)), ("hysteresis", "loaded", _of(0.015)),
+)  # fmt: skip
+NONE = ("none",)
+CASES = (
+    Case("healthy program", False, verdicts=NONE), Case("healthy one", False, ONE, verdicts=NONE),
+    Case("gain of all", False, trouble=Trouble(gain=1.04), verdicts=NONE),
+    Case("gain of all one", False, ONE, Trouble(gain=1.04), verdicts=NONE),
+    Case("lost", False, trouble=Trouble(lost=0.03), verdicts=NONE), Case("jitter", False, trouble=Trouble(scatter=1e-3), verdicts=NONE),
+    Case("drift one", False, ONE, Trouble(drift=1.0), verdicts=("unknown", "none")),
+    Case("late", False, trouble=Trouble(late=0.012), verdicts=("missing", "none"), says=("delay",)),
+    Case("late one", False, ONE, Trouble(late=0.012), verdicts=("missing", "none"), says=("delay",)),
+    Case("backlash", False, trouble=Trouble(change=play_in_the_gear), verdicts=("none", "missing"), says=("backlash",)),
+    Case("all at once", False, trouble=Trouble(gain=1.04, lost=0.03, scatter=1e-3), verdicts=NONE),
+    *(Case(f"{e} {place}", False, effect=e, place=place, size=size) for e, place, size in EFFECTS),
+    Case("later healthy", True, verdicts=NONE), Case("later healthy one", True, ONE, verdicts=NONE),
+    Case("later all at once", True, trouble=Trouble(lost=0.03, scatter=1e-3), verdicts=NONE),
+    Case("later worn", True, change=_worn, place="upright", says=FRICTION),
+    Case("later worn one", True, ONE, change=_worn, place="upright", says=FRICTION),
+    Case("later dragging", True, change=_dragging, place="loaded", says=FRICTION),
+    Case("later dragging wrist", True, change=_dragging, place="wrist", says=FRICTION),
+    *(Case(f"later {e} {place}", True, effect=e, place=place, size=size) for e, place, size in EFFECTS),
+    Case("later payload one", True, ONE, effect="payload", place="arm", size=_of(2.0)),
+)  # fmt: skip
+
+
+def joint_of(robot: Robot, place: str) -> int:
+    """Where a case happens."""
+    return {"upright": 0, "loaded": 1, "wrist": robot.n - 2, "arm": robot.n - 1, "": 0}[place]
+
+
+def asked(path: str, case: Case, seed: int) -> dict[str, Any]:
+    """The answer to one case on one arm, and whether it is right."""
+    robot = load_robot(path)
+    rate = (100.0, 125.0)[seed % 2]
+    scenario = prepare(robot, ["none"], seed, "short", cad="wrong" if seed % 3 else "exact")
+    joint = joint_of(robot, case.place)
+    made = _changed(scenario, case, joint)
+    arm, lengths, trouble = (scenario, PROGRAM, Trouble()) if case.pair else (made, case.lengths, case.trouble)
+    first = recorded(arm, lengths, rate, trouble, seed + 100)
+    first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
+    campaign = Campaign(first.meta, lambda: iter(first.trials))
+    model = identified(scenario.robot, campaign, Settings(), silent, None, (), None).model
+    data: Recordings = first
+    if case.pair:
+        data = recorded(made, case.lengths, rate, case.trouble, seed + 200)
+        data = replace(data, meta=replace(data.meta, sources=(("later.parquet", "later"),)))
+    found, _ = diagnose_model(model, data)
+    return judged(found, case, robot, joint)
+
+
+def _changed(scenario: Scenario, case: Case, joint: int) -> Scenario:
+    cell = scenario.cell
+    if case.effect:
+        where = None if case.place == "arm" else joint
+        cell, _ = inject(cell, [Hidden(case.effect, where, case.size(scenario.robot, joint))])
+    if case.change:
+        cell = replace(cell, truth=replace(cell.truth, plant=case.change(cell.truth.plant, joint)))
+    return replace(scenario, cell=cell)
+
+
+def judged(found: Diagnosis, case: Case, robot: Robot, joint: int) -> dict[str, Any]:
+    """The answer in short, which names are false, and whether it is right."""
+    named = [(r.effect, r.joints) for r in found.ranked]
+    where = {robot.joints[joint]} if case.place not in ("arm", "") else set(robot.joints)
+    if case.change is _worn:
+        where |= {robot.joints[(joint + 2) % robot.n]}
+    effects = case.says or (case.effect,)
+    false = [f"{e}:{'+'.join(at)}" for e, at in named if not (e in effects and (not at or set(at) <= where))]
+    right = found.verdict in case.verdicts and not false
+    if "none" not in case.verdicts and "unknown" not in case.verdicts:
+        right = (
+            found.verdict in case.verdicts
+            and bool(named)
+            and named[0][0] in effects
+            and (not named[0][1] or set(named[0][1]) <= where)
+        )
+    return {
+        "case": case.name, "right": right, "false": false, "verdict": found.verdict,
+        "named": [f"{e}:{'+'.join(at)}" for e, at in named], "scores": [round(r.score) for r in found.ranked],
+        "claims": [f"{r.label} {r.score:.0f} {r.objection}" for r in found.claims], "depends": list(found.depends_on),
+        "parameters": [{k: (p.value, p.std) for k, p in r.parameters.items()} for r in found.ranked],
+        "notes": list(found.notes), "taken_out": [dict(x) for x in found.taken_out],
+        "unexplained": [(u.joint, u.size, u.depends_on, u.resembles) for u in found.unexplained],
+        "excess": found.excess,
+    }  # fmt: skip
+
+
+def one(job: tuple[str, str, int, Path]) -> str:
+    path, name, seed, out = job
+    file = out / f"{Path(path).parent.name or path}_{seed}_{name.replace(' ', '_')}.json"
+    if not file.exists():
+        case = next(c for c in CASES if c.name == name)
+        try:
+            answer = asked(path, case, seed)
+        except StopsetError as error:  # a refusal is an answer, too
+            answer = {"case": name, "right": False, "false": [], "verdict": f"{type(error).__name__}: {error}", "named": []}
+        file.write_text(json.dumps(answer, default=str))
+    answer = json.loads(file.read_text())
+    return f"{'right' if answer['right'] else 'WRONG'} {file.stem}: {answer['verdict']} {answer['named']}"
+
+
+def rate(out: Path) -> None:
+    """Counts over all answers in ``out``, and the wrong ones."""
+    answers = [(f.stem, json.loads(f.read_text())) for f in sorted(out.glob("*.json"))]
+    for name, a in answers:
+        if not a["right"] or a["false"]:
+            print(f"{name}: {a['verdict']} {a['named']} {a.get('scores', '')}" + (f" FALSE {a['false']}" if a["false"] else ""))
+    for kind, chosen in (("alone", False), ("pairs", True)):
+        mine = [a for _, a in answers if a["case"].startswith("later") == chosen]
+        print(
+            f"{kind}: {sum(a['right'] for a in mine)} of {len(mine)} right, {sum(bool(a['false']) for a in mine)} with a false name"
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("ask", "rate"))
+    parser.add_argument("arms", nargs="*")
+    parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--parallel", type=int, default=2)
+    parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
+    args = parser.parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.command == "ask":
+        only = tuple(args.only.split(",")) if args.only else ("",)
+        jobs = [
+            (arm, case.name, args.seed + 7 * k, args.out)
+            for k, case in enumerate(CASES) for arm in (args.arms[k % len(args.arms)],) if case.name.startswith(only)
+        ]  # fmt: skip
+        with ProcessPoolExecutor(args.parallel) as pool:
+            for line in pool.map(one, jobs):
+                print(line, flush=True)
+    rate(args.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""What may have changed in an arm since a model of it was identified: the levels that the model has, each with its columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.artifact import Model
+from stopset.artifact.inputs import effect_torques
+from stopset.effects.base import Effect, Part
+from stopset.effects.registry import get
+from stopset.effects.selection import of_part
+from stopset.effects.signals import Samples
+from stopset.offline.diagnose import thresholds as limit
+from stopset.robot.rigid import regressors, torques
+from stopset.types import Array
+
+PARTS: dict[Part, str] = {
+    "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
+    "torque scale": "torque scale", "load": "load at the flange",
+}  # fmt: skip
+
+
+class ColumnLevel(NamedTuple):
+    """What one number of a change says: how much its level changes ``per`` unit of the coefficient ``of`` the change."""
+
+    effect: str
+    symbol: str
+    unit: str
+    before: float
+    per: float = 1.0
+    of: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LevelChange:
+    """A change at a joint (None: of the whole arm): ``columns`` (rows, n, k), what they say, and which of it counts.
+
+    ``error, least`` (k,): the model's own error of each coefficient, and the least one that is no daily difference; ``beside``
+    (rows, n, m): what may differ besides.
+    """
+
+    joint: int | None
+    columns: Array
+    beside: Array
+    levels: tuple[ColumnLevel, ...]
+    error: Array
+    least: Array
+    friction: bool = False
+
+    def only(self, here: NDArray[np.bool_]) -> LevelChange:
+        """The same where ``here``, nothing elsewhere."""
+        return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
+
+    def rows(self, here: NDArray[np.bool_]) -> LevelChange:
+        """The same of these rows alone."""
+        return replace(self, columns=self.columns[here], beside=self.beside[here])
+
+
+def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelChange]:
+    """Every change to ask for, over rows of a motion (rows, n)."""
+    n, out = model.n, []
+    dry_law, damping, offset, scale, body = map(of_part, PARTS)
+    rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
+
+    def at(*columns: Array, j: int) -> Array:
+        block = np.zeros((len(q), n, len(columns)))
+        block[:, j] = np.column_stack(columns)
+        return block
+
+    rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
+    for j, joint in enumerate(model.joints):
+        (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
+        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
+        least = np.array([limit.DAILY * dry])
+        out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
+        usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
+        if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
+            least = np.array([limit.LEAST_GAIN])
+            out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
+    tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
+    out += _own(model, q, dq, ddq, rubs)
+    load = tuple(_said_of(body, term=k) for k in range(4))
+    out.append(
+        LevelChange(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
+    )
+    return out
+
+
+def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -> list[LevelChange]:
+    """Changes of the effects that the model has at single joints, as far as the arm's present state tells their torque."""
+    out = []
+    for f in model.effects:
+        law = get(f.effect)
+        if (
+            law.base
+            or law.part
+            or law.scope != "joint"
+            or law.states
+            or not law.compensated()
+            or "temp" in law.needs
+            or f.joint is None
+        ):
+            continue
+        j, shapes = model.joints.index(f.joint), {x.symbol: f.values[x.symbol] for x in law.shapes}
+        unit = [replace(f, values={**shapes, **{t.symbol: float(t is x) for t in law.terms}}) for x in law.terms]
+        columns = np.stack(
+            [effect_torques(model.robot, [x], Samples(q, dq, ddq, None, 0.0, np.zeros(len(q)))) for x in unit], axis=2
+        )
+        before = np.array([f.values[t.symbol] for t in law.terms])
+        levels = tuple(_said_of(law, float(x), k) for k, x in enumerate(before))
+        error = np.array([f.std.get(t.symbol) or 0.0 for t in law.terms])
+        out.append(LevelChange(j, columns, rubs[j], levels, error, limit.DAILY * np.abs(before)))
+    return out
+
+
+def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[LevelChange]:
+    """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
+
+    ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
+    at the speeds of these rows: what counts is how much friction there is.
+    """
+    (a, a_error), (b, b_error) = dry, wet
+    direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
+    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
+    level = a.before + usual * b.before
+    shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
+    free = LevelChange(
+        joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
+        limit.DAILY * np.array([a.before, b.before]), True,
+    )  # fmt: skip
+    one = [
+        (direction, (a,), limit.DAILY * level),
+        (speed, (b,), limit.DAILY * level / max(usual, 1e-9)),
+        (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), limit.DAILY),
+    ]
+    return [free, *(LevelChange(joint, x, shares, said, np.zeros(1), np.array([least]), True) for x, said, least in one)]
+
+
+def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:
+    """What the model says of a law's first term, and its error."""
+    symbol = law.terms[0].symbol
+    f = next((f for f in model.effects if (f.effect, f.joint) == (law.name, joint)), None)
+    return (0.0, 0.0) if f is None else (f.values.get(symbol, 0.0), f.std.get(symbol) or 0.0)
+
+
+def _said_of(law: Effect, before: float = 0.0, term: int = 0) -> ColumnLevel:
+    return ColumnLevel(law.name, law.terms[term].symbol, law.terms[term].unit, before, of=term)
