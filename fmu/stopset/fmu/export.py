@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 
 from stopset.artifact import Model
-from stopset.errors import NotCovered, OutputError
+from stopset.errors import OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
@@ -63,11 +63,6 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         raise OutputError(f"FMI version {fmi}; expected 2 or 3: choose one of them")
     if contents.source_only and contents.platforms:
         raise OutputError(f"sources alone and a library for {', '.join(contents.platforms)}; expected one of both: leave one out")
-    if model.abstraction.kind != 1:
-        raise NotCovered(
-            f"this is a model {model.abstraction.kind}, whose tube is another one along every motion; the FMU covers model 1 (eq. 13): "
-            "identify with --model 1"
-        )
     targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
     v = variables(model)
