@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from fmu_models import arm_model
 from fmu_unit import unit
@@ -146,3 +147,32 @@ def test_every_sample_s_verdict_is_the_monitor_s(exported: Any, name: str, push:
                 break
     assert (push > 1.0) == (Conformance.VIOLATION in seen), seen
     assert push > 1.0 or Conformance.CONFORMANT in seen
+
+
+@pytest.mark.parametrize("name", ["model 2, torques", "model 3, torques"])
+def test_a_free_run_is_the_model_s_motion(exported: Any, name: str) -> None:
+    """Friction and gravity at its own state, in sticking and sliding: Python's accelerations, integrated finely; nothing is covered."""
+    kind = int(name[6])
+    laws = [friction("viscous", "axis_2", F_v=4.0), friction("spring", "axis_3", k=5.0, c=0.2)]
+    model = of_kind(kind, 3, effort="motor_torque", effects=laws)
+    n, start = model.n, np.array([0.2, -0.3, 0.4, 0.3, -0.2, 0.1])
+    tau = np.array([3.0, -9.0, 2.0])
+
+    def flow(_: float, y: Array) -> Array:
+        u = model.input(y[None, :n], y[None, n:], tau[None], temp=np.full((1, n), TEMP), t=np.zeros(1))
+        return np.concatenate([y[n:], model.abstraction.ddq(y[None, :n], y[None, n:], u)[0]])
+
+    want = solve_ivp(flow, (0.0, 0.3), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    with unit(exported(model, name + " free")) as u:
+        u.set(dict(zip([f"{s}_start_{j}" for s in ("q", "dq") for j in model.joints], start.tolist(), strict=True)))
+        u.set(
+            dict(zip([f"tau_{j}" for j in model.joints], tau.tolist(), strict=True)) | {f"temp_{j}": TEMP for j in model.joints}
+        )
+        u.begin()
+        acc = flow(0.0, start)[n:]
+        assert np.abs(u.joints("ddq", model.joints) - acc).max() < 1e-9
+        for _ in range(30):
+            u.step(0.01)
+        got = np.concatenate([u.joints(s, model.joints) for s in ("q", "dq")])
+        assert np.abs(got - want).max() < 1e-9
+        assert u.get("covered") == 0

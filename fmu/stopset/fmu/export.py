@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
+
 from stopset.artifact import Model
-from stopset.errors import OutputError
+from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
@@ -63,6 +65,12 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         raise OutputError(f"FMI version {fmi}; expected 2 or 3: choose one of them")
     if contents.source_only and contents.platforms:
         raise OutputError(f"sources alone and a library for {', '.join(contents.platforms)}; expected one of both: leave one out")
+    n = model.n
+    if any(np.any(p.exponent[:, 3 * n :].sum(axis=1) > 1) for p in model.abstraction.acceleration):
+        raise NotCovered(
+            "this is a model 3 whose acceleration is not a straight line over torque; expected one, as identification makes it: "
+            "identify again"
+        )
     targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
     v = variables(model)
