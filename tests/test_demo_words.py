@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from stopset.cli.demo import _told
+import pytest
+
+from stopset.cli.demo import Asides, _told
+from stopset.errors import StopsetError
 
 
 def twin(**more: Any) -> dict[str, Any]:
@@ -23,3 +26,13 @@ def test_a_violation_and_silence_are_told_as_such() -> None:
     latched = twin(state="VIOLATION", violation_latched=True, violating_joints=["j3"])
     assert _told(latched, [{"OK": 10}])["word"] == "VIOLATION" and "at j3" in _told(latched, [])["text"]
     assert _told({}, [])["word"] == "no state" == _told(twin(), [{}])["word"]
+
+
+def test_what_runs_beside_the_story_is_told_when_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
+    """A command in a process of its own prints for the story, and ends it with its own sentence where it fails."""
+    with Asides() as beside:
+        begun = beside.begin("inspect", "--help")
+        assert "usage: stopset inspect" in begun.result()
+        with pytest.raises(StopsetError, match=r"`stopset history` ended with 2: .*nowhere\.model\.json"):
+            beside.begin("history", "nowhere.model.json").result()
+    assert "$ stopset inspect --help &" in capsys.readouterr().out

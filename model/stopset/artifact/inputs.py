@@ -7,6 +7,7 @@ identified offset and effects added later are taken off it.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -82,8 +83,21 @@ class InputMap:
         return taped(self)(self, samples, tau, memories)
 
 
+_made: deque[tuple[tuple[Robot, tuple[Fitted, ...], str, Abstraction], InputMap]] = deque(maxlen=8)
+
+
 def input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
-    """The `InputMap` that belongs to an abstraction and its effects."""
+    """The `InputMap` that belongs to an abstraction and its effects, made once: its laws are put on tape for it."""
+    parts = (robot, effects, effort, abstraction)
+    for seen, it in tuple(_made):
+        if all(a is b for a, b in zip(seen, parts, strict=True)):
+            return it
+    fresh = _input_map(*parts)
+    _made.appendleft((parts, fresh))
+    return fresh
+
+
+def _input_map(robot: Robot, effects: tuple[Fitted, ...], effort: str, abstraction: Abstraction) -> InputMap:
     none = np.zeros(robot.n)
     gain = np.ones(robot.n)
     for f in effects:

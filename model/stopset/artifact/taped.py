@@ -181,8 +181,9 @@ _recent: deque[tuple[InputMap, Taped]] = deque(maxlen=8)
 
 def taped(m: InputMap) -> Taped:
     """The `Taped` of a map, recorded once."""
-    for seen, it in _recent:
+    for seen, it in tuple(_recent):  # threads ask too
         if seen is m:
             return it
-    _recent.appendleft((m, Taped.of(m)))
-    return _recent[0][1]
+    fresh = Taped.of(m)
+    _recent.appendleft((m, fresh))
+    return fresh

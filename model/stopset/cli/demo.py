@@ -8,13 +8,15 @@ import dataclasses
 import io
 import json
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,7 +27,7 @@ HELP = "the whole story on a simulated arm: no file, no hardware, no network; a 
 HIDDEN = "spring:arm_4_joint"  # a dress pack that nobody told the model about
 ARM = "demo/cell/arm"
 SPEED = 1.0  # of the replay, times real time: bounds are computed as fast as on a real cell, not faster
-TRIALS = 4  # replayed
+TRIALS = 2  # replayed, twice over
 DATA_ID = 4711  # of the simulated arm's messages: a consumer knows its source by it
 # the controller of the simulated cell ramps down in 0.35 s; its safety relay takes the power after 0.5 s whatever happens (SS1-t)
 RAMP_S, OFF_AFTER_S = 0.35, 0.5
@@ -42,6 +44,9 @@ def _answer(line: str) -> bool:
     return "the predicted sets" in line and not line.startswith(" ")
 
 
+Lines = Callable[[str], bool]  # of the lines that a command printed
+
+
 class Story:
     """Runs commands as a user would, telling which and how long each took."""
 
@@ -52,21 +57,61 @@ class Story:
         self.step += 1
         say(f"\n[{time.monotonic() - self.start:5.1f} s] {self.step}. {text}")
 
-    def do(self, *words: str, keep: Callable[[str], bool] = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
+    def do(self, *words: str, keep: Lines = lambda _: False, good: tuple[int, ...] = (0,)) -> None:
         """Run one command in this process, its chatter hidden except the lines that ``keep`` wants."""
         from stopset.cli.main import main
-        from stopset.errors import StopsetError
 
         say("    $ stopset " + shlex.join(words))
-        printed, told = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(told):
+        printed, reported = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(reported):
             code = main(list(words))
-        if code not in good:
-            kind = StopsetError if code in (1, 2) else RuntimeError  # a defect of a step is one of the whole
-            raise kind(f"`stopset {words[0]}` ended with {code}: {told.getvalue().strip().splitlines()[-1:]}")
-        for line in printed.getvalue().splitlines():
-            if keep(line):
-                say("      " + line)
+        _ended(words[0], code, good, reported.getvalue())
+        _show(printed.getvalue(), keep)
+
+    def collect(self, begun: Future[str], keep: Lines = lambda _: False) -> None:
+        """What a command printed that was begun `Asides` others, as far as ``keep`` wants it."""
+        _show(begun.result(), keep)
+
+
+class Asides:
+    """Commands that run one after another in processes of their own, behind whatever else the machine has to do."""
+
+    def __init__(self) -> None:
+        self._line = ThreadPoolExecutor(1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._line.shutdown(cancel_futures=kind is not None)
+
+    def begin(self, *words: str, good: tuple[int, ...] = (0,)) -> Future[str]:
+        """Run this once those before it have ended; gives what it printed."""
+        say("    $ stopset " + shlex.join(words) + " &")
+        return self._line.submit(_aside, words, good)
+
+
+def _aside(words: tuple[str, ...], good: tuple[int, ...]) -> str:
+    behind = ["nice"] if shutil.which("nice") else []
+    done = subprocess.run(
+        [*behind, sys.executable, "-m", "stopset.cli.main", *words], capture_output=True, text=True, check=False
+    )
+    _ended(words[0], done.returncode, good, done.stderr)
+    return done.stdout
+
+
+def _ended(command: str, code: int, good: tuple[int, ...], reported: str) -> None:
+    from stopset.errors import StopsetError
+
+    if code not in good:
+        kind = StopsetError if code in (1, 2) else RuntimeError  # a defect of a step is one of the whole
+        raise kind(f"`stopset {command}` ended with {code}: {reported.strip().splitlines()[-1:]}")
+
+
+def _show(printed: str, keep: Lines) -> None:
+    for line in printed.splitlines():
+        if keep(line):
+            say("      " + line)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -80,23 +125,44 @@ def run(args: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise OutputError(f"--out {out} cannot be created ({e.strerror}); choose another place") from e
-    story = Story(out)
-    robot, data, first, second = (
-        str(out / name) for name in ("robot.urdf", "recording.parquet", "first.model.json", "second.model.json")
-    )
+    story, second = Story(out), str(out / "second.model.json")
+    _modelled(story, second)
+    data = str(out / "recording.parquet")
+    from stopset.fmu.build import native
 
+    with Asides() as beside:  # what only computes, while the arm moves in its own time
+        story.chapter(
+            "Compared again, revisions side by side, and how far it goes when it is stopped (tables as ISO 10218-1 asks)."
+        )
+        again = beside.begin("compare", second, "--data", data, "--report", str(out / "compare-second.html"), good=(0, 1))
+        beside.begin("history", second, "--report", str(out / "history.html"))
+        beside.begin("stops", second, "--report", str(out / "stops.html"), "--json", str(out / "stops.json"))
+        story.chapter("The model leaves the house as an FMU.")
+        exported = beside.begin("export-fmu", second, "--out", str(out / "arm.fmu"), "--platform", str(native()))
+        _monitored(story, out, second)
+        story.chapter("What was computed meanwhile:")
+        story.collect(again, keep=_answer)
+        story.collect(exported)
+    _closing(out, time.monotonic() - story.start)
+    return 0
+
+
+def _modelled(story: Story, second: str) -> None:
+    """From the simulated cell's recordings to a model with the effect that was missing."""
+    out = story.out
+    robot, data, first = (str(out / name) for name in ("robot.urdf", "recording.parquet", "first.model.json"))
     story.chapter("A Schunk LWA-4P in a simulated cell is measured. Something pulls at one of its joints; the model is not told.")
     hidden = ("--hide", HIDDEN, "--size", "large", "--plan", "motions", "--seed", "3")
     story.do("simulate", "--robot", "lwa4p", *hidden, "--out", str(out), keep=lambda x: "recordings" in x)
     story.chapter("A reachset-conformant model is identified from the recordings.")
     story.do("identify", "--robot", robot, "--data", data, "--out", first, keep=lambda x: x.startswith(("sum of U", "All ")))
-    story.chapter("Model and measurements are compared: where does it fail?")
-    story.do(
-        "compare", first, "--data", data, "--report", str(out / "compare-first.html"), good=(0, 1), keep=_answer,
-    )  # fmt: skip
-    story.chapter("Which physical effect is missing?")
-    answer = out / "diagnosis.json"
-    story.do("diagnose", first, "--data", data, "--json", str(answer), "--report", str(out / "diagnosis.html"), good=(0, 1))
+    with Asides() as beside:
+        story.chapter("Model and measurements are compared: where does it fail?")
+        fails = beside.begin("compare", first, "--data", data, "--report", str(out / "compare-first.html"), good=(0, 1))
+        answer = out / "diagnosis.json"
+        story.chapter("Which physical effect is missing?")
+        story.do("diagnose", first, "--data", data, "--json", str(answer), "--report", str(out / "diagnosis.html"), good=(0, 1))
+        story.collect(fails, keep=_answer)
     found = json.loads(answer.read_text())
     for row in found["ranked_effects"][:3]:
         say(f"      {row['effect']} at {row['joint']}: {row['says']}")
@@ -108,28 +174,9 @@ def run(args: argparse.Namespace) -> int:
     best = found["ranked_effects"][0]
     where = ("--joint", best["joint"]) if best["joint"] else ()
     story.do(
-        "add",
-        first,
-        best["effect"],
-        *where,
-        "--data",
-        data,
-        "--out",
-        second,
+        "add", first, best["effect"], *where, "--data", data, "--out", second,
         keep=lambda x: "->" in x or x.startswith(("at ", "over ", "revision")),
-    )
-    again = str(out / "compare-second.html")
-    story.do("compare", second, "--data", data, "--report", again, good=(0, 1), keep=_answer)
-    story.do("history", second, "--report", str(out / "history.html"))
-    story.chapter("How far does it go when it is stopped? Tables as ISO 10218-1 asks.")
-    story.do("stops", second, "--report", str(out / "stops.html"), "--json", str(out / "stops.json"))
-    _monitored(story, out, second)
-    story.chapter("The model leaves the house as an FMU.")
-    from stopset.fmu.build import native
-
-    story.do("export-fmu", second, "--out", str(out / "arm.fmu"), "--platform", str(native()))
-    _closing(out, time.monotonic() - story.start)
-    return 0
+    )  # fmt: skip
 
 
 def _monitored(story: Story, out: Path, model: str) -> None:
@@ -194,16 +241,22 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
             twin.update(new | ({"state": twin["state"]} if new["state"] == "FAULT" and "state" in twin else {}))
 
         link.subscribe("state/json", take)
-        while time.monotonic() < deadline and replay.poll() is None and monitor.poll() is None:
+        # a violation is latched: nothing that comes after it changes what is told
+        while time.monotonic() < deadline and not any(p.poll() is not None for p in (replay, monitor)) and not latched(twin):
             time.sleep(0.05)
         time.sleep(1.0)  # for the last state to arrive
         link.close()
     return _told(twin, counts)
 
 
+def latched(twin: dict[str, Any]) -> bool:
+    """Whether a violation was seen, which stands until somebody takes it back."""
+    return bool(twin.get("violation_latched"))
+
+
 def _told(twin: dict[str, Any], counts: list[dict[str, int]]) -> dict[str, Any]:
     """What the other process saw, in words: the state that held longest the second time round, and what came between."""
-    if twin.get("violation_latched"):
+    if latched(twin):
         text = f"a zenoh subscriber sees the violation, at {', '.join(twin['violating_joints'])}; stop numbers are withdrawn"
         return {"word": twin["state"], "text": text}
     totals = [sum(c.values()) for c in counts]

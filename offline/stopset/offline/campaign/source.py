@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stopset.errors import RecordingError
-from stopset.offline.campaign.trials import Source
+from stopset.offline.campaign.trials import ReadOnce, Source
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """Recordings of one arm: what is known of them together, and their trials, read anew at every call."""
+    """Recordings of one arm: what is known of them together, and their trials, anew at every call."""
 
     meta: Meta
     trials: Source
@@ -22,7 +22,7 @@ class Campaign:
 
 def campaign_of(robot: Robot, paths: Sequence[str | Path]) -> Campaign:
     """The recordings in ``paths``, in this order. Raises `RecordingError` if they hold different kinds of torque."""
-    return Campaign(common_meta(paths), lambda: stream_recordings(paths, robot))
+    return Campaign(common_meta(paths), ReadOnce(lambda: stream_recordings(paths, robot)))
 
 
 def continued(earlier: Campaign, robot: Robot, paths: Sequence[str | Path], places: int) -> Campaign:
