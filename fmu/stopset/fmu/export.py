@@ -19,6 +19,7 @@ from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
 from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
+from stopset.fmu.terminals import icon, terminals
 from stopset.fmu.variables import variables
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model gives the same bytes
@@ -81,6 +82,8 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     files |= _folders(made, fmi, name)
     files |= {f"sources/{file}": content.encode() for file, content in text.items()}
     if fmi == 3:
+        files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(v).encode()
+        files["terminalsAndIcons/icon.png"] = icon()
         files["sources/buildDescription.xml"] = build_description(name, units).encode()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
     files["documentation/index.html"] = _documentation(model).encode()
