@@ -246,6 +246,8 @@ void stopset_outputs(StopsetState *s, StopsetWork *w) {
     }
     s->r[VR_AGE] = age_of(s);
     s->b[IX_COVERED] = (uint8_t)covered(s);
+    for (int i = 0; NONLINEAR && i < NX; i++) /* a motion beyond all numbers has no bounds along it */
+        if (!(lo[i] <= hi[i])) s->b[IX_COVERED] = 0;
     stopset_accelerations(s, w, &s->r[VR_DDQ], &s->r[VR_MEMORY_RATE]);
 #if N_INDICATOR
     stopset_indicators(s, w, &s->r[VR_INDICATOR]);
