@@ -132,6 +132,24 @@ def test_fmpy_finds_nothing_wrong(exported: Any, fmi: int) -> None:
         assert validate_fmu(str(exported(model, name, fmi))) == []
 
 
+def test_tools_see_plugs_and_a_picture(exported: Any) -> None:
+    """By the standard's schema; every member is a variable of the unit, and none is in two plugs."""
+    etree, image = pytest.importorskip("lxml.etree"), pytest.importorskip("PIL.Image")
+    import fmpy
+
+    fmu = exported(arm_model(), "arm", 3)
+    schema = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
+    with zipfile.ZipFile(fmu) as z:
+        tree = etree.fromstring(z.read("terminalsAndIcons/terminalsAndIcons.xml"))
+        picture = image.open(io.BytesIO(z.read("terminalsAndIcons/icon.png")))
+    etree.XMLSchema(etree.parse(str(schema))).assertValid(tree)
+    members = [m.get("variableName") for m in tree.iter("TerminalMemberVariable")]
+    known = {v.name for v in fmpy.read_model_description(str(fmu)).modelVariables}
+    assert len(members) == len(set(members)) and set(members) <= known
+    assert {t.get("name") for t in tree.iter("Terminal")} >= {"drive", "sensors", "motion", "bounds", "verdict", "stop"}
+    assert picture.size == (96, 96) and len(set(picture.getdata())) == 3
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("coupled", [False, True])
 def test_ten_seconds_of_changing_torque_equal_the_python_model(exported: Any, fmi: int, coupled: bool) -> None:

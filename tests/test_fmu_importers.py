@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fmu_models import arm_model
 from fmu_unit import unit
 from stopset.artifact import save_model
+from stopset.artifact.abstraction import Polynomial
 from stopset.cli.main import main
 from stopset.effects import get
 from stopset.errors import EffectError, NotCovered, OutputError
@@ -244,8 +245,11 @@ def test_units_in_base_units(unit: str, expected: dict[str, float] | None) -> No
 
 def test_what_an_fmu_cannot_carry_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     model = arm_model(3)
-    with pytest.raises(NotCovered, match="model 1"):
-        archive(replace(model, abstraction=replace(model.abstraction, kind=2)), Contents(3, (str(HERE),)))
+    squared = Polynomial(np.eye(12, dtype=np.int64)[[9]] * 2, np.array([1.0]))
+    with pytest.raises(NotCovered, match="not a straight line over torque"):
+        archive(
+            replace(model, abstraction=replace(model.abstraction, kind=3, acceleration=(squared,) * 3)), Contents(3, (str(HERE),))
+        )
     late = replace(get("coulomb"), name="late", needs=("dtau",), law=lambda s, _: (s.dtau,))
     monkeypatch.setattr("stopset.fmu.laws.get", lambda name: late if name == "coulomb" else get(name))
     with pytest.raises(EffectError, match=r"coulomb:axis_1 looks at dtau \(.*\), .* without it"):

@@ -85,7 +85,7 @@ LEFT_OUT = (
     ("stopset.offline.nominal.unidentifiable", "PARAMETERS", WORDS),
     ("stopset.offline.stops.*", "*", "shows recorded stops"),
     ("stopset.offline.update.*", "*", FORMAT),
-    ("stopset.reach.nonlinear", "_DYNAMICS", BUDGET),
+    ("stopset.reach.nonlinear", "_DYNAMICS FASTEST FAR NEAR MARGIN", BUDGET),
     ("stopset.reach.stops.bounds", "FASTEST", REFUSED),
     ("stopset.reach.stops.cartesian", "SLICES", "in the workspace only, which no model file holds"),
     ("stopset.reach.stops.friction", "RUBS RUBS_VISCOUS DRY VISCOUS PUSH", CODES),

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
+
 from stopset.artifact import Model
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
@@ -17,6 +19,7 @@ from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
 from stopset.fmu.description import NOTICE, build_description, description
 from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
+from stopset.fmu.terminals import icon, terminals
 from stopset.fmu.variables import variables
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model gives the same bytes
@@ -63,10 +66,11 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         raise OutputError(f"FMI version {fmi}; expected 2 or 3: choose one of them")
     if contents.source_only and contents.platforms:
         raise OutputError(f"sources alone and a library for {', '.join(contents.platforms)}; expected one of both: leave one out")
-    if model.abstraction.kind != 1:
+    n = model.n
+    if any(np.any(p.exponent[:, 3 * n :].sum(axis=1) > 1) for p in model.abstraction.acceleration):
         raise NotCovered(
-            f"this is a model {model.abstraction.kind}, whose tube is another one along every motion; the FMU covers model 1 (eq. 13): "
-            "identify with --model 1"
+            "this is a model 3 whose acceleration is not a straight line over torque; expected one, as identification makes it: "
+            "identify again"
         )
     targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
@@ -78,6 +82,8 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     files |= _folders(made, fmi, name)
     files |= {f"sources/{file}": content.encode() for file, content in text.items()}
     if fmi == 3:
+        files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(v).encode()
+        files["terminalsAndIcons/icon.png"] = icon()
         files["sources/buildDescription.xml"] = build_description(name, units).encode()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
     files["documentation/index.html"] = _documentation(model).encode()

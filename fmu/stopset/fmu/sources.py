@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.core.library import lib
 from stopset.effects import REFERENCE_TEMPERATURE, get
 from stopset.errors import OutputError
 from stopset.fmu.ctext import array, quoted
@@ -20,9 +21,10 @@ from stopset.fmu.laws import Laws, laws_of
 from stopset.fmu.stops import controlled, stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.reach.flowpipe import torque_set
+from stopset.reach.nonlinear import FAR, FASTEST, MARGIN, NEAR, STEP, ages_of, dynamics, parts
 from stopset.reach.stops.ramp import ramp_of
 
-OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "ramp.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "nonlinear.c", "ramp.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
@@ -41,7 +43,7 @@ PROOF = (
     "torques",
     "tube",
 )
-SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "predictions", "watch")
+SHARED = ("along", "inputs", "law", "linear", "maths", "polynomials", "predict", "predictions", "rigid", "watch")
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
 CORE_HEADERS = (
     "inputs.h",
@@ -82,7 +84,12 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
         if group not in seen:
             lines.append(f"#define VR_{group} 0")
         lines.append(f"#define N_{group} {variables.count(group)}")
-    lines.append("#define VR_FIRST_PHYSICAL VR_VISCOUS")
+    for group in ("VISCOUS", "INERTIA", "OFFSET"):
+        if group in seen:
+            lines.append(f"#define VR_FIRST_PHYSICAL VR_{group}")
+            break
+    if "VISCOUS" not in seen:
+        lines.append("#define VR_VISCOUS VR_FIRST_PHYSICAL")
     physical = sum(variables.count(g) for g in ("VISCOUS", "INERTIA", "OFFSET", "EFFECT", "MEMORY_START"))
     lines += [f"#define N_PHYSICAL {physical}", f"#define N_KEY {physical + 5}"]
     lines += [f"#define {name} {value}" for name, value in flags.items()]
@@ -91,15 +98,46 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
 
 def _sizes(model: Model, variables: Variables, laws: Laws) -> dict[str, int]:
     """Of the grid of ages, of predictions that are compared, of directions in which U acts."""
-    sets = model.powered
-    steps = round(sets.horizon / sets.dt) if model.abstraction.linear else 0
-    stride = max(1, -(-steps // MOST_PREDICTIONS))
-    generators = 0 if sets.zonotope is None else sets.zonotope.generators.shape[1]
+    a, sets, steps = model.abstraction, model.powered, steps_of(model)
+    stride = max(1, -(-steps // MOST_PREDICTIONS)) if a.linear else 1
+    generators = 0 if sets.zonotope is None or not a.linear else sets.zonotope.generators.shape[1]
+    struct, paths = dynamics(a)[0], not (a.linear or a.decoupled)
+    fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     return {
+        "KIND": a.kind, "CORNERS": int(a.decoupled and not a.linear), "PATHS": int(paths), "NEAR": NEAR, "N_LOOKS": len(looks_of(model)),
+        "PARTS": parts(a, sets.dt, fastest + MARGIN), "ROOM": lib.stopset_ahead_room(struct, steps if paths else 0),
         "HAS_DIRECTION": int(laws.direction), "HAS_INDICATORS": int(variables.count("INDICATOR") > 0), "AGES": steps + 1,
         "STRIDE": stride, "PREDICTIONS": steps // stride + 1, "N_TORQUES": model.n + generators,
         "N_STOPS": 1 if controlled(model) is None else 1 + len(CONTROLLED),
     }  # fmt: skip
+
+
+def steps_of(model: Model) -> int:
+    """Of the grid, up to the oldest age that is looked at."""
+    sets, a = model.powered, model.abstraction
+    steps = round(sets.horizon / sets.dt)
+    return steps if a.linear or a.decoupled else min(steps, FAR)
+
+
+def looks_of(model: Model) -> list[int]:
+    """Ages in steps at which predictions along paths are looked at."""
+    a = model.abstraction
+    return [1] if a.linear or a.decoupled else ages_of(steps_of(model))
+
+
+def _polynomials(model: Model) -> str:
+    """``stopset_polynomials_of`` and the ages of `looks_of`."""
+    a, looks = model.abstraction, ", ".join(map(str, looks_of(model)))
+    lines = [f"const int32_t stopset_looks[] = {{{looks}}};"]
+    if not (a.coriolis or a.acceleration):
+        return "\n".join([*lines, "const StopsetPolynomials stopset_polynomials_of = {0};\n"])
+    p = a.program
+    for name, x in (("parent", p.parent), ("variable", p.variable)):
+        lines.append(f"static const int64_t monomial_{name}[] = {{{', '.join(map(str, x.tolist()))}}};")
+    lines.append(f"static const double monomial_coefficient[] = {array(p.coefficient.ravel())};")
+    sizes = f"{p.coefficient.shape[0]}, {p.coefficient.shape[1]}, {p.dimension}"
+    table = f"{{{sizes}, monomial_parent, monomial_variable, monomial_coefficient}}"
+    return "\n".join([*lines, f"const StopsetPolynomials stopset_polynomials_of = {table};\n"])
 
 
 def _kind(v: Variable) -> str:
@@ -115,12 +153,13 @@ def _starts(items: Iterable[Variable]) -> list[float]:
 def _numbers(model: Model) -> dict[str, Any]:
     """The model's arrays, by the names of their C fields."""
     sets, a, d, chain, n = model.powered, model.abstraction, model.domain, model.robot.chain, model.n
-    torques, U = torque_set(sets)
+    torques, U = torque_set(sets) if a.linear else (None, sets.U)
+    cut = parts(a, sets.dt, np.maximum(np.abs(d.dq.lo), np.abs(d.dq.hi)) + MARGIN)
     temp = (np.full(n, -np.inf), np.full(n, np.inf)) if d.temp is None else (d.temp.lo, d.temp.hi)
     return {
         "Minv": a.Minv, "X0_lo": sets.X0.lo, "X0_hi": sets.X0.hi, "V_lo": sets.V.lo, "V_hi": sets.V.hi,
         "U_lo": U.lo, "U_hi": U.hi, "across": np.eye(n) if torques is None else torques, "dt": sets.dt,
-        "horizon": round(sets.horizon / sets.dt) * sets.dt,
+        "horizon": steps_of(model) * sets.dt, "fastest": FASTEST, "rough": STEP**5 / 120.0 if cut > 1 else 0.0,
         "lo": np.concatenate([d.q.lo, d.dq.lo, d.u.lo, temp[0]]), "hi": np.concatenate([d.q.hi, d.dq.hi, d.u.hi, temp[1]]),
         "payload_lo": d.payload[0], "payload_hi": d.payload[1],
         "R": chain.R, "p": chain.p, "axis": chain.axis, "gravity": chain.gravity, "pi": model.robot.pi,
@@ -155,7 +194,7 @@ def _data(model: Model, variables: Variables, laws: Laws, token: str) -> str:
     return (
         f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
         f'#include <math.h>\n\n#include "stopset_core.h"\n\nconst char stopset_token[] = "{token}";\n'
-        f"const char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws.c}\n"
+        f"const char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws.c}\n{_polynomials(model)}\n"
         "const StopsetModel stopset_model = {\n" + "\n".join(rows) + "\n};\n"
     )
 

@@ -76,7 +76,9 @@ class Variables:
 
 
 def viscous_orders(model: Model) -> int:
-    """Order of the damping polynomial, trailing zeros left out."""
+    """Order of the damping polynomial, trailing zeros left out; model 3 has it in its accelerations."""
+    if model.abstraction.kind == 3:
+        return 0
     used = np.flatnonzero(np.any(model.abstraction.viscous != 0.0, axis=0))
     return int(used[-1]) + 1 if used.size else 1
 

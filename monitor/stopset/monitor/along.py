@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
 from stopset.monitor.inputs import Inputs
-from stopset.monitor.predictions import FAR, Corners, Paths
+from stopset.monitor.predictions import Corners, Paths
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
 from stopset.monitor.watch import Watch
+from stopset.reach.nonlinear import FAR
 from stopset.types import Array, Index
 
 

@@ -14,22 +14,12 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.core.library import given, lib, view
 from stopset.monitor.sample import Quantum
-from stopset.reach.nonlinear import STEP, dynamics, nominal, parts, predicted_tube
+from stopset.reach.nonlinear import FASTEST, MARGIN, NEAR, STEP, ages_of, dynamics, nominal, parts, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array, Index
 
 Tubes = tuple[Index, NDArray[np.bool_], Array, Array]  # ages (K,) in steps, passed outside the domain (K,), bounds (K, 2n)
-MARGIN = 0.5  # [rad/s] a corner is faster than the fastest reading
-FASTEST = 1e6  # [rad/s] where a corner that runs away is held
-FAR = 64  # steps of the oldest prediction along a nominal motion: one that is twice as old costs four times as much
-NEAR = 24  # steps up to which all of the ages below are looked at; of older ones one per step, in turn
 ROUND = 2.0**-42  # as in `predicted_tube`
-
-
-def ages_of(steps: int) -> list[int]:
-    """1, 2, 3, 4, 6, 8, 12, ... up to ``steps``: near ones closely, far ones seldom."""
-    out = {min(steps, a << k) for k in range(steps.bit_length()) for a in (1, 3)} | {2}
-    return sorted(a for a in out if a <= steps)
 
 
 @dataclass(slots=True)

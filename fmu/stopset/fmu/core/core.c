@@ -45,14 +45,15 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     s->outputs_ready = 0;
     s->i[IX_VERDICT] = VERDICT_NONE;
     s->i[IX_VIOLATED_JOINT] = 0;
-    stopset_motion_reset(s);
+    stopset_own_start(s, w);
     stopset_forget(s);
     return 0;
 }
 
-int stopset_restart(StopsetState *s, double ahead) {
+int stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
     double left = s->tube_start + stopset_model.horizon - s->r[VR_TIME];
     if (!s->b[IX_RESTART] || !s->b[IX_MEASURED] || s->violated || left >= ahead + 1e-9 * stopset_model.dt) return 0;
+    if (stopset_prepare(s, w)) return 0;
     for (int i = 0; i < NJ; i++) {
         if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return 0;
     }
@@ -61,7 +62,7 @@ int stopset_restart(StopsetState *s, double ahead) {
         s->r[VR_DQ + i] = s->r[VR_DQ_MEASURED + i];
     }
     s->tube_start = s->r[VR_TIME];
-    stopset_motion_reset(s);
+    stopset_own_start(s, w);
     s->outputs_ready = 0;
     return 1;
 }
@@ -82,6 +83,7 @@ const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
     return 0;
 }
 
+#if !(CORNERS || PATHS)
 /* The matrices of a step of h. */
 static const double *step_of(StopsetWork *w, double h) {
     if (h == stopset_model.dt) return w->grid;
@@ -89,18 +91,28 @@ static const double *step_of(StopsetWork *w, double h) {
     w->h = h;
     return w->piece;
 }
+#endif
 
 /* What a measured sample says: the monitor's cycle where samples come at the model's own step, and the unit's own prediction. */
 static void look(StopsetState *s, StopsetWork *w, double h) {
     int32_t joint = 0;
     const StopsetModel *m = &stopset_model;
-    const int watched = NV == 1 && !m->timed && s->b[IX_MEASURED] && s->as_identified && !s->stopping && fabs(h - m->dt) <= 1e-9 * m->dt;
-    stopset_check(s, w);
+    const int32_t every = NONLINEAR && h > 1e-3 * m->dt && h < m->dt ? (int32_t)(m->dt / h + 0.5) : 1;
+    const int watched = !m->timed && s->b[IX_MEASURED] && s->as_identified && !s->stopping && fabs(every * h - m->dt) <= 1e-9 * m->dt;
+    /* between two steps of a nonlinear model's grid nothing was tested: its inputs are means over them */
+    if (watched && every > 1 && !s->violated)
+        s->i[IX_VERDICT] = VERDICT_NONE;
+    else
+        stopset_check(s, w);
     if (!watched) {
         stopset_forget(s);
         return;
     }
+#if CORNERS || PATHS
+    const int said = stopset_sample_along(s, w, every, &joint);
+#else
     const int said = stopset_sample(s, w, &joint);
+#endif
     if (s->violated || said == NOTHING_BEFORE) return;
     s->i[IX_VERDICT] = said;
     s->violated = said == VERDICT_VIOLATED;
@@ -118,7 +130,7 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
     const char *wrong = stopset_prepare(s, w);
     if (wrong) return wrong;
     look(s, w, h);
-    if (!s->stopping) stopset_restart(s, h);
+    if (!s->stopping) stopset_restart(s, w, h);
     wrong = stopset_trigger(s, w);
     if (wrong) return wrong;
     s->outputs_ready = 0;
@@ -129,16 +141,24 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
         stopset_ramp_motion(s, s->r[VR_TIME] + h - s->stop_start, &s->r[VR_Q], &s->r[VR_DQ], rest);
         return 0;
     }
-    if (!stopset_exact(s)) return stopset_integrate(s, w, h);
-    const double *step = step_of(w, h);
-    double u[NJ], x[NX], after[NX], Bd[NX * NJ];
+    if (!stopset_exact(s)) {
+        s->along = -1;
+        return stopset_integrate(s, w, h);
+    }
+    double u[NJ];
     stopset_input(s, w, u);
+#if CORNERS || PATHS
+    stopset_own_step(s, w, u, h);
+#else
+    const double *step = step_of(w, h);
+    double x[NX], after[NX], Bd[NX * NJ];
     memcpy(x, &s->r[VR_Q], NJ * sizeof *x);
     memcpy(x + NJ, &s->r[VR_DQ], NJ * sizeof *x);
     stopset_torque_part(step, Bd);
     stopset_stride(NJ, step, Bd, x, u, after);
     memcpy(&s->r[VR_Q], after, NJ * sizeof *x);
     memcpy(&s->r[VR_DQ], after + NJ, NJ * sizeof *x);
+#endif
     stopset_memory_step(s, w, h);
     return 0;
 }
@@ -165,6 +185,7 @@ static int inside_domain(const StopsetState *s) {
 /* Whether the prediction is older than its sets were tested for. */
 static int too_old(const StopsetState *s) { return !(age_of(s) <= stopset_model.horizon + 1e-9 * stopset_model.dt); }
 
+#if !(CORNERS || PATHS)
 /* The deviation tube at an age, exact between the steps of its grid too. */
 static void tube(StopsetWork *w, double age, double lo[NX], double hi[NX]) {
     const double dt = stopset_model.dt;
@@ -184,25 +205,27 @@ static void tube(StopsetWork *w, double age, double lo[NX], double hi[NX]) {
     stopset_respond(&w->linear, rest, step, E, plus, minus, w->response);
     stopset_tubes(1, NX, NX, N_TORQUES, 0, E, plus, minus, &w->sets, lo, hi);
 }
+#endif
 
 static void bounds(StopsetState *s, StopsetWork *w, double lo[NX], double hi[NX]) {
     if (too_old(s)) {
         for (int i = 0; i < NX; i++) lo[i] = hi[i] = (double)NAN;
         return;
     }
-    if (NV > 1)
-        stopset_corner_tube(s, lo, hi);
-    else
-        tube(w, age_of(s), lo, hi);
+#if CORNERS || PATHS
+    stopset_own_bounds(s, w, lo, hi);
+#else
+    tube(w, age_of(s), lo, hi);
     for (int i = 0; i < NX; i++) {
         double x = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i];
         lo[i] += x;
         hi[i] += x;
     }
+#endif
 }
 
 static int covered(const StopsetState *s) {
-    if (NV > 1 && s->modes_by_events) return 0; /* corner trajectories are integrated in co-simulation only */
+    if (NONLINEAR && (s->modes_by_events || s->along < 0)) return 0; /* such a set is stepped along the model's grid */
     return s->as_identified && !s->stopping && !too_old(s) && inside_domain(s) &&
            (!stopset_model.motor_torque || s->b[IX_MEASURED]);
 }
@@ -223,6 +246,8 @@ void stopset_outputs(StopsetState *s, StopsetWork *w) {
     }
     s->r[VR_AGE] = age_of(s);
     s->b[IX_COVERED] = (uint8_t)covered(s);
+    for (int i = 0; NONLINEAR && i < NX; i++) /* a motion beyond all numbers has no bounds along it */
+        if (!(lo[i] <= hi[i])) s->b[IX_COVERED] = 0;
     stopset_accelerations(s, w, &s->r[VR_DDQ], &s->r[VR_MEMORY_RATE]);
 #if N_INDICATOR
     stopset_indicators(s, w, &s->r[VR_INDICATOR]);

@@ -357,7 +357,7 @@ int stopset_completed_step(Instance *c) {
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
     StopsetState *s = &c->now.s;
     stopset_check(s, c->work);
-    *states_changed = s->stopping ? 0 : stopset_restart(s, 0.0);
+    *states_changed = s->stopping ? 0 : stopset_restart(s, c->work, 0.0);
     const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
     /* an importer finds the zero crossing of a velocity within its own tolerance */

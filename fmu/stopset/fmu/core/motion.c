@@ -10,7 +10,7 @@
 
 #include "stopset_core.h"
 
-enum { YM = NV > 1 ? 3 * NX : NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
+enum { YM = NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
 
 static const double TOLERANCE = 1e-12; /* rad and rad/s, per step */
 static const double REST = 1e-15;      /* rad/s: below, a joint has come to rest */
@@ -21,7 +21,7 @@ static const int MOST_STEPS = 20000;       /* of the integrator within one commu
 static int directional(const StopsetState *s) { return HAS_DIRECTION || s->stopping == 1; }
 
 int stopset_exact(const StopsetState *s) {
-    if (NV > 1 || s->stopping) return 0;
+    if (s->stopping) return 0;
     return (!stopset_model.motor_torque && !N_LAWS) || s->b[IX_MEASURED];
 }
 
@@ -118,16 +118,32 @@ void stopset_memory_step(StopsetState *s, StopsetWork *w, double h) {
     }
 }
 
-static double viscous(const StopsetState *s, int i, double dq) {
-    double out = 0.0;
-    for (int k = NV - 1; k >= 0; k--) out = (out + s->r[VR_VISCOUS + k * NJ + i]) * dq;
-    return out;
+/* Torque left for acceleration, Minv net: model 3's Minv is that of the state, and the rest of it a torque. */
+static void take_off(StopsetWork *w, const double *q, const double *dq, double net[NJ]) {
+#if KIND == 3
+    static const double none[NJ] = {0};
+    double x[NX], J_x[NJ * NX], gain[NJ][NJ], rest[NJ];
+    memcpy(x, q, NJ * sizeof *x);
+    memcpy(x + NJ, dq, NJ * sizeof *x);
+    stopset_linearised(&w->dynamics, 1, x, none, w->room, J_x, gain[0]);
+    stopset_acceleration(&w->dynamics, q, dq, none, w->room, rest);
+    stopset_invert(gain, w->M);
+    for (int i = 0; i < NJ; i++)
+        for (int j = 0; j < NJ; j++) net[i] += w->M[i][j] * rest[j];
+    for (int i = 0; i < NJ; i++)
+        for (int j = 0; j < NJ; j++) w->M[i][j] += w->carried_load[i][j];
+    stopset_invert(w->M, w->Minv);
+#else
+    double drag[NJ];
+    stopset_drag(&w->dynamics, q, dq, w->room, drag);
+    for (int i = 0; i < NJ; i++) net[i] -= drag[i];
+#endif
 }
 
 /* Torque left for acceleration on each joint, friction directions as given. */
 static void net_torque(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double net[NJ]) {
     input_at(s, w, t, y, mode, net);
-    for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
+    take_off(w, y, y + NJ, net);
 }
 
 /* Flow of what the effects remember, after net_torque of the same state. */
@@ -169,17 +185,6 @@ static void derivative(const StopsetState *s, StopsetWork *w, double t, const do
     own_rates(s, w, t, y, mode, dy + YM);
     accelerate(s, w, mode, net, dy + NJ);
     memcpy(dy, dq, NJ * sizeof *dy);
-#if NV > 1
-    /* decoupled joints are cooperative: the two corners of the sets stay the two corners */
-    for (int side = 0; side < 2; side++) {
-        const double *x = y + (1 + side) * NX, *U = side ? stopset_model.U_hi : stopset_model.U_lo;
-        double *dx = dy + (1 + side) * NX;
-        for (int i = 0; i < NJ; i++) {
-            dx[i] = x[NJ + i];
-            dx[NJ + i] = w->Minv[i][i] * (net[i] + viscous(s, i, dq[i]) + U[i] - viscous(s, i, x[NJ + i]));
-        }
-    }
-#endif
 }
 
 /* One step of length h from the derivative `first` at y; returns the error over the tolerance, `last`: the derivative at the end. */
@@ -270,16 +275,7 @@ static int event(const StopsetState *s, StopsetWork *w, double t, const double y
 static void take(const StopsetState *s, double y[NY]) {
     memcpy(y, &s->r[VR_Q], NJ * sizeof *y);
     memcpy(y + NJ, &s->r[VR_DQ], NJ * sizeof *y);
-#if NV > 1
-    memcpy(y + NX, s->corner, sizeof s->corner);
-#endif
     for (int k = 0; k < N_MEMORY; k++) y[YM + k] = s->r[VR_MEMORY + k];
-}
-
-void stopset_motion_reset(StopsetState *s) {
-    for (int side = 0; side < 2; side++)
-        for (int i = 0; i < NX; i++)
-            s->corner[side][i] = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i] + (side ? stopset_model.X0_hi[i] : stopset_model.X0_lo[i]);
 }
 
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
@@ -329,9 +325,6 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
     memcpy(&s->r[VR_Q], y, NJ * sizeof *y);
     memcpy(&s->r[VR_DQ], y + NJ, NJ * sizeof *y);
     memcpy(s->mode, mode, sizeof mode);
-#if NV > 1
-    memcpy(s->corner, y + NX, sizeof s->corner);
-#endif
     for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = y[YM + k];
     return 0;
 }
@@ -351,7 +344,7 @@ void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ]
     if (stopset_exact(s)) {
         stopset_input(s, w, net);
         measured_rates(s, w, &s->r[VR_MEMORY], rate);
-        for (int i = 0; i < NJ; i++) net[i] -= viscous(s, i, y[NJ + i]);
+        take_off(w, y, y + NJ, net);
     } else {
         if (s->modes_by_events || s->modes_held)
             memcpy(mode, s->mode, sizeof mode);
@@ -400,15 +393,5 @@ void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]) {
         for (int j = 0; j < NJ; j++)
             if (j != i) coupling += w->M[i][j] * ddq[j];
         z[i] = fmin(coupling - up[i], down[i] - coupling);
-    }
-}
-
-void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]) {
-    const StopsetModel *m = &stopset_model;
-    for (int i = 0; i < NX; i++) {
-        double x = s->r[(i < NJ ? VR_Q : VR_DQ - NJ) + i];
-        if (s->modes_by_events) x = (double)NAN; /* in model exchange nobody integrates the corners */
-        lo[i] = s->corner[0][i] + m->V_lo[i] - x;
-        hi[i] = s->corner[1][i] + m->V_hi[i] - x;
     }
 }

@@ -68,12 +68,16 @@ static const char *inertia(const StopsetState *s, StopsetWork *w) {
     }
 #endif
     if (!stopset_invert(w->Minv, w->M)) return "the inertia matrix is singular; set inertia parameters > 0";
+    memset(w->carried_load, 0, sizeof w->carried_load);
     if (mass == 0.0) return 0;
     double at[3], J[3][NJ];
     stopset_point(&w->map.arm, m->q_a, NJ - 1, &s->r[VR_PAYLOAD_COM], at, J[0]);
     for (int r = 0; r < NJ; r++)
         for (int c = 0; c < NJ; c++)
-            if (r == c || !m->decoupled) w->M[r][c] += mass * (J[0][r] * J[0][c] + J[1][r] * J[1][c] + J[2][r] * J[2][c]);
+            if (r == c || !m->decoupled) {
+                w->carried_load[r][c] = mass * (J[0][r] * J[0][c] + J[1][r] * J[1][c] + J[2][r] * J[2][c]);
+                w->M[r][c] += w->carried_load[r][c];
+            }
     return stopset_invert(w->M, w->Minv) ? 0 : "the inertia with the payload is singular; set a finite centre of mass [m]";
 }
 
@@ -132,19 +136,24 @@ static void tube(const StopsetState *s, StopsetWork *w) {
     const StopsetModel *m = &stopset_model;
     const StopsetSets sets = {m->X0_lo, m->X0_hi, m->U_lo, m->U_hi, m->V_lo, m->V_hi, m->position_only};
     int keeps = m->decoupled && !m->generators;
+    for (int i = 0; i < NJ; i++)
+        for (int k = 0; k < NV; k++) w->viscous[i][k] = s->r[VR_VISCOUS + k * NJ + i];
+    const StopsetDynamics dynamics = {NJ, KIND, NV, w->Minv[0], w->viscous[0], stopset_polynomials_of};
+    w->dynamics = dynamics;
+    w->sets = sets;
+    if (NONLINEAR) return;
     for (int r = 0; r < NJ; r++) {
         for (int c = 0; c < NJ; c++) w->Av[r][c] = -w->Minv[r][c] * s->r[VR_VISCOUS + c];
         keeps = keeps && s->r[VR_VISCOUS + r] >= 0.0 && w->Minv[r][r] > 0.0;
     }
     const StopsetLinear linear = {NJ, NX, N_TORQUES, w->Av[0], w->Minv[0], m->generators ? m->across[0] : 0, 0, keeps};
     w->linear = linear;
-    w->sets = sets;
     w->h = 0.0;
     stopset_linear_step(&w->linear, m->dt, w->grid);
     w->age = -1;
     /* H products of 2n + n terms each round by 2^-53 relative to states within a few turns, see stopset.monitor.watch */
     const double rounding = AGES * 3.0 * NJ * 0x1p-53 * 32.0;
-    for (int k = 0; NV == 1 && k < AGES; k++) {
+    for (int k = 0; k < AGES; k++) {
         stopset_grow(w, k);
         stopset_tubes(1, NX, NX, N_TORQUES, 0, w->E, w->plus, w->minus, &w->sets, w->lo[k], w->hi[k]);
         for (int i = 0; i < NX; i++) {
@@ -152,7 +161,7 @@ static void tube(const StopsetState *s, StopsetWork *w) {
             w->watch_hi[k][i] = w->hi[k][i] + rounding;
         }
     }
-    const StopsetPredictions tube = {.states = NX, .ages = NV == 1 ? AGES : 0, .lo = w->watch_lo[0], .hi = w->watch_hi[0],
+    const StopsetPredictions tube = {.states = NX, .ages = AGES, .lo = w->watch_lo[0], .hi = w->watch_hi[0],
                                      .middle = w->watch_middle[0], .reach = w->watch_reach[0]};
     stopset_centre(&tube);
 }

@@ -9,6 +9,7 @@
 
 static const double LARGEST = 1e6; /* of any reading [SI] */
 
+#if !(CORNERS || PATHS)
 void stopset_forget(StopsetState *s) {
     StopsetPast *c = &s->past;
     for (int k = 0; k < PREDICTIONS; k++) c->age[k] = -1;
@@ -16,9 +17,10 @@ void stopset_forget(StopsetState *s) {
     c->next = c->since = 0;
     c->known = 0;
 }
+#endif
 
 /* Why no verdict can be had of this sample. */
-static int unusable(const StopsetState *s, const double x[NX]) {
+int stopset_unusable(const StopsetState *s, const double x[NX]) {
     const double payload = s->r[VR_PAYLOAD_MASS];
     int all_zero = 1;
     for (int i = 0; i < NX; i++) all_zero = all_zero && x[i] == 0.0 && (i >= NJ || s->r[VR_TAU + i] == 0.0);
@@ -27,7 +29,7 @@ static int unusable(const StopsetState *s, const double x[NX]) {
 }
 
 /* Whether a signal is beyond the domain of validity. */
-static int outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]) {
+int stopset_outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]) {
     double here[4 * NJ], slack[4 * NJ] = {0};
     memcpy(here, x, NX * sizeof *x);
     memcpy(here + NX, u, NJ * sizeof *u);
@@ -36,6 +38,7 @@ static int outside(const StopsetState *s, const double x[NX], const double u[NJ]
     return stopset_beyond((stopset_model.has_domain_temp ? 4 : 3) * NJ, here, stopset_model.lo, stopset_model.hi, slack) > 0;
 }
 
+#if !(CORNERS || PATHS)
 /* A prediction from this sample: every STRIDE of them, or at the first one alone where the sets conform from the start only. */
 static void launch(StopsetPast *c, int foreign) {
     const int first = !c->known;
@@ -59,12 +62,12 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
     int verdict = c->known ? VERDICT_NONE : NOTHING_BEFORE;
     memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
     memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
-    if (unusable(s, x)) {
+    if (stopset_unusable(s, x)) {
         stopset_forget(s);
         return VERDICT_NONE;
     }
     stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], c->ends[0], u, du);
-    const int foreign = outside(s, x, u, du);
+    const int foreign = stopset_outside(s, x, u, du);
     if (c->known) {
         double Bd[NX * NJ];
         stopset_torque_part(w->grid, Bd);
@@ -87,3 +90,4 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
     c->known = 1;
     return verdict;
 }
+#endif

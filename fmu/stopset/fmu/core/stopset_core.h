@@ -13,6 +13,7 @@
 #include "model_config.h" /* NJ, NV, N_REAL, N_INT, N_BOOL, AGES and so on, the VR_ and IX_ positions */
 
 enum { NX = 2 * NJ, NM = N_MEMORY > 0 ? N_MEMORY : 1, NS = NX + N_MEMORY }; /* joints, effects that remember, both */
+enum { NONLINEAR = CORNERS || PATHS, NB = NV > 0 ? NV : 1 }; /* corners of decoupled joints; paths of all others, see core/along.c */
 enum { NL = N_LAWS > 0 ? N_LAWS : 1, NN = N_NUMBERS > 0 ? N_NUMBERS : 1 };
 
 /* Needs nothing of the C library, unlike isfinite on some platforms. */
@@ -58,6 +59,7 @@ typedef struct {
     double ramp_value[NJ], ramp_delay[NJ], ramp_pace; /* [1] or [rad/s^2]; [s]; [1/s] */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     double reference_temperature;                  /* [degC] */
+    double fastest, rough;                         /* [rad/s] where a corner that runs away is held; relative error of its integration */
     int needs;                                     /* what laws look at of the rigid body */
     int decoupled, generators, position_only, motor_torque, swift, plain, sliding, timed, has_domain_temp, has_brakes;
     StopsetPlace place[NL];
@@ -70,6 +72,8 @@ typedef struct {
     const char *name[N_REAL + N_INT + N_BOOL];
 } StopsetModel;
 
+extern const StopsetPolynomials stopset_polynomials_of; /* of models 2 and 3; empty else */
+extern const int32_t stopset_looks[]; /* ages in steps at which predictions along paths are looked at, N_LOOKS of them */
 extern const StopsetTape stopset_tapes[];
 extern const StopsetModel stopset_model;
 extern const char stopset_token[];
@@ -98,17 +102,35 @@ typedef struct {
     double watch_lo[AGES][NX], watch_hi[AGES][NX], watch_middle[AGES][NX], watch_reach[AGES][NX];
     int64_t age;                                   /* steps until the responses below */
     double E[NX * NX], plus[NX * N_TORQUES], minus[NX * N_TORQUES], response[RESPONSE_ROOM];
+    StopsetDynamics dynamics;
+    double viscous[NJ][NB], carried_load[NJ][NJ], room[ROOM]; /* damping; inertia of the payload; work of the core */
     StopsetRigid rigid;
     double since;                                  /* [s] the start, of the sample in hand */
     double *proof;                                 /* stopset_stop_room(NJ) numbers where stops are bounded */
 } StopsetWork;
 
 /* Predictions from past samples, as the monitor has them. */
+#if CORNERS || PATHS
+typedef struct {
+    double sum[NJ], du[NJ], ends[NM][2]; /* of the inputs since the last step of the grid; what is remembered */
+    int64_t steps, turn;                 /* of the grid since the first sample; old ages are looked at in turn */
+    int32_t samples, every, said;        /* since that step, per step; its verdict */
+    uint8_t known;
+#if CORNERS
+    double z[2][AGES][NX];               /* lower and upper corner of every prediction */
+    int64_t age[AGES], next;
+#else
+    double x[AGES][NX], u[AGES][NJ], unsure[AGES][NJ]; /* rings: states, inputs to the next, how far these are unknown */
+    uint8_t starts[AGES];
+#endif
+} StopsetPast;
+#else
 typedef struct {
     double e[PREDICTIONS][NX], w[PREDICTIONS][NX], ends[NM][2], x[NX], u[NJ], du[NJ];
     int64_t age[PREDICTIONS], next, since;
     uint8_t foreign[PREDICTIONS], known;
 } StopsetPast;
+#endif
 
 /* A stop bound and the box of states that it holds for; `steps` since it was made. */
 typedef struct {
@@ -125,6 +147,10 @@ typedef struct {
     double start_time, tube_start, stop_start;
     double h_try;                    /* step size that the nonlinear integrator takes up again */
     double corner[2][NX];            /* lower and upper corner trajectories of polynomial friction */
+#if PATHS
+    double path[AGES][NX], torque[AGES][NJ]; /* the unit's own prediction on the model's grid */
+#endif
+    int32_t along, parts;            /* its steps, -1: it has left the grid and has no bounds; parts of a corner's step */
     double length;                   /* of the last communication step [s], the model's own before */
     double stop_q[NJ], stop_dq[NJ], stop_lo[NX], stop_hi[NX]; /* of the moment a stop was asked for */
     StopsetCertificate certificate[N_STOPS];
@@ -150,7 +176,7 @@ void stopset_outputs(StopsetState *s, StopsetWork *w);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
 void stopset_check(StopsetState *s, StopsetWork *w);
 /* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
-int stopset_restart(StopsetState *s, double ahead);
+int stopset_restart(StopsetState *s, StopsetWork *w, double ahead);
 
 /* prepare.c: what follows from the parameters of s, made anew where they are others; 0 or a sentence. Nothing else has pointers. */
 const char *stopset_prepare(const StopsetState *s, StopsetWork *w);
@@ -159,18 +185,24 @@ void stopset_torque_part(const double step[STEP_ROOM], double Bd[NX * NJ]); /* i
 void stopset_grow(StopsetWork *w, int64_t k); /* the responses at the age of k steps */
 /* sample.c */
 void stopset_forget(StopsetState *s);
-/* A measured sample as the monitor takes it: a verdict, with the joint if it is a violation, or that it follows no other. */
+int stopset_unusable(const StopsetState *s, const double x[NX]);
+int stopset_outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]);
+/* A measured sample as the monitor takes it: a verdict, with the joint if it is a violation, or that it follows no other. nonlinear.c:
+ * `every`: samples per step of the grid. */
 int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint);
+int stopset_sample_along(StopsetState *s, StopsetWork *w, int32_t every, int32_t *joint);
+/* nonlinear.c: the unit's own prediction: from the present state, one step of h under u, its bounds now. */
+void stopset_own_start(StopsetState *s, const StopsetWork *w);
+void stopset_own_step(StopsetState *s, StopsetWork *w, const double u[NJ], double h);
+void stopset_own_bounds(const StopsetState *s, StopsetWork *w, double lo[NX], double hi[NX]);
 /* motion.c */
 int stopset_exact(const StopsetState *s); /* whether the next step has a closed form */
 void stopset_input(const StopsetState *s, StopsetWork *w, double u[NJ]);
 void stopset_memory_step(StopsetState *s, StopsetWork *w, double h); /* at the measured state, held */
-void stopset_motion_reset(StopsetState *s);
 /* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
 int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack);
 void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]);
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h);
-void stopset_corner_tube(const StopsetState *s, double lo[NX], double hi[NX]);
 /* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
 void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ], double *rate);
 /* stops.c: the outputs of a category; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */

@@ -142,9 +142,11 @@ int stopset_ahead(const StopsetDynamics *s, const StopsetSets *sets, int64_t H, 
     const int n = s->n, m = 2 * n;
     double *held = work + stopset_dynamics_room(s), *J_x = held + (H + 1) * n, *J_u = J_x + (H + 1) * n * m, *E1 = J_u + (H + 1) * n * n;
     double *plus = E1 + (H + 1) * m * m, *minus = plus + (H + 1) * m * n, *rest = minus + (H + 1) * m * n;
-    memcpy(held, u, (size_t)(H * n) * sizeof *held);
-    memcpy(held + H * n, u + (H - 1) * n, (size_t)n * sizeof *held);
-    stopset_linearised(s, H + 1, path, held, work, J_x, J_u);
+    if (H > 0) {
+        memcpy(held, u, (size_t)(H * n) * sizeof *held);
+        memcpy(held + H * n, u + (H - 1) * n, (size_t)n * sizeof *held);
+        stopset_linearised(s, H + 1, path, held, work, J_x, J_u);
+    }
     const int code = stopset_along(n, H, J_x, J_u, dt, E1, plus, minus, rest);
     if (code) return code;
     stopset_hulls(1, m, m, n, E1 + H * m * m, plus + H * m * n, minus + H * m * n, sets, lo, hi);

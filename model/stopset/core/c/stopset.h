@@ -419,7 +419,7 @@ STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, int64_t W, int
 /* d ddq / d(q, dq) (N, n, 2n) and d ddq / du (N, n, n) at rows of x (N, 2n), u (N, n). */
 STOPSET_API void stopset_linearised(const StopsetDynamics *dynamics, int64_t N, const double *x, const double *u, double *work, double *J_x,
                                     double *J_u);
-/* Where a reading may lie at the end of a path (H + 1, 2n), H >= 1, under u (H, n): lo, hi (2n,). work: stopset_ahead_room. */
+/* Where a reading may lie at the end of a path (H + 1, 2n) under u (H, n): lo, hi (2n,). work: stopset_ahead_room. */
 STOPSET_API int64_t stopset_ahead_room(const StopsetDynamics *dynamics, int64_t H);
 STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, int64_t H, const double *path, const double *u,
                               double dt, double *work, double *lo, double *hi);
