@@ -55,15 +55,19 @@ def case_of(plant: Plant, seed: int, size: float, most: int = 99) -> Case:
     return Case(rng.uniform(-np.pi, np.pi, n), (off - wide, off + wide), (lo, hi), (low, plant.coulomb_hi + 0.6 * plant.brake_hi))
 
 
-def bounds(plant: Plant, c: Case, related: bool, parts: Parts = ALL_PARTS) -> Array | None:
-    """(4, n): forward lo, hi, backward lo, hi, once they are within what is claimed; None where that does not come to an end."""
-    n = len(c.q)
+def rates(plant: Plant, c: Case, claim: Array, related: bool, parts: Parts = ALL_PARTS) -> Array:
+    """(4, n): forward lo, hi, backward lo, hi, as long as no acceleration is larger than its claim."""
     struct, _held = plant_struct(plant)
-    claim, out, options = np.full(n, 10.0), np.empty((4, n)), ffi.new("StopsetParts *", tuple(parts))
+    out, inputs = np.empty((4, len(c.q))), [view(given(y)) for y in (c.q, *c.x, *c.w, *c.B, claim)]
+    check(lib.stopset_acceleration_bounds(struct, *inputs, int(related), ffi.new("StopsetParts *", tuple(parts)), view(out)))
+    return out
+
+
+def bounds(plant: Plant, c: Case, related: bool, parts: Parts = ALL_PARTS) -> Array | None:
+    """`rates` once they are within what is claimed; None where that does not come to an end."""
+    claim, moves = np.full(len(c.q), 10.0), (c.w[0] < 0.0) | (c.w[1] > 0.0)
     for _ in range(40):
-        given_to = [view(given(y)) for y in (c.q, *c.x, *c.w, *c.B, claim)]
-        check(lib.stopset_acceleration_bounds(struct, *given_to, int(related), options, view(out)))
-        moves = (c.w[0] < 0.0) | (c.w[1] > 0.0)
+        out = rates(plant, c, claim, related, parts)
         largest = np.where(moves, np.where(np.isfinite(out), np.abs(out), 0.0).max(axis=0), 0.0)
         if np.all(largest <= claim):
             return out
@@ -171,6 +175,15 @@ def test_bounds_that_forget_what_is_shared_are_left(share: float) -> None:
         if out is not None:
             worst = max(worst, searched(plant, c, out, seed, 60)[0])
     assert worst > 0.1
+
+
+@pytest.mark.parametrize(("size", "coupling"), [(1.5, 1.0), (0.01, 4.0)])
+def test_where_slopes_say_nothing_each_row_stands_for_itself(size: float, coupling: float) -> None:
+    """A box so wide that an inverse could turn its sign, and an inertia that is none."""
+    plant = plant_of(ur10e_like())
+    c, parts = case_of(plant, 0, size), ALL_PARTS._replace(coupling=coupling)
+    both = [rates(plant, c, np.full(6, 100.0), related, parts) for related in (False, True)]
+    assert np.array_equal(both[0], both[1], equal_nan=True)
 
 
 def test_a_tube_closes_so_where_boxes_do_not() -> None:
