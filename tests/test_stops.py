@@ -169,7 +169,7 @@ def test_pieces_certify_what_one_tube_cannot() -> None:
     s = setting((4.75, 5.0), ur5_like())
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     cut = 0
-    for k, (q, dq) in enumerate(states(5, 3, 2.0)):
+    for k, (q, dq) in enumerate(states(4, 3, 3.1)):
         tubes = tubes_of(s, q, dq, r, v, 64)
         if tubes[-1].end != OK:
             continue

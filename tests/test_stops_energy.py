@@ -92,19 +92,21 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
 
 
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:
-    """UR10e-like with 12.5 kg, where no tube of joint speeds closes: the median of bound over worst sampled was 18, now 4."""
-    model, ratios = ur10e_like(), []
+    """UR10e-like with 12.5 kg, where a tube of joint speeds closes one stop in ten: the median of bound over worst sampled was 18, now 3."""
+    model, ratios, helped = ur10e_like(), [], 0
     s, rng = StopBounds.of(model, (12.25, 12.5)).setting, np.random.default_rng(1)
     assert s is not None
     r, v, top = s.noise.radius[:6], s.noise.radius[6:], model.domain.dq.hi
     for k in range(5):
         q, dq = rng.uniform(-np.pi, np.pi, 6), rng.uniform(-1.0, 1.0, 6) * top
         tube = tubes_of(s, q, dq, r, v, 1)[-1]
-        assert tube.end == OK and tube.energetic
+        assert tube.end == OK
+        helped += tube.energetic
         x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 60, k)
         assert x.escaped == 0
         ratios.append(tightness(tube, np.inf, x, dq, top).angle)
-    assert np.median(np.concatenate(ratios)) < 8.0
+    assert helped >= 3
+    assert np.median(np.concatenate(ratios)) < 5.0
 
 
 def test_largest_energy_is_the_largest_of_the_box() -> None:

@@ -137,7 +137,7 @@ def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, lo
 
 def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() -> None:
     model = prbt_like((0.0, 3.0))
-    bounds = StopBounds.of(model, (2.94, 3.0), ramp=Ramp.stated(6, time=0.5, off_after=0.6))
+    bounds = StopBounds.of(model, (2.94, 3.0), ramp=Ramp.stated(6, time=0.5, off_after=0.9))
     q, dq = np.array([0.1, 0.9, 0.9, 0.2, 1.2, 0.0]), np.array([1.2, -1.2, 1.2, 0.0, 0.0, 0.0])
     begin = time.process_time()
     bound = bounds.bound(q, dq, "1 guaranteed")

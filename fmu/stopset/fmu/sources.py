@@ -26,7 +26,21 @@ OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "ramp.c", "stops.c",
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
-PROOF = ("bound", "cartesian", "energy", "expansion", "laws", "local", "momentum", "moving", "pulls", "ramp", "torques", "tube")
+PROOF = (
+    "bound",
+    "cartesian",
+    "energy",
+    "expansion",
+    "laws",
+    "local",
+    "momentum",
+    "moving",
+    "pulls",
+    "ramp",
+    "related",
+    "torques",
+    "tube",
+)
 SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "predictions", "watch")
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
 CORE_HEADERS = (

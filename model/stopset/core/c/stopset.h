@@ -544,7 +544,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend, pull;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -585,6 +585,11 @@ STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, con
  * payload, +- turn (n, n, n). */
 STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                     const StopsetParts *parts, double *M, double *dM, double *turn);
+/* Accelerations of each joint while it moves forward, lo and hi, and while it moves backward, out (4, n), angles in q + [x_lo, x_hi], speeds in
+ * [w_lo, w_hi], dry friction in [B_lo, B_hi], if none is larger than its claim: each row for itself, or `related`. Infinite: no such motion. */
+STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo,
+                                      const double *w_hi, const double *B_lo, const double *B_hi, const double *claim, int related,
+                                      const StopsetParts *parts, double *out);
 /* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);

@@ -14,6 +14,7 @@ class Parts(NamedTuple):
     whole_step: float = 1.0  # 0: brakes and speeds taken at the end of each step only
     bend: float = 1.0  # what the inertia has beyond its first slopes
     pull: float = 1.0  # what the others pull at a joint that rests
+    shared: float = 1.0  # what one angle, one speed and the payload do to all accelerations at once
 
 
 ALL_PARTS = Parts()

@@ -8,8 +8,8 @@ least error is left.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,12 +22,14 @@ from stopset.recording.types import Recording
 from stopset.robot import Robot
 
 QUIET = 1e-5  # of a torque's range: less noise than a million counts; drives' torque has 2e-4 of it and more
-CUTOFFS = tuple(0.7 * 2 ** (k / 2) for k in range(10))  # [Hz]: 0.7 to 16
+CUTOFFS = tuple(0.7 * 2 ** (k / 2) for k in range(8))  # [Hz]: 0.7 to 8
 FINER = tuple(2 ** (k / 8) for k in (-3, -2, -1, 1, 2, 3))  # times the best of them
 KNOWN = 0.026  # of the cut-off, standard deviation: even over a step of the finer search
 FILTER_LOWERS = 0.2  # share by which the filter must lower the torque error, joints taken together
 TURNS_OVER = 0.44  # periods of the filter that its step takes from a tenth to nine tenths
 SECONDS = 60.0  # of the recordings, looked at
+PIECE = 10.0  # [s] about, of one fit
+TELLING_ROWS = 100  # rows of a joint in a piece that says something
 RELATIVE = 1e-9  # of the largest direction: below, columns are told apart by rounding alone
 
 
@@ -38,10 +40,15 @@ def recorded_low_pass(robot: Robot, trials: Sequence[Recording]) -> float:
         return 0.0
     plain = _left(robot, some, 0.0)
     tried = {f: _left(robot, some, f) for f in CUTOFFS}
-    best = min(tried, key=lambda f: tried[f])
-    tried |= {f * best: _left(robot, some, f * best) for f in FINER}
-    best = min(tried, key=lambda f: tried[f])
-    return round(best, 2) if tried[best] < plain + np.log1p(-FILTER_LOWERS) else 0.0
+    best: float = min(CUTOFFS, key=lambda f: tried[f])
+    if tried[best] > plain + np.log1p(-FILTER_LOWERS):
+        return 0.0
+    # the ends of pieces, which the filter did not have, pull the cut-off down: where it is, the longest trial says in one
+    longest = max(trials, key=lambda r: float(r.t[-1] - r.t[0]) if r.phase != "static" else 0.0)
+    whole = [longest.cut(0, int(np.searchsorted(longest.t, longest.t[0] + SECONDS)))]
+    finer = {f * best: _left(robot, whole, f * best) for f in (1.0, *FINER)}
+    sharpest: float = min(finer, key=lambda f: finer[f])
+    return round(sharpest, 2)
 
 
 def in_words(cutoff: float) -> str:
@@ -54,10 +61,14 @@ def in_words(cutoff: float) -> str:
 
 
 def _some(trials: Sequence[Recording]) -> list[Recording]:
-    """Moving trials of `SECONDS` together, evenly over those there are; of a longer one its beginning."""
-    moving = [r.cut(0, int(np.searchsorted(r.t, r.t[0] + SECONDS))) for r in trials if r.phase != "static" and len(r.t) > 2]
-    total = sum(float(r.t[-1] - r.t[0]) for r in moving)
-    return moving[:: max(1, int(total / SECONDS))]
+    """Pieces of moving trials, of `SECONDS` together, evenly over those there are."""
+    pieces = []
+    for r in trials:
+        if r.phase != "static" and len(r.t) > 2:
+            edges = np.linspace(0, len(r.t), max(1, round(float(r.t[-1] - r.t[0]) / PIECE)) + 1).astype(int)
+            pieces += [r.cut(lo, hi) for lo, hi in pairwise(edges.tolist())]
+    total = sum(float(r.t[-1] - r.t[0]) for r in pieces)
+    return pieces[:: max(1, int(total / SECONDS))]
 
 
 def _quiet(r: Recording) -> bool:
@@ -66,16 +77,20 @@ def _quiet(r: Recording) -> bool:
     return all(bool(np.all(np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) <= QUIET * np.ptp(x, axis=0))) for x in pieces)
 
 
-def _left(robot: Robot, trials: Iterable[Recording], cutoff: float) -> float:
-    """Logarithm of the torque error of the best model of each joint by itself, in the mean of the joints that move."""
-    data = accumulate(robot, trials, usual_friction(), replace(Preprocessing(), low_pass=cutoff))
+def _left(robot: Robot, pieces: Sequence[Recording], cutoff: float) -> float:
+    """Logarithm of the torque error in the mean over joints that move and pieces, each fitted by itself.
+
+    What a few seconds ask for is little; over a minute what the model lacks hides what the filter does.
+    """
     lags, out = lag_weights(0.0), []
-    for j in np.flatnonzero(data.rows_moving.sum(axis=0) > 0):
-        G = joint_reduced(data.moving[:, j].sum(axis=0), lags)
-        k = len(data.layout.index(int(j)))
-        G = G[np.ix_([*range(k), -1], [*range(k), -1])]
-        scale = 1 / np.sqrt(np.maximum(np.diag(G)[:-1], 1e-300))
-        A, b = scale[:, None] * G[:-1, :-1] * scale, scale * G[:-1, -1]
-        theta = scale * np.linalg.lstsq(A, b, rcond=RELATIVE)[0]
-        out.append(0.5 * np.log(max(residual(G, theta), 1e-300) / data.rows_moving[:, j].sum()))
+    for piece in pieces:
+        data = accumulate(robot, [piece], usual_friction(), Preprocessing(low_pass=cutoff))
+        for j in np.flatnonzero(data.rows_moving.sum(axis=0) > TELLING_ROWS):
+            G = joint_reduced(data.moving[:, j].sum(axis=0), lags)
+            k = len(data.layout.index(int(j)))
+            G = G[np.ix_([*range(k), -1], [*range(k), -1])]
+            scale = 1 / np.sqrt(np.maximum(np.diag(G)[:-1], 1e-300))
+            A, b = scale[:, None] * G[:-1, :-1] * scale, scale * G[:-1, -1]
+            theta = scale * np.linalg.lstsq(A, b, rcond=RELATIVE)[0]
+            out.append(0.5 * np.log(max(residual(G, theta), 1e-300) / data.rows_moving[:, j].sum()))
     return float(np.mean(out)) if out else 0.0

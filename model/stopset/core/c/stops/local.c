@@ -36,7 +36,7 @@ static void third_slopes(const Expansion *E, int i, const double *far, const dou
 static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far,
                     const StopsetParts *parts, Local *out) {
     const int n = E->n;
-    double lever[SN * SN], third[SN], pairs[SN], bend[SN];
+    double lever[SN * SN], third[SN], pairs[SN], bend[SN], extra[SN];
     far_levers(E, far, lever);
     for (int i = 0; i < n; i++) {
         third_slopes(E, i, far, lever, third, pairs);
@@ -46,11 +46,14 @@ static void inertia(const Expansion *E, const StopsetCurvature *K, const double 
             double m = E->M[i * n + j], r = 0.0, p = E->Mp[i * n + j], pr = 0.0;
             for (int k = i + 1; k < n; k++) { /* sums over all o, of which those beyond k come later */
                 const double *row = ddM + pair(0, k), *loaded = ddMp + pair(0, k);
-                bend[k] = 0.0;
+                bend[k] = extra[k] = 0.0;
                 for (int o = i + 1; o <= k; o++) {
                     const double second = size_of(row[o]) + (E->loaded ? size_of(loaded[o]) : 0.0);
                     bend[k] += second * far[o];
                     if (o < k) bend[o] += second * far[k];
+                    if (!E->loaded) continue;
+                    extra[k] += size_of(loaded[o]) * far[o];
+                    if (o < k) extra[o] += size_of(loaded[o]) * far[k];
                 }
             }
             for (int k = i + 1; k < n; k++) {
@@ -60,20 +63,22 @@ static void inertia(const Expansion *E, const StopsetCurvature *K, const double 
                     beyond = third[last];
                 else /* Bernstein: no more than twice the largest second slope of all poses */
                     for (int o = i + 1; o < n; o++) beyond += 2.0 * K->M[((i * n + j) * n + k) * n + o] * pairs[o];
-                double turn = bend[k] + 0.5 * beyond, bow = 0.5 * bend[k] + beyond / 6.0;
+                double rest = extra[k] + 0.5 * beyond, turn = bend[k] + 0.5 * beyond, bow = 0.5 * bend[k] + beyond / 6.0;
                 if (beyond > bend[k]) { /* a wide box: second slopes over all poses may say more */
                     double second = 0.0;
                     for (int o = i + 1; o < n; o++) second += K->M[((i * n + j) * n + k) * n + o] * far[o];
                     turn = least(turn, second);
                     bow = least(bow, 0.5 * second);
+                    rest = least(rest, turn + bend[k]);
                 }
                 m += dM[k] * mid[k];
                 p += dMp[k] * mid[k];
                 r += size_of(dM[k]) * rad[k] + parts->bend * bow * far[k];
                 pr += size_of(dMp[k]) * rad[k];
                 out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * turn;
+                out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = rest;
             }
-            for (int k = 0; k <= i; k++) out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = 0.0;
+            for (int k = 0; k <= i; k++) out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = 0.0;
             const double scale = i != j ? parts->coupling : 1.0;
             out->M[i * n + j] = out->M[j * n + i] = scale * m;
             out->M_rad[i * n + j] = out->M_rad[j * n + i] = scale * r;
@@ -121,7 +126,10 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         vc[k] = 0.5 * (w_lo[k] + w_hi[k]);
         vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
         va[k] = size_of(vc[k]) + vr[k];
+        out->x[k] = mid[k];
         out->rad[k] = rad[k];
+        out->v[k] = vc[k];
+        out->v_rad[k] = vr[k];
     }
     inertia(E, K, mid, rad, far, parts, out);
     for (int i = 0; i < n; i++) {

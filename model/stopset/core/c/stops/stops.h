@@ -25,11 +25,11 @@ typedef struct {
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
  * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; g: gravity alone; turn: how far dM_ij/dq_k can be from the
- * pose's; rad: half the box of angles. */
+ * pose's, rest: from what its slopes there tell; x +- rad: the box of angles, from the pose on, v +- v_rad: that of speeds. */
 typedef struct {
     int n;
     double M[SN * SN], M_rad[SN * SN], Mp[SN * SN], Mp_rad[SN * SN], dM[SN * SN], h_lo[SN], h_hi[SN], e_lo[SN], e_hi[SN],
-        g_lo[SN], g_hi[SN], turn[SN * SN * SN], rad[SN];
+        g_lo[SN], g_hi[SN], turn[SN * SN * SN], rest[SN * SN * SN], x[SN], rad[SN], v[SN], v_rad[SN];
 } Local;
 
 /* Speed bounds of every joint, apart for its first excursion and for later. */
@@ -72,6 +72,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
                      const double *w_hi, const StopsetParts *parts, Local *out);
 void stops_pivot(int n, double *A, int k, int into);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
+void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]);
 void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);
 void stops_total(int n, const Bands *b, double *lo, double *hi);
 void stops_start_momentum(const Local *at, const double *v_lo, const double *v_hi, const Bands *b, Momentum *m);

@@ -13,7 +13,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0};
 
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
@@ -21,7 +21,7 @@ typedef struct {
     const StopsetPlant *p;
     const StopsetParts *parts;
     const StopsetTube *tube;
-    int n, energetic, pulled; /* pulled: the momenta still say more than the energy */
+    int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
     double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
     Step s;
@@ -203,6 +203,7 @@ static int verify(March *m, int64_t k) {
         stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->w_lo, m->w_hi, m->parts, &m->at);
         torques(m, v_lo, v_hi);
         stops_accelerations(&m->at, &m->s, m->out);
+        if (m->related) stops_related(m->p, &m->E, &m->at, &m->s, m->parts, m->out);
         if (claims_hold(m)) return 1;
     }
     return 0;
@@ -415,18 +416,18 @@ static void begin(March *m, const double *q_lo, const double *q_hi, const double
     m->energy.y = stops_largest(&m->start, v0_lo, v0_hi);
 }
 
-int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
-                      int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
+static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, int64_t steps,
+                 const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
     const int n = plant->arm.n;
     double middle[SN], gravity[SN], engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
     March m;
-    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     memset(&m, 0, sizeof m);
     m.p = plant;
     m.parts = parts;
     m.tube = tube;
     m.n = n;
     m.energetic = m.pulled = energetic;
+    m.related = related;
     m.h = h;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->way[i] = STOPS_INF;
@@ -438,7 +439,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     begin(&m, q_lo, q_hi, v0_lo, v0_hi, middle);
     memcpy(gravity, m.E.g, sizeof gravity);
     /* bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall */
-    if (!energetic) fastest = 20.0 * quick + 20.0;
+    if (!energetic) fastest = related ? 4.0 * quick + 2.0 : 20.0 * quick + 20.0;
     for (int64_t k = 0; k < steps; k++) {
         const double now = (double)k * h, y = m.energy.y;
         double widest = -STOPS_INF;
@@ -447,6 +448,7 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
         guess_claims(&m, k);
         const int verified = take_step(&m, k);
         if (!verified && !energetic) return UNBOUNDED;
+        m.related = m.related && verified; /* where it does not help it costs the most */
         displace(&m, k);
         settle(&m, k, y, verified);
         tube->t[k + 1] = now + h;
@@ -463,4 +465,12 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     }
     *made = steps;
     return ENDLESS;
+}
+
+int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
+                      int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
+    if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, steps, parts, energetic, energetic, tube, made);
+    if (end == OK || energetic) return end;
+    return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, steps, parts, 0, 1, tube, made);
 }

@@ -1,0 +1,244 @@
+/* Accelerations of an arm whose joints slide or stick, with what one angle or one speed does to all of them at once.
+ *
+ *     M(q) a = r - h(q, v),   q = q_c + delta, v = v_c + nu, payload in its middle and s times half its range
+ *
+ * A box of h and one of M forget that the same delta_l, nu_k and s enter every row. Here each subset of moving joints carries the slopes of its
+ * inverse along, so that columns of h and slopes of M meet the inverse before their sizes are added: most of what they say then cancels.
+ *
+ * The lemma and its proof are in docs/stops.md. Source: Goodnight (1979) for the sweep operator.
+ */
+#include <string.h>
+
+#include "stops.h"
+
+enum { WIDE = SN + 2 }; /* an entry: its value, its slopes in all angles and in the payload, each times its half range */
+
+typedef struct {
+    int n, inside[SN], open[SN], count, fits;
+    double start[SN * SN * WIDE], push[SN], beyond[SN]; /* M; torques of its change, and of what is beyond slopes, at claimed accelerations */
+    double speeds[SN * SN], turns[SN * WIDE];           /* h: columns of nu; of delta and s */
+    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], known[SN], own[RATES][SN]; /* r less the middle of h; sizes of columns; of joint i itself */
+    const Step *s;
+    double (*out)[SN], shared;
+} Relation;
+
+/* Joint k into the moving set as stops_pivot does it, slopes along. */
+static void pivot(int n, double *A, int k) {
+    const int wide = n + 2;
+    double row[SN * WIDE], share[SN];
+    memcpy(row, A + k * n * wide, (size_t)(n * wide) * sizeof *row);
+    const double *p = row + k * wide, d = 1.0 / p[0];
+    for (int i = 0; i < n; i++) share[i] = row[i * wide] * d;
+    for (int i = 0; i < n; i++) {
+        const double b = share[i], *a = row + i * wide;
+        double *across = A + (i * n + k) * wide, *down = A + (k * n + i) * wide;
+        if (i == k) continue;
+        for (int j = 0; j < n; j++) {
+            const double c = share[j], *e = row + j * wide;
+            double *x = A + (i * n + j) * wide;
+            if (j == k) continue;
+            x[0] -= b * e[0];
+            for (int l = 1; l < wide; l++) x[l] += b * c * p[l] - a[l] * c - b * e[l];
+        }
+        across[0] = down[0] = b;
+        for (int l = 1; l < wide; l++) across[l] = down[l] = d * (a[l] - b * p[l]);
+    }
+    A[k * (n + 1) * wide] = -d;
+    for (int l = 1; l < wide; l++) A[k * (n + 1) * wide + l] = d * d * p[l];
+}
+
+/* The hull grows by the accelerations of joint i when it moves and so do those inside. */
+static void read_row(const double *A, int i, Relation *x) {
+    const int n = x->n, wide = n + 2;
+    const double *row = A + i * n * wide, w = -row[i * wide];
+    double lo = 0.0, hi = 0.0, spread = 0.0, scale = 1.0, own = 0.0, speed[SN] = {0}, turn[WIDE] = {0};
+    for (int j = 0; j < n; j++) {
+        if (j != i && !x->inside[j]) continue;
+        const double *e = row + j * wide, v = -e[0], largest = most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j];
+        double turned = 0.0;
+        for (int l = 1; l < wide; l++) {
+            turned += size_of(e[l]);
+            turn[l] += v * x->turns[j * WIDE + l] + e[l] * x->r_mid[j];
+        }
+        for (int k = 0; k < n; k++) speed[k] += v * x->speeds[j * n + k];
+        spread += turned * (x->known[j] + x->push[j]) + size_of(v) * x->beyond[j];
+        scale += (size_of(v) + turned) * (largest + x->push[j]);
+        if (j == i) {
+            own = turned;
+            continue;
+        }
+        spread += turned * x->r_rad[j];
+        lo += v > 0.0 ? v * x->r_lo[j] : v * x->r_hi[j];
+        hi += v > 0.0 ? v * x->r_hi[j] : v * x->r_lo[j];
+    }
+    for (int k = 0; k < n; k++) spread += size_of(speed[k]);
+    for (int l = 1; l < wide; l++) spread += size_of(turn[l]);
+    if (!(w > own)) x->fits = 0; /* else not even the sign of its own answer is known */
+    spread = x->shared * spread + stopset_rate_rounding * scale;
+    for (int rate = 0; rate < RATES; rate++) {
+        const int backward = rate == 2 || rate == 3 || rate == 6 || rate == 7 || rate == 9;
+        if (!x->s->zero[i] && !(backward ? x->s->minus[i] : x->s->plus[i])) continue;
+        const double f = x->own[rate][i], away = spread + own * size_of(f - x->r_mid[i]);
+        if (is_lower(rate))
+            x->out[rate][i] = least(x->out[rate][i], lo + w * f - away);
+        else
+            x->out[rate][i] = most(x->out[rate][i], hi + w * f + away);
+    }
+}
+
+/* B: A with joint k inside; 0 if that is not surely possible. */
+static int joined(const double *A, int k, Relation *x, double *B) {
+    const int n = x->n, at = k * (n + 1) * (n + 2);
+    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
+    if (!(B[at] > 1e-6 * x->start[at])) return x->fits = 0;
+    pivot(n, B, k);
+    return 1;
+}
+
+/* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
+static void visit(const double *A, int k, Relation *x) {
+    double B[SN * SN * WIDE];
+    if (k < x->count) {
+        const int joint = x->open[k];
+        if (x->s->zero[joint]) visit(A, k + 1, x); /* else it surely moves */
+        if (!joined(A, joint, x, B)) return;
+        x->inside[joint] = 1;
+        visit(B, k + 1, x);
+        x->inside[joint] = 0;
+        return;
+    }
+    for (int i = 0; i < x->n; i++) {
+        if (x->inside[i])
+            read_row(A, i, x);
+        else if (!x->s->plus[i] && !x->s->minus[i] && joined(A, i, x, B))
+            read_row(B, i, x); /* at rest: with this it would start, were it to start */
+    }
+}
+
+/* The inertia with its slopes. */
+static void inertia(const StopsetPlant *p, const Expansion *E, const Local *at, Relation *x) {
+    const int n = at->n;
+    for (int i = 0; i < n; i++) {
+        x->push[i] = x->beyond[i] = 0.0;
+        for (int j = 0; j < n; j++) {
+            const int ij = i * n + j;
+            const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
+            double *a = x->start + ij * (n + 2), linear = 0.0;
+            a[0] = at->M[ij];
+            for (int l = 0; l < n; l++) {
+                a[1 + l] = E->dM[ij * n + l] * at->rad[l];
+                linear += size_of(a[1 + l]);
+            }
+            a[1 + n] = at->Mp[ij] - rotor;
+            x->push[i] += at->dM[ij] * x->s->a_far[j];
+            x->beyond[i] += (most(at->M_rad[ij] - linear, 1e-12 * linear) + at->Mp_rad[ij] + rotor) * x->s->a_far[j];
+        }
+    }
+}
+
+/* Second slope d2 M_ij / dq_k dq_l at the pose. */
+static double second(const Expansion *E, int i, int j, int k, int l) {
+    const int a = i < j ? i : j, b = i < j ? j : i, m = k < l ? k : l, o = k < l ? l : k;
+    return m > a ? E->ddM[pair(a, b) * PAIRS + pair(m, o)] : 0.0;
+}
+
+/* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
+static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, double *middle, double *rest) {
+    const int n = at->n;
+    double *turns = x->turns + i * WIDE + 1;
+    for (int k = 0; k < n; k++)
+        for (int o = 0; o < n; o++) {
+            const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
+            const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t;
+            double G = E->Gamma[ik], slopes = 0.0;
+            for (int l = 0; l < n; l++) {
+                const double slope = 0.5 * (second(E, i, k, o, l) + second(E, i, o, k, l) - second(E, k, o, i, l));
+                G += slope * at->x[l];
+                slopes += size_of(slope) * at->rad[l];
+                turns[l] += slope * at->rad[l] * c * b;
+            }
+            turns[n] += E->Gammap[ik] * c * b;
+            x->speeds[i * n + k] += 2.0 * G * b * r;
+            *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
+            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
+            *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
+        }
+}
+
+/* Torques of joint i: columns, and the box of all the rest. */
+static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, int i, Relation *x) {
+    const int n = at->n;
+    const Step *s = x->s;
+    double middle = E->g[i], rest = 0.0;
+    memset(x->speeds + i * n, 0, (size_t)n * sizeof(double));
+    memset(x->turns + i * WIDE, 0, WIDE * sizeof(double));
+    for (int k = 0; k < n; k++) {
+        double bend = 0.0;
+        const double far = size_of(at->x[k]) + at->rad[k];
+        for (int o = 0; o < n; o++) bend += 0.5 * p->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
+        middle += E->dg[i * n + k] * at->x[k];
+        x->turns[i * WIDE + 1 + k] = E->dg[i * n + k] * at->rad[k];
+        rest += (size_of(E->dgp[i * n + k]) + bend) * far;
+    }
+    x->turns[i * WIDE + 1 + n] = E->gp[i];
+    coriolis(E, at, i, x, &middle, &rest);
+    const double up = s->way[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->way[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
+    const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
+    const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
+                               hi + s->B_hi[i] - s->own_up[i], lo + down + s->own_down[i], hi - s->B_later[i], lo + s->B_later[i]};
+    for (int rate = 0; rate < RATES; rate++) x->own[rate][i] = own[rate];
+    x->r_lo[i] = s->plus[i] || !s->minus[i] ? own[0] : own[2];
+    x->r_hi[i] = s->minus[i] ? own[3] : own[1];
+    x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
+    x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
+    x->known[i] = 0.0;
+    for (int k = 0; k < n; k++) x->known[i] += size_of(x->speeds[i * n + k]);
+    for (int l = 1; l < n + 2; l++) x->known[i] += size_of(x->turns[i * WIDE + l]);
+}
+
+/* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
+void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]) {
+    const int n = at->n;
+    double found[RATES][SN];
+    Relation x = {.n = n, .fits = 1, .s = s, .out = found, .shared = parts->shared};
+    inertia(p, E, at, &x);
+    for (int i = 0; i < n; i++) {
+        torques(p, E, at, i, &x);
+        for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
+        if (!s->zero[i]) x.open[x.count++] = i;
+    }
+    for (int i = 0; i < n; i++)
+        if (s->zero[i] && (s->plus[i] || s->minus[i])) x.open[x.count++] = i;
+    visit(x.start, 0, &x);
+    if (!x.fits) return;
+    for (int row = 0; row < RATES; row++)
+        for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);
+}
+
+int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo, const double *w_hi,
+                          const double *B_lo, const double *B_hi, const double *claim, int related, const StopsetParts *parts, double *out) {
+    const int n = plant->arm.n;
+    Expansion E;
+    Local at;
+    Step s;
+    double rates[RATES][SN];
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    memset(&s, 0, sizeof s);
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, w_lo, w_hi, parts, &at);
+    for (int i = 0; i < n; i++) {
+        s.s_lo[i] = plant->u_lo[i] - at.h_hi[i] - most(plant->viscous_lo[i] * w_hi[i], plant->viscous_hi[i] * w_hi[i]);
+        s.s_hi[i] = plant->u_hi[i] - at.h_lo[i] - least(plant->viscous_lo[i] * w_lo[i], plant->viscous_hi[i] * w_lo[i]);
+        s.B_lo[i] = s.B_later[i] = B_lo[i];
+        s.B_hi[i] = B_hi[i];
+        s.a_far[i] = claim[i];
+        s.plus[i] = w_hi[i] > 0.0;
+        s.minus[i] = w_lo[i] < 0.0;
+        s.zero[i] = w_lo[i] <= 0.0 && w_hi[i] >= 0.0;
+    }
+    stops_accelerations(&at, &s, rates);
+    if (related) stops_related(plant, &E, &at, &s, parts, rates);
+    for (int row = 0; row < 4; row++) memcpy(out + row * n, rates[row], (size_t)n * sizeof *out);
+    return STOPSET_OK;
+}
