@@ -110,7 +110,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("abstraction choice", choose, "WINDOWS TIE"),
     ("swift inputs", swift, "LOWERS"),
     ("abstraction forms", forms, "ROUNDING"),
-    ("abstraction identified", identified, "HORIZON ORDERS"),
+    ("abstraction identified", identified, "HORIZON ORDERS LADDER WORTH"),
     ("abstraction models", models, "ORDERS ROUNDING"),
     ("flow", flow, "STEP _TERMS"),
     ("readings", noise, "WINDOW COVERAGE TELLING FLOAT32_STEP _WEIGHTS"),
