@@ -22,6 +22,7 @@ from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 from stopset.types import Array
+from test_fmu import friction
 from test_fmu_stops import braked, core_stop, cut_together, ramped, states
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -139,6 +140,26 @@ def replace_apart(apart: float | None) -> Any:
     model = cut_together(0.0)
     assert model.brakes is not None
     return replace(model, brakes=replace(model.brakes, apart=apart))
+
+
+@pytest.mark.parametrize("rotor", [8.0, 0.3])
+@pytest.mark.parametrize("stiff", [-60.0, -300.0, -1000.0])
+def test_a_spring_that_pushes_away_is_bounded_where_its_stop_stays_or_not_at_all(stiff: float, rotor: float) -> None:
+    """The farther the joint gets the harder it is pushed: some stops stay in the region that their effects were evaluated for, some outgrow
+    every one. At rest, and at speed."""
+    bounds = bounds_of(braked(rotor, 3, effort="motor_torque", effects=[friction("spring", "axis_2", k=stiff, c=0.0)]))
+    core, found = core_stop(bounds), set()
+    for q, dq in states(bounds.model, 6, 4, 1.0):
+        found |= {same(bounds, core, q, share * dq, "0") for share in (0.0, 1.0)}
+    assert False in found and (True in found or stiff == -1000.0)
+
+
+def test_faster_than_ever_seen_an_effect_is_bounded_for_that_speed() -> None:
+    bounds = bounds_of(braked(8.0, 3, effort="motor_torque", effects=[friction("stribeck", "axis_2", F_s=6.0, v_s=0.06)]))
+    core, q = core_stop(bounds), np.array([0.2, 0.7, -0.4])
+    assert bounds.setting is not None
+    far = [core(q, share * bounds.setting.torques.fastest, "0") for share in (0.5, 0.99, 2.0)]
+    assert all(x is not None for x in far) and far[0].forward.max() < far[1].forward.max() < far[2].forward.max()
 
 
 # ---- ramps

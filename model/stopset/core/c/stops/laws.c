@@ -81,9 +81,8 @@ static double times_itself(double x, int n) {
     return out;
 }
 
-/* n products round by half a unit in the last place each. */
+/* n > 1: as many products, each rounds by half a unit in the last place. */
 static Ends power(Ends a, int n) {
-    if (n == 0) return of(1.0, 1.0);
     if (n % 2) return ends_out(times_itself(a.lo, n), times_itself(a.hi, n), n);
     const double x = size_of(a.lo), y = size_of(a.hi);
     const Ends out = ends_out(holds_zero(a) ? 0.0 : times_itself(least(x, y), n), times_itself(most(x, y), n), n);
@@ -118,7 +117,7 @@ static int full_turn(double lo, double hi) {
 }
 
 static Ends cosine(Ends a) {
-    if (!(a.lo >= -LARGEST_ANGLE && a.hi <= LARGEST_ANGLE)) return a.lo <= a.hi ? of(-1.0, 1.0) : a;
+    if (!(a.lo >= -LARGEST_ANGLE && a.hi <= LARGEST_ANGLE)) return of(-1.0, 1.0);
     const double x = stopset_cos(a.lo), y = stopset_cos(a.hi);
     const double lo = full_turn(a.lo - PI, a.hi - PI) ? -1.0 : least(x, y), hi = full_turn(a.lo, a.hi) ? 1.0 : most(x, y);
     return clipped(ends_out(lo, hi, ULPS), -1.0, 1.0);
@@ -156,7 +155,7 @@ static Slope raised(const Slope *x, int n) {
         out.rate = ends_add(ends_mul(out.all, x->rate), ends_mul(out.rate, x->start));
         out.all = ends_mul(out.all, x->all);
     }
-    out.how = n ? x->how : CONSTANT_RATE;
+    out.how = x->how;
     out.all = power(x->all, n);
     out.start = power(x->start, n);
     return out;
@@ -259,7 +258,7 @@ static int play(const StopsetBoundLaw *law, const Slope *signals, Slope *r) {
             r[i] = arithmetic(what, r + step[1], r + step[2]);
         else
             r[i] = applied(what, r + step[1]);
-        if (!(sound(r[i].all) && sound(r[i].start) && sound(r[i].rate))) return 0;
+        if (!(sound(r[i].all) & sound(r[i].start) & sound(r[i].rate))) return 0;
     }
     return 1;
 }
@@ -378,7 +377,7 @@ static void split(int role, Ends plus, Ends back, Ends *odd, Ends *even) {
     *even = of(pushes - (radius - unsure + slack), pushes + (radius - unsure + slack));
 }
 
-static int finite(Ends x) { return x.lo - x.lo == 0.0 && x.hi - x.hi == 0.0; }
+static int finite(Ends x) { return (x.lo - x.lo == 0.0) & (x.hi - x.hi == 0.0); }
 
 int stopset_act(const StopsetActing *law, const StopsetSight *s, double *out) {
     Slope signals[STOPSET_SIGNALS];

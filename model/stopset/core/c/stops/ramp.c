@@ -140,14 +140,14 @@ static int near(const StopsetStops *s, const double *q_lo, const double *q_hi, c
 static int held(const StopsetStops *s, const double *q, const double *radius) {
     const int n = s->plant.arm.n;
     const double still[SN] = {0};
-    double g[2][SN], body[2][10 * SN], lo[SN], hi[SN], friction[6 * SN];
+    double g[2][SN], body[2][10 * SN], lo[SN], hi[SN], friction[6 * SN] = {0};
     StopsetPlant plant, *p = &plant;
     Expansion E;
     for (int i = 0; i < n; i++) {
         lo[i] = q[i] - radius[i];
         hi[i] = q[i] + radius[i];
     }
-    if (!near(s, lo, hi, still, friction, p)) return 0;
+    const int bounded = near(s, lo, hi, still, friction, p);
     for (int side = 0; side < 2; side++) {
         StopsetArm arm = p->arm;
         for (int k = 0; k < 10 * n; k++) body[side][k] = p->arm.pi[k] + (side ? 1.0 : -1.0) * p->pi_half[k];
@@ -165,7 +165,7 @@ static int held(const StopsetStops *s, const double *q, const double *radius) {
         const double more = near + 0.5 * bent;
         /* in a wide box slopes say more than what gravity can ask in any pose */
         const double low = least(most(first - more, -load), first) - p->u_hi[i], high = most(least(last + more, load), last) - p->u_lo[i];
-        if (!(p->brake_lo[i] + p->coulomb_lo[i] - most(size_of(low), size_of(high)) > 0.0)) return 0;
+        if (!(bounded & (p->brake_lo[i] + p->coulomb_lo[i] - most(size_of(low), size_of(high)) > 0.0))) return 0;
     }
     return 1;
 }
