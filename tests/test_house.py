@@ -341,7 +341,7 @@ def test_every_entry_of_the_bibliography_is_used() -> None:
 OTHER_MEANINGS = (
     ("stopset.cli.demo", "spring", "what the demo hides, as a user would type it"),
     ("stopset.artifact", "inertia coriolis", "a signal that laws read"),
-    ("stopset.reach.stops.friction", "coriolis", "a signal that laws read"),
+    ("stopset.reach.stops.laws", "coriolis", "a signal that laws read"),
     ("stopset.fmu.laws", "coriolis", "a signal that laws read"),
     ("stopset.offline.diagnose.columns", "coriolis", "a signal that laws read"),
     ("stopset.reach.stops", "viscous delay", "fields of a stop's numbers"),

@@ -14,14 +14,17 @@ import numpy as np
 import pytest
 
 import stopset.effects.registry as registry
+from acting_reference import Sight
+from acting_reference import acting as reference
+from slopes import Slope
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.effects import Effect, Signals, Term, catalogue, check, get
 from stopset.effects.base import Fitted, Number
-from stopset.effects.bound import ACTING, SIGMAS, Sight, acting
+from stopset.effects.bound import ACTING, SIGMAS
 from stopset.errors import EffectError, NotCovered
 from stopset.fmu.sources import sources
-from stopset.fmu.stops import bounds_of, stop_data, stop_refusal
+from stopset.fmu.stops import stop_data, stop_refusal
 from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
@@ -29,10 +32,10 @@ from stopset.monitor.stopdesk import StopDesk
 from stopset.offline.nominal.known_effects import described
 from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.friction import torques_of
-from stopset.reach.stops.regions import CompiledStops
+from stopset.reach.stops.friction import acted, torques_of
+from stopset.reach.stops.laws import acting_law
 from stopset.reach.stops.tubes import fastest, tube_of
-from stopset.ring import Interval, Slope, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
+from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
 from test_hidden_effects import ARM
 
@@ -176,10 +179,9 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         "inertia": (0.2, 2.0),
         "coriolis": (-3.0, 3.0),
     }
-    ends = {k: Interval(np.array([lo]), np.array([hi])) for k, (lo, hi) in ranges.items()}
-    tilt = (Interval(np.array([-4.0]), np.array([9.0])), Interval(np.array([-2.0]), np.array([3.0])))
-    one = np.ones(1)
-    a = acting(effect, [f], Sight(1.3 * one, 1.3 * one, 30.0 * one, other=0.8 * one, tilt=tilt, **ends))
+    sight = {"speed": 1.3, "past": 1.3, "gear": 30.0, "other": 0.8, "tilt": [(-4.0, 9.0), (-2.0, 3.0)], **ranges}
+    law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, 1.3, True)
+    dry, viscous, push = acted(law, sight, [])
     least = np.inf
     for _ in range(400):
         corner = rng.random() < 0.5
@@ -197,13 +199,51 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         for t in effect.terms:
             drawn[t.symbol] = float(np.clip(drawn[t.symbol], min(t.lo, values[t.symbol]), max(t.hi, values[t.symbol])))
         torque = float(effect.torque(s, drawn))
-        size = [np.sort(way * (a.dry[0] + a.viscous[0] * speed))[k] + a.push[0][k] for k in (0, 1)]
+        size = [np.sort(way * (dry + viscous * speed))[k] + push[k] for k in (0, 1)]
         assert size[0] - 1e-9 <= torque <= size[1] + 1e-9
         least = min(least, size[1] - torque, torque - size[0])
     if (
         effect.role != "arm or drive" and not effect.states and effect.name != "torque_ripple"
     ):  # its two waves never crest together
         assert least < 0.05 * (size[1] - size[0] + 1.0)  # and is no wider than it must be
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [*(e for e in catalogue().values() if e.role in ACTING and e.name not in REFUSED), *OTHERS[:2]],
+    ids=lambda e: e.name,
+)
+def test_the_core_bounds_a_law_as_the_reference_in_numpy_does(effect: Effect) -> None:
+    """Never wider, and what is narrower is a sum of constants that the reference takes for a slope; parameters with and without doubt."""
+    rng = np.random.default_rng(2)
+    alike = 0
+    for trial in range(30):
+        values = {p.symbol: float(rng.uniform(max(p.lo, -3.0), min(p.hi, 3.0))) for p in effect.terms}
+        values |= {p.symbol: p.grid[len(p.grid) // 2] for p in effect.shapes}
+        doubt = {k: 0.02 * abs(v) for k, v in values.items()} if trial % 2 else {}
+        f, fast = Fitted(effect.name, "j", values, doubt), rng.uniform(0.1, 2.0)
+        ranges = {k: np.sort(rng.uniform(-3.0, 3.0, 2)) for k in ("q", "load", "temp", "stiff", "coriolis")} | {
+            "inertia": np.array([0.2, 2.0])
+        }
+        tilt, past, gear, other = np.sort(rng.uniform(-5.0, 5.0, (2, 2))), 1.3, rng.uniform(1.0, 40.0), rng.uniform(0.0, 2.0)
+        law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, past, True)
+        sight = {
+            "speed": fast,
+            "past": past,
+            "gear": gear,
+            "other": other,
+            "tilt": tilt.tolist(),
+            **{k: v.tolist() for k, v in ranges.items()},
+        }
+        got, one = acted(law, sight, []), np.ones(1)
+        ends = {k: Interval(v[:1], v[1:]) for k, v in ranges.items()}
+        pair = (Interval(tilt[0, :1], tilt[0, 1:]), Interval(tilt[1, :1], tilt[1, 1:]))
+        a = reference(effect, [f], Sight(fast * one, past * one, gear * one, other=other * one, tilt=pair, **ends))
+        want = np.stack([a.dry[0], a.viscous[0], a.push[0]])
+        size = 1e-9 * (1.0 + np.abs(want).max())
+        assert np.all(got[:, 0] >= want[:, 0] - size) and np.all(got[:, 1] <= want[:, 1] + size), (trial, got, want)
+        alike += bool(np.allclose(got, want, rtol=0.0, atol=size))
+    assert alike >= 25
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -238,16 +278,12 @@ def test_the_refusal_reaches_who_runs_an_fmu_a_command_or_a_monitor(tmp_path: Pa
         desk.close()
 
 
-def test_an_fmu_counts_misread_positions_into_the_start_and_knows_no_stop_beyond_its_regions() -> None:
+def test_an_fmu_counts_misread_positions_into_the_start() -> None:
     plain, misread = (stop_data(hiding(effects)) for effects in ((), CASES["encoder_offset"]))
     assert plain.refusal == misread.refusal == ""
     moved = np.abs(misread.numbers["stop_centre"] - plain.numbers["stop_centre"])
     wider = misread.numbers["stop_radius"] - plain.numbers["stop_radius"]
     assert moved[1] + wider[1] > 1e-3 and np.all(np.delete(moved + wider, [1, 7]) == 0.0)
-    sprung, free = (CompiledStops.of(bounds_of(hiding(e)).setting).bound for e in (CASES["spring"], ()))  # type: ignore[arg-type]
-    slow, fast = (sprung(0.0 * Q, v * np.eye(6)[0]) for v in (0.3, 2.6))
-    assert slow is not None and fast is None
-    assert free(0.0 * Q, 2.6 * np.eye(6)[0]) is not None
 
 
 def test_friction_must_be_silent_where_the_joint_stands() -> None:

@@ -25,6 +25,7 @@ from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.packer import pack
+from stopset.monitor.replay import play
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.recording import read_recordings
@@ -83,6 +84,26 @@ def test_samples_follow_names_and_stamps_show_gaps() -> None:
     assert got[6] is not None and got[6].q.tolist() == [0, 1, 2, 3, 4, 5]
 
 
+def test_what_a_busy_machine_sent_late_does_not_stay_late() -> None:
+    """A replay that could not keep pace is stamped as now at its next trial: a monitor would call all that follows too old."""
+    seen: list[tuple[int, int]] = []
+
+    class Slow:
+        def sample(self, values: object, stamp_ns: int) -> None:
+            seen.append((stamp_ns, time.time_ns()))
+            time.sleep(0.012 if len(seen) <= 25 else 0.0)
+
+        def pause(self, cycles: int) -> None: ...
+        def close(self) -> None: ...
+
+    play([motion(s, 25, s) for s in range(3)], Slow())
+    behind = [(now - stamp) * 1e-9 for stamp, now in seen]
+    assert behind[24] > 0.1, "within a trial stamps keep the rhythm of the recording"
+    assert abs(behind[25]) < 0.05 and abs(behind[50]) < 0.05
+    stamps = [stamp for stamp, _ in seen]
+    assert stamps == sorted(stamps)
+
+
 def test_two_sessions_on_loopback() -> None:
     port = free_port()
     daemon = ZenohLink("s/c/a/stopset", listen=[f"tcp/127.0.0.1:{port}"])
@@ -114,7 +135,7 @@ def test_two_sessions_on_loopback() -> None:
         assert tokens == [True, False], "the liveliness token goes with its session"
     finally:
         consumer.close()
-    with pytest.raises(BusError, match="cannot be opened"):
+    with pytest.raises(BusError, match="no zenoh session with"):
         ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
 
 
@@ -272,11 +293,46 @@ def test_shipped_access_control_lets_everyone_do_their_part_only(tmp_path: Path)
             .replace("connect_private_key", "// ")
         )
         (tmp_path / "stranger.json5").write_text(stranger)
-        with pytest.raises(BusError, match="cannot be opened"):
+        with pytest.raises(BusError, match="no zenoh session with"):
             ZenohLink(prefix, file=tmp_path / "stranger.json5")
     finally:
         for link in reversed(links):
             link.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp/127.0.0.1:99999999", "has the port '99999999'"), ("tcp/127.0.0.1:x", "has the port 'x'"),
+        ("tcp/127.0.0.1:٧٧", "has the port"), ("127.0.0.1:7447", "no zenoh address"), ("", "no zenoh address"),
+        ("carrier/pigeon:1", "no zenoh address"), ("tcp/127.0.0.1:9", "no zenoh session with tcp/127.0.0.1:9 comes about"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["fleet", "watch"])
+def test_an_address_that_is_none_or_answers_nothing_is_told_in_our_words(
+    command: str, address: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--connect", address, "--port", "0", "--seconds", "0.1"]) == 2
+    told = capsys.readouterr().err
+    assert said in told and "expected" in told
+    for foreign in ("Single", "Json5Err", "Unable to", "Message", "os error"):
+        assert foreign not in told, "zenoh's own words"
+
+
+def test_a_zenoh_file_that_cannot_be_used_is_told_in_our_words(tmp_path: Path) -> None:
+    for text, said in (
+        ("{mode:", "no JSON5 at line 1, column 7"),
+        ('{mode: "client", fleet: 1}', "has the unknown key fleet"),
+        (None, "no such file"),
+    ):
+        file = tmp_path / "z.json5"
+        file.unlink(missing_ok=True)
+        if text is not None:
+            file.write_text(text)
+        with pytest.raises(BusError, match=said):
+            ZenohLink(file=file)
+    with pytest.raises(BusError, match="cannot be listened on"):
+        ZenohLink(listen=["tcp/192.0.2.1:7447"])
 
 
 def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixture[str]) -> None:

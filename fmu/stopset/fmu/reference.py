@@ -24,8 +24,8 @@ from stopset.effects.signals import Samples
 from stopset.fmu.stops import bounds_of, stop_refusal
 from stopset.fmu.variables import categories, start_posture
 from stopset.reach.flowpipe import deviation_tube, discretise
+from stopset.reach.stops.compiled import CompiledStops, Stopped
 from stopset.reach.stops.ramp import ramp_of
-from stopset.reach.stops.regions import CompiledStops, Stopped
 from stopset.reach.stops.types import Category
 from stopset.types import Array
 

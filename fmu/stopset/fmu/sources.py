@@ -26,10 +26,20 @@ OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "ramp.c", "stops.c",
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
-PROOF = ("bound", "cartesian", "energy", "expansion", "local", "momentum", "moving", "pulls", "ramp", "tube")
+PROOF = ("bound", "cartesian", "energy", "expansion", "laws", "local", "momentum", "moving", "pulls", "ramp", "torques", "tube")
 SHARED = ("maths", "rigid", "law", "inputs", "linear", "predict", "predictions", "watch")
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
-CORE_HEADERS = ("inputs.h", "law.h", "maths.h", "stopset.h", "vectors.h", "wide.h", "stops/bound.h", "stops/stops.h")
+CORE_HEADERS = (
+    "inputs.h",
+    "law.h",
+    "maths.h",
+    "stopset.h",
+    "vectors.h",
+    "wide.h",
+    "stops/bound.h",
+    "stops/laws.h",
+    "stops/stops.h",
+)
 UNITS = (*OWN_UNITS, *(f"{CORE}/{name}" for name in CORE_UNITS))
 FMI_HEADERS = (
     "fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h",

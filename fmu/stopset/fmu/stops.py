@@ -12,8 +12,10 @@ from stopset.errors import NotCovered
 from stopset.fmu.ctext import array
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.brakes import brakes_of
+from stopset.reach.stops.compiled import ramp_fields
+from stopset.reach.stops.friction import torque_fields
+from stopset.reach.stops.laws import BoundLaw
 from stopset.reach.stops.ramp import Ramp, ramp_of
-from stopset.reach.stops.regions import FRICTION, ramp_fields, regions
 from stopset.reach.stops.setting import Setting
 from stopset.types import Array
 
@@ -129,16 +131,41 @@ def _definition(setting: Setting) -> str:
     chain = [kept(k, getattr(p.chain, k)) for k in ("R", "p", "axis", "gravity")]
     plant = [kept(k, getattr(p, k)) for k in PLANT]
     bent = [kept(f"curvature_{k}", getattr(p.curvature, k)) for k in ("M", "g", "size", "load")]
-    rows = []
-    for k, r in enumerate(regions(setting)):
-        fields = [kept(f"{name}_{k}", getattr(r.plant, name)) for name in FRICTION]
-        fields += [kept(f"{name}_{k}", x) for name, x in (("q_lo", r.q.lo), ("q_hi", r.q.hi), ("speed", r.speed))]
-        rows.append("{" + ", ".join(fields) + "}")
     arm = ", ".join(["NJ", *chain, kept("pi", p.pi)])
     lag = "0" if setting.lag is None else kept("lag", setting.lag)
     apart = -1.0 if setting.apart is None else setting.apart
     tool = kept("tool", setting.payload_com)
-    lines.append(f"static const StopsetRegion stops_regions[] = {{{', '.join(rows)}}};")
+    torques = "0" if setting.torques.settled else _torques(setting, lines)
     whole = f"{{{{{arm}}}, {', '.join(plant)}, {{{', '.join(bent)}}}}}"
-    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {apart!r}, {tool}, {len(rows)}, stops_regions}};")
+    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {apart!r}, {tool}, {torques}}};")
     return "\n".join(lines) + "\n"
+
+
+def _torques(setting: Setting, lines: list[str]) -> str:
+    """``StopsetTorques``: the effects by their laws, as `stopset.reach.stops.friction.torques_struct` gives them to the core."""
+    x = setting.torques
+
+    def kept(name: str, values: Array) -> str:
+        lines.append(f"static const double {name}[] = {array(np.ravel(values))};")
+        return name
+
+    def law(name: str, tape: BoundLaw | None) -> str:
+        if tape is None:
+            return "{0}"
+        lines.append(f"static const int32_t {name}_steps[] = {{{', '.join(map(str, tape.steps.ravel().tolist()))}}};")
+        return f"{{{len(tape.steps)}, {name}_steps, {kept(f'{name}_numbers', tape.numbers)}}}"
+
+    rows = []
+    for k, e in enumerate(x.laws):
+        name = f"acting_{k}"
+        columns, flow = law(f"{name}_law", e.columns), law(f"{name}_flow", e.flow)
+        lines.append(f"static const int32_t {name}_column[] = {{{', '.join(map(str, e.columns.at.tolist()))}}};")
+        state = kept(f"{name}_state", e.state) if e.state.size else "0"
+        numbers = [e.joint, e.other, e.role, int(e.straight), int(e.roams), len(e.columns.at), len(e.state)]
+        parts = [*map(str, numbers), columns, f"{name}_column", kept(f"{name}_value", e.value), state, flow]
+        rows.append(f"{{{', '.join([*parts, array(e.start), array(e.range)])}}}")
+    fields = {k: "0" if v is None else kept(f"torques_{k}", v) for k, v in torque_fields(x, setting.free).items()}
+    lines.append(f"static const StopsetActing stops_acting[] = {{{', '.join(rows) or '{0}'}}};")
+    named = ", ".join(f".{k} = {v}" for k, v in fields.items())
+    lines.append(f"static const StopsetTorques stops_torques = {{{len(rows)}, {x.needs}, stops_acting, {named}}};")
+    return "&stops_torques"

@@ -109,7 +109,7 @@ def sign(model: str | Path, key: str | Path, passphrase: str = "") -> tuple[Stat
     """Write the signature of a model file beside it; what was signed, and the key's id. Raises `ModelFileError`, `SigningKeyError`."""
     data = read_model_text(model)
     statement = Statement.of(data, model_of(data, model))
-    secret = _secret(key, passphrase)
+    secret = secret_key(key, passphrase)
     public = secret.public_key()
     body = {
         "format": FORMAT, "schema": SCHEMA, **asdict(statement), "key": key_id(public),
@@ -200,7 +200,8 @@ def locked(path: str | Path) -> bool:
     return b"ENCRYPTED" in _pem(path, lambda data: data, "secret")
 
 
-def _secret(path: str | Path, passphrase: str) -> Ed25519PrivateKey:
+def secret_key(path: str | Path, passphrase: str = "") -> Ed25519PrivateKey:
+    """The secret key in a PEM file of its owner alone. Raises `SigningKeyError`."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

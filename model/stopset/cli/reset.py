@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from stopset.cli.common import add_arm_options, open_link, say
 
@@ -13,7 +14,12 @@ WAIT_S = 3.0  # [s] for the monitor's word that it has
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     add_arm_options(parser)
-    parser.add_argument("--name", required=True, help="who clears it; stands in the monitor's event and journal")
+    parser.add_argument("--name", help="who clears it; stands in the monitor's event and journal, unless --key says who it is")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="secret key of an operator of the monitor: the order is signed")
+    parser.add_argument(
+        "--passphrase", nargs="?", const="-", metavar="FILE",
+        help="the key's passphrase: asked for on the terminal, or the first line of FILE",
+    )  # fmt: skip
     parser.add_argument("--reason", required=True, help="why it may be cleared: what was found, what was done")
 
 
@@ -24,16 +30,24 @@ def run(args: argparse.Namespace) -> int:
 
     import msgspec
 
+    from stopset.cli.sign import asked_passphrase
+    from stopset.errors import BusError
+    from stopset.monitor.operators import look, signed
     from stopset.monitor.orders import Reset
     from stopset.monitor.viewer.events import Event
     from stopset.monitor.viewer.words import plain
 
-    order = Reset.of(args.name, args.reason)
+    if args.name is None and args.key is None:
+        raise BusError("neither --name nor --key was given; expected who clears it: give the name, or the key that proves it")
+    order = Reset.of("by key" if args.name is None else args.name, args.reason)
+    passphrase = asked_passphrase(args.passphrase, fresh=False)
     heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     link, _ = open_link(args)
     try:
         link.subscribe("event", lambda _, data: heard.put(data))
         time.sleep(0.5)  # subscriptions travel before the order does
+        if args.key is not None:
+            order = signed(order, look(link), args.key, passphrase)
         link.put("reset", order.text(), must_arrive=True)
         end = time.monotonic() + WAIT_S
         while (left := end - time.monotonic()) > 0:
@@ -41,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
                 event = msgspec.json.decode(heard.get(timeout=left), type=Event)
             except (queue.Empty, msgspec.MsgspecError):
                 continue
-            if event.kind == "reset" and (event.name, event.reason) == (order.name, order.reason):
+            if event.kind == "reset" and event.reason == order.reason and (event.key or event.name) == (order.key or order.name):
                 say(f"cleared, {plain(event.told())}; what is violated again is latched again")
                 return 0
             if event.kind == "reset_refused":

@@ -28,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reset-as", metavar="NAME", help="let who sees the page clear a latched violation, with a reason, in this person's name"
     )  # fmt: skip
+    parser.add_argument(
+        "--reset-key", metavar="FILE", help="sign these orders with this secret key, for a monitor with operators"
+    )
+    parser.add_argument(
+        "--passphrase", nargs="?", const="-", metavar="FILE", help="of this key: asked for, or the first line of FILE"
+    )
     parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
 
 
@@ -54,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
-            page = ViewerPage(view, args.host, args.port, _order(link, args.reset_as))
+            page = ViewerPage(view, args.host, args.port, _order(link, args))
             page.start()
             say(f"page: {page.url}{'' if loopback(args.host) else OPEN}")
         end = time.monotonic() + (args.seconds or float("inf"))
@@ -77,14 +83,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _order(link: ZenohLink, name: str | None) -> Callable[[str], None] | None:
-    """What the page clears the latch with, in the name of whoever started the viewer; None: it only shows. Raises `BusError`."""
+def _order(link: ZenohLink, args: argparse.Namespace) -> Callable[[str], None] | None:
+    """What the page clears the latch with, in the name of whoever started the viewer; None: it only shows.
+
+    Raises `BusError`, `SigningKeyError`.
+    """
+    from stopset.cli.sign import asked_passphrase
+    from stopset.monitor.operators import Moment, look, signed
     from stopset.monitor.orders import Reset
 
-    if name is None:
+    name, key = args.reset_as, args.reset_key
+    if name is None and key is None:
         return None
-    Reset.of(name, "said now rather than at the first order")
-    return lambda reason: link.put("reset", Reset.of(name, reason).text(), must_arrive=True)
+    who, passphrase = name or "by key", asked_passphrase(args.passphrase, fresh=False)
+    first = Reset.of(who, "said now rather than at the first order")
+    if key is not None:
+        signed(first, Moment(0, 0, 0), key, passphrase)
+
+    def send(reason: str) -> None:
+        order = Reset.of(who, reason)
+        link.put("reset", (order if key is None else signed(order, look(link), key, passphrase)).text(), must_arrive=True)
+
+    return send
 
 
 def _hear_model(link: ZenohLink, view: View) -> None:

@@ -16,16 +16,23 @@ Source: Liu & Althoff (2018), Sec. IV-C; Smith (1995), Monotone Dynamical System
 
 from __future__ import annotations
 
+from typing import Any
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from stopset.artifact import Abstraction, UncertaintySets
-from stopset.core.library import check, given, lib, view
+from stopset.artifact.polynomial import struct_of
+from stopset.core.library import check, ffi, given, lib, view
+from stopset.errors import NotCovered
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 from stopset.types import Array
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
-STEP = 0.1
+STEP: float = lib.stopset_corner_step
+# a frozen, slotted value has no room for a cache of its own; entries go when the abstraction goes
+_DYNAMICS: WeakKeyDictionary[Abstraction, tuple[Any, Any]] = WeakKeyDictionary()
 _TERMS: int = lib.STOPSET_TERMS  # of the exponential of one step's matrix, whose norm is below 1
 
 
@@ -37,11 +44,27 @@ def corner(q: float, v: float, w: Array, c: Array, h: float, parts: int) -> Arra
     return out
 
 
+def dynamics(abstraction: Abstraction) -> tuple[Any, Array]:
+    """``StopsetDynamics`` of an abstraction, kept as long as it lives, and new work space for it."""
+    if abstraction not in _DYNAMICS:
+        a = abstraction
+        if a.viscous.shape[1] > lib.STOPSET_DAMPING:
+            raise NotCovered(
+                f"a damping polynomial of order {a.viscous.shape[1]}; expected {lib.STOPSET_DAMPING} at most: lower --order"
+            )
+        Minv, viscous = given(a.Minv), given(a.viscous)
+        table, held = (
+            (ffi.new("StopsetPolynomials *"), None) if a.kind == 1 or not (a.coriolis or a.acceleration) else struct_of(a.program)
+        )
+        struct = ffi.new("StopsetDynamics *", (a.n, a.kind, viscous.shape[1], view(Minv), view(viscous), table[0]))
+        _DYNAMICS[abstraction] = struct, (Minv, viscous, table, held)
+    struct = _DYNAMICS[abstraction][0]
+    return struct, np.empty(lib.stopset_dynamics_room(struct))
+
+
 def parts(abstraction: Abstraction, dt: float, speed: Array) -> int:
     """Into how many parts a step of ``dt`` [s] is cut so that no rate of decay up to ``speed`` (n,) [rad/s] exceeds `STEP`."""
-    orders = np.arange(abstraction.viscous.shape[1])
-    slope = np.abs(abstraction.viscous) @ ((orders + 1.0) * np.max(speed) ** orders)
-    return int(np.ceil(max(1.0, dt * float(np.max(np.diag(abstraction.Minv) * slope)) / STEP)))
+    return int(lib.stopset_parts(dynamics(abstraction)[0], dt, float(np.max(speed))))
 
 
 def two_simulations(abstraction: Abstraction, x0: Array, u: Array, dt: float, X0: Box, U: Box) -> tuple[Array, Array]:
@@ -64,19 +87,11 @@ def two_simulations(abstraction: Abstraction, x0: Array, u: Array, dt: float, X0
 
 def nominal(abstraction: Abstraction, x0: Array, u: Array, dt: float) -> Array:
     """Nominal solutions (W, N + 1, 2n) from ``x0`` (W, 2n) under ``u`` (W, N, n) held over each step (Runge-Kutta)."""
-    n = abstraction.n
-    out = np.empty((x0.shape[0], u.shape[1] + 1, 2 * n))
-    out[:, 0] = x0
-    q, v = x0[:, :n].copy(), x0[:, n:].copy()
-    for k in range(u.shape[1]):
-        w = u[:, k]
-        k1 = abstraction.ddq(q, v, w)
-        k2 = abstraction.ddq(q + 0.5 * dt * v, v + 0.5 * dt * k1, w)
-        k3 = abstraction.ddq(q + 0.5 * dt * v + 0.25 * dt * dt * k1, v + 0.5 * dt * k2, w)
-        k4 = abstraction.ddq(q + dt * v + 0.5 * dt * dt * k2, v + dt * k3, w)
-        q = q + dt * v + dt * dt / 6.0 * (k1 + k2 + k3)
-        v = v + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        out[:, k + 1, :n], out[:, k + 1, n:] = q, v
+    W, N, n = u.shape
+    if x0.shape != (W, 2 * n) or n != abstraction.n:
+        raise ValueError(f"starts {x0.shape} and inputs {u.shape} of {abstraction.n} joints")
+    out, (struct, work) = np.empty((W, N + 1, 2 * n)), dynamics(abstraction)
+    lib.stopset_nominal(struct, W, N, view(given(x0)), view(given(u)), dt, view(work), view(out))
     return out
 
 
@@ -87,9 +102,9 @@ def along(abstraction: Abstraction, x: Array, u: Array, dt: float) -> Responses:
     keeps its sign and covered by its larger end where it does not.
     """
     n = abstraction.n
-    held = np.vstack([u, u[-1:]])
-    J_x, J_u = abstraction.linearised(x[:, :n], x[:, n:], held)
     H, m = len(x) - 1, 2 * n
+    J_x, J_u, (struct, work) = np.empty((H + 1, n, m)), np.empty((H + 1, n, n)), dynamics(abstraction)
+    lib.stopset_linearised(struct, H + 1, view(given(x)), view(np.vstack([u, u[-1:]])), view(work), view(J_x), view(J_u))
     E1, plus, minus = np.empty((H + 1, m, m)), np.empty((H + 1, m, n)), np.empty((H + 1, m, n))
     work = np.empty((3, H, m, n))
     check(

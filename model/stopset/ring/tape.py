@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEPS = 256  # of one law at most, as many as the core keeps
-# in the order of the core's `enum` in law.c
-CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, SIN, COS, EXP, TANH, MINIMUM, MAXIMUM = range(17)
+# in the order of the core's `enum` in law.h; a POWER's second argument is its exponent
+CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, SIN, COS, EXP, TANH, MINIMUM, MAXIMUM, POWER = range(18)
+BINARY = frozenset({ADD, SUB, MUL, DIV, MINIMUM, MAXIMUM})  # of two earlier steps; the others but the first two of one
 
 
 @dataclass(slots=True)
@@ -108,10 +109,9 @@ class Played:
     def __pow__(self, n: int) -> Played:
         if not isinstance(n, int) or n < 0:
             raise ValueError(f"power {n!r} in a law; expected an integer >= 0")
-        out = self if n else self.tape.constant(1.0)
-        for _ in range(n - 1):
-            out = out * self
-        return out
+        if n < 2:
+            return self if n else self.tape.constant(1.0)
+        return self.tape.step(POWER, self.at, n)
 
     def sin(self) -> Played:
         """Sine."""

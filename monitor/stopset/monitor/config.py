@@ -145,6 +145,14 @@ class Signed:
 
 
 @dataclass(frozen=True, slots=True)
+class Operator:
+    """Who may clear a latched violation: the name for the log, and the file of the public key that proves it."""
+
+    name: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
@@ -171,6 +179,7 @@ class Config:
     stops: Stops = field(default_factory=Stops)
     fallback: Fallback = field(default_factory=Fallback)
     signed: Signed = field(default_factory=Signed)
+    operators: tuple[Operator, ...] = ()  # none: whoever reaches the key ``reset``, under the name they give
     record: Records = field(default_factory=Records)
     limits: StopLimits = field(default_factory=StopLimits)
     sha256: str = ""
@@ -286,6 +295,9 @@ def load_config(path: str | Path) -> Config:
                 f"{p}: limits.planes {plane.name!r} has normal {list(plane.normal)}, offset {plane.offset}; expected three numbers, "
                 "not all zero, and metres"
             )
+    names = [o.name.strip() for o in config.operators]
+    if any(not 1 <= len(n) <= 200 for n in names) or len(set(names)) != len(names):
+        raise ConfigError(f"{p}: operators are named {names}; expected names of 1 to 200 letters, each once: mend them")
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
@@ -297,6 +309,7 @@ def load_config(path: str | Path) -> Config:
     return dataclasses.replace(
         config, model=str(here / config.model), zenoh=zenoh,
         signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
         limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),

@@ -28,7 +28,8 @@ from stopset.monitor.latch import Latch
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, State
 from stopset.monitor.margins import exceeded, margins
 from stopset.monitor.notify import Notifier
-from stopset.monitor.orders import Orders
+from stopset.monitor.operators import Moment, Operators
+from stopset.monitor.orders import Orders, Reset
 from stopset.monitor.override import Advisor
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import U64, Outlet, Publisher
@@ -80,7 +81,7 @@ class Daemon:
         valid = p.valid_for_ms * 1e-3
         self.limits = OkConditions(valid, min(valid, cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
-        self.recovery = Recovery(self.limits)
+        self.recovery, self.operators = Recovery(self.limits), Operators.of(config.operators)
         self.stopping = False
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
@@ -263,14 +264,25 @@ class Daemon:
             if order[0] is None:
                 self.publisher.seldom("reset_refused", why='expected {"name": who, "reason": why}')
             else:
-                who, why = order[0].name, order[0].reason
-                self.publisher.event("reset", name=who, reason=why, cleared=self.latch.count, joints=list(self.latch.joints))
-                self.latch.reset(who, why, now)
+                self._clear(order[0], now)
         self._take_reloaded()
         while self.recorder is not None and self.recorder.answers:
             self._classed(self.recorder.answers.popleft(), now)
         while self.recorder is not None and self.recorder.notes:
             self.publisher.event("plausibility", why=self.recorder.notes.popleft())
+
+    def _clear(self, order: Reset, now: float) -> None:
+        """A person clears the latch, if this one may."""
+        who, p = self.operators, self.publisher
+        if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq)):
+            p.seldom("reset_refused", why=why)
+            return
+        name = who.name(order)
+        p.event(
+            "reset", name=name, reason=order.reason, proven=bool(who.keys), key=order.key if who.keys else "",
+            cleared=self.latch.count, joints=list(self.latch.joints),
+        )  # fmt: skip
+        self.latch.reset(name, order.reason, now)
 
     def _classed(self, answer: Filed, now: float) -> None:
         """The recorder has looked at a violation: it is on the disk, and told."""

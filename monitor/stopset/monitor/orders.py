@@ -19,10 +19,14 @@ _Text = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 
 
 class Reset(msgspec.Struct, frozen=True):
-    """Who clears the latch, and why."""
+    """Who clears the latch, and why; signed, if the monitor asks for it (`stopset.monitor.operators`)."""
 
     name: _Text
     reason: _Text
+    boot_id: int = 0
+    seq: int = 0
+    key: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    signature: Annotated[str, msgspec.Meta(max_length=200)] = ""
 
     @classmethod
     def of(cls, name: str, reason: str) -> Reset:
@@ -46,7 +50,7 @@ def parse_reset(data: bytes) -> Reset | None:
     """The order in ``data``; None for anything that is not one."""
     try:
         r = _decode(data)
-        r = Reset(r.name.strip(), r.reason.strip())
+        r = msgspec.structs.replace(r, name=r.name.strip(), reason=r.reason.strip())
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
     return r if r.name and r.reason else None

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.core.library import given, lib, view
 from stopset.monitor.sample import Quantum
-from stopset.reach.nonlinear import STEP, nominal, parts, predicted_tube
+from stopset.reach.nonlinear import STEP, dynamics, nominal, parts, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array, Index
 
@@ -72,27 +73,11 @@ class Corners:
     def advance(self, u: Array, du: Array, foreign: bool) -> None:
         """One step under the inputs ``u`` (n,), known to within ``du``; classical Runge-Kutta, as where the sets were found."""
         a, sets = self.model.abstraction, self.model.powered
-        gain = np.diag(a.Minv)
-        w = gain * np.stack([u - du + sets.U.lo, u + du + sets.U.hi])[:, None]
-        c = (gain[:, None] * a.viscous).T
         alive = self._age >= 0
-        q, v = self._z[:, alive, 0], self._z[:, alive, 1]
-        h = sets.dt / self._cut
-
-        def pull(v: Array) -> Array:
-            drag = np.zeros_like(v)
-            for k in range(len(c) - 1, -1, -1):
-                drag = (drag + c[k]) * v
-            return np.asarray(w - drag)
-
-        for _ in range(self._cut):
-            k1 = pull(v)
-            k2 = pull(v + 0.5 * h * k1)
-            k3 = pull(v + 0.5 * h * k2)
-            k4 = pull(v + h * k3)
-            q = q + h * v + h * h / 6.0 * (k1 + k2 + k3)
-            v = np.clip(v + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), -FASTEST, FASTEST)
-        self._z[:, alive, 0], self._z[:, alive, 1] = q, v
+        for side, w in enumerate((u - du + sets.U.lo, u + du + sets.U.hi)):
+            z = given(self._z[side, alive])
+            lib.stopset_corners(dynamics(a)[0], len(z), view(w), sets.dt, self._cut, FASTEST, view(z.ravel()))
+            self._z[side, alive] = z
         self._age[alive] += 1
         self._age[self._age > self.steps] = -1
         if foreign:

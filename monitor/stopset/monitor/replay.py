@@ -110,13 +110,16 @@ def play(
 ) -> tuple[int, float]:
     """Send every sample at its time / ``speed`` (``inf``: at once); returns samples sent and the worst lateness [s].
 
-    A late sample is sent late and the rest keeps its rhythm from there: frames are never bunched to catch up.
+    A late sample is sent late and the rest keeps its rhythm from there: frames are never bunched to catch up. Stamps keep the
+    recording's rhythm within a trial; each trial is stamped from when it begins, or what was late would stay late for ever.
     """
     sent, worst = 0, 0.0
     stamp = time.time_ns()
     due = clock()
     for r in trials:
         period = cycle_of(r)
+        if np.isfinite(speed):
+            stamp = max(stamp, time.time_ns() + round(max(0.0, due - clock()) * 1e9))
         for values in signal_rows(r):
             wait = due - clock()
             if wait > 0:

@@ -8,8 +8,12 @@
 
 #include "maths.h"
 
-/* in the order of stopset.ring.tape */
-enum { CONSTANT, SIGNAL, ADD, SUB, MUL, DIV, NEG, ABSOLUTE, SIGN, SQUARE, SQRT, SIN, COS, EXP, TANH, MINIMUM, MAXIMUM };
+/* x^n, n >= 1, one product after the other. */
+static double power(double x, int n) {
+    double out = x;
+    for (int k = 1; k < n; k++) out *= x;
+    return out;
+}
 
 #define EACH(expression) \
     for (int k = 0; k < rows; k++) z[k] = (expression); \
@@ -21,26 +25,27 @@ static double play_one(const StopsetProgram *law, const double (*signals)[ROWS])
     const int length = law->length < STEPS ? law->length : STEPS;
     for (int i = 0; i < length; i++) {
         const int32_t *step = law->steps + 3 * i;
-        if (step[0] <= SIGNAL) {
-            r[i] = step[0] == CONSTANT ? law->numbers[step[1]] : signals[step[1]][0];
+        if (step[0] <= LAW_SIGNAL) {
+            r[i] = step[0] == LAW_CONSTANT ? law->numbers[step[1]] : signals[step[1]][0];
             continue;
         }
-        const double x = r[step[1]], y = r[step[2]];
+        const double x = r[step[1]], y = step[0] == LAW_POWER ? 0.0 : r[step[2]];
         switch (step[0]) {
-        case ADD: r[i] = x + y; break;
-        case SUB: r[i] = x - y; break;
-        case MUL: r[i] = x * y; break;
-        case DIV: r[i] = x / y; break;
-        case NEG: r[i] = -x; break;
-        case ABSOLUTE: r[i] = x < 0.0 ? -x : x; break;
-        case SIGN: r[i] = x != x ? x : (double)((x > 0.0) - (x < 0.0)); break;
-        case SQUARE: r[i] = x * x; break;
-        case SQRT: r[i] = sqrt(x); break;
-        case SIN: r[i] = stopset_sin(x); break;
-        case COS: r[i] = stopset_cos(x); break;
-        case EXP: r[i] = stopset_exp(x); break;
-        case TANH: r[i] = stopset_tanh(x); break;
-        case MINIMUM: r[i] = x != x || x < y ? x : y; break;
+        case LAW_ADD: r[i] = x + y; break;
+        case LAW_SUB: r[i] = x - y; break;
+        case LAW_MUL: r[i] = x * y; break;
+        case LAW_DIV: r[i] = x / y; break;
+        case LAW_NEG: r[i] = -x; break;
+        case LAW_ABSOLUTE: r[i] = x < 0.0 ? -x : x; break;
+        case LAW_SIGN: r[i] = x != x ? x : (double)((x > 0.0) - (x < 0.0)); break;
+        case LAW_SQUARE: r[i] = x * x; break;
+        case LAW_SQRT: r[i] = sqrt(x); break;
+        case LAW_SIN: r[i] = stopset_sin(x); break;
+        case LAW_COS: r[i] = stopset_cos(x); break;
+        case LAW_EXP: r[i] = stopset_exp(x); break;
+        case LAW_TANH: r[i] = stopset_tanh(x); break;
+        case LAW_POWER: r[i] = power(x, step[2]); break;
+        case LAW_MINIMUM: r[i] = x != x || x < y ? x : y; break;
         default: r[i] = x != x || x > y ? x : y; break;
         }
     }
@@ -57,31 +62,32 @@ void stopset_play(const StopsetProgram *law, const double (*signals)[ROWS], int 
     for (int i = 0; i < length; i++) {
         const int32_t *step = law->steps + 3 * i;
         double *z = r[i];
-        if (step[0] == CONSTANT) {
+        if (step[0] == LAW_CONSTANT) {
             for (int k = 0; k < rows; k++) z[k] = law->numbers[step[1]];
             continue;
         }
-        if (step[0] == SIGNAL) {
+        if (step[0] == LAW_SIGNAL) {
             for (int k = 0; k < rows; k++) z[k] = signals[step[1]][k];
             continue;
         }
-        const double *x = r[step[1]], *y = r[step[2]];
+        const double *x = r[step[1]], *y = step[0] == LAW_POWER ? x : r[step[2]];
         switch (step[0]) {
-        case ADD: EACH(x[k] + y[k]);
-        case SUB: EACH(x[k] - y[k]);
-        case MUL: EACH(x[k] * y[k]);
-        case DIV: EACH(x[k] / y[k]);
-        case NEG: EACH(-x[k]);
-        case ABSOLUTE: EACH(x[k] < 0.0 ? -x[k] : x[k]);
-        case SIGN: EACH(x[k] != x[k] ? x[k] : (double)((x[k] > 0.0) - (x[k] < 0.0)));
-        case SQUARE: EACH(x[k] * x[k]);
-        case SQRT: EACH(sqrt(x[k]));
-        case SIN: EACH(stopset_sin(x[k]));
-        case COS: EACH(stopset_cos(x[k]));
-        case EXP: EACH(stopset_exp(x[k]));
-        case TANH: EACH(stopset_tanh(x[k]));
+        case LAW_ADD: EACH(x[k] + y[k]);
+        case LAW_SUB: EACH(x[k] - y[k]);
+        case LAW_MUL: EACH(x[k] * y[k]);
+        case LAW_DIV: EACH(x[k] / y[k]);
+        case LAW_NEG: EACH(-x[k]);
+        case LAW_ABSOLUTE: EACH(x[k] < 0.0 ? -x[k] : x[k]);
+        case LAW_SIGN: EACH(x[k] != x[k] ? x[k] : (double)((x[k] > 0.0) - (x[k] < 0.0)));
+        case LAW_SQUARE: EACH(x[k] * x[k]);
+        case LAW_SQRT: EACH(sqrt(x[k]));
+        case LAW_SIN: EACH(stopset_sin(x[k]));
+        case LAW_COS: EACH(stopset_cos(x[k]));
+        case LAW_EXP: EACH(stopset_exp(x[k]));
+        case LAW_TANH: EACH(stopset_tanh(x[k]));
+        case LAW_POWER: EACH(power(x[k], step[2]));
         /* what is not a number stays so, on either side */
-        case MINIMUM: EACH(x[k] != x[k] || x[k] < y[k] ? x[k] : y[k]);
+        case LAW_MINIMUM: EACH(x[k] != x[k] || x[k] < y[k] ? x[k] : y[k]);
         default: EACH(x[k] != x[k] || x[k] > y[k] ? x[k] : y[k]);
         }
     }

@@ -396,6 +396,42 @@ typedef struct {
 STOPSET_API void stopset_polynomials(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
 /* Derivatives (N, count, dimension); work (monomials, 1 + count). */
 STOPSET_API void stopset_polynomial_slopes(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
+/* ---- along.c: nonlinear abstractions */
+
+#define STOPSET_DAMPING 16 /* orders of a damping polynomial at most */
+
+/* ddq = Minv (u - damping - polynomials(dq, sin q, cos q)) (models 1, 2) or polynomials(dq, sin q, cos q, u) (model 3). */
+typedef struct {
+    int32_t n, kind, orders;
+    const double *Minv;              /* (n, n) [1/(kg m^2)] */
+    const double *viscous;           /* (n, orders) [N m (s/rad)^k] */
+    StopsetPolynomials polynomials;  /* count 0: none */
+} StopsetDynamics;
+
+/* Numbers that `work` of the functions below has to hold. */
+STOPSET_API int64_t stopset_dynamics_room(const StopsetDynamics *dynamics);
+/* ddq (n,) [rad/s^2]; what models 1 and 2 take off the input, (n,) [N m]. */
+STOPSET_API void stopset_acceleration(const StopsetDynamics *dynamics, const double *q, const double *dq, const double *u, double *work, double *ddq);
+STOPSET_API void stopset_drag(const StopsetDynamics *dynamics, const double *q, const double *dq, double *work, double *out);
+/* Solutions out (W, N + 1, 2n) from x0 (W, 2n) under u (W, N, n) held over each step of dt [s]: classical Runge-Kutta. */
+STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, int64_t W, int64_t N, const double *x0, const double *u, double dt,
+                                 double *work, double *out);
+/* d ddq / d(q, dq) (N, n, 2n) and d ddq / du (N, n, n) at rows of x (N, 2n), u (N, n). */
+STOPSET_API void stopset_linearised(const StopsetDynamics *dynamics, int64_t N, const double *x, const double *u, double *work, double *J_x,
+                                    double *J_u);
+/* Where a reading may lie at the end of a path (H + 1, 2n), H >= 1, under u (H, n): lo, hi (2n,). work: stopset_ahead_room. */
+STOPSET_API int64_t stopset_ahead_room(const StopsetDynamics *dynamics, int64_t H);
+STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, int64_t H, const double *path, const double *u,
+                              double dt, double *work, double *lo, double *hi);
+/* Bounds of states (m,) become those of readings, rounded outward by `round` of their size. */
+STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
+/* A step's rate of decay times its length. */
+STOPSET_API extern const double stopset_corner_step;
+/* Into how many parts a step of dt is cut so that no rate of decay up to `speed` [rad/s] is too fast for it. */
+STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, double speed);
+/* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
+STOPSET_API void stopset_corners(const StopsetDynamics *dynamics, int64_t N, const double *u, double h, int64_t parts, double most, double *z);
+
 /* Terms of a product up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
  * room. Returns how many, -1: room is too small. */
 STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
@@ -588,18 +624,64 @@ STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const d
 #define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
 #define STOPSET_STOP_SLICES 10       /* stretches of time that the tool's way is told for */
 
-/* Where friction and u, (n,) each, hold: no angle outside q_lo, q_hi [rad], no joint faster than speed [rad/s]. */
+/* ---- stops/laws.c, stops/torques.c: a model's effects in a stop, each by its own law over intervals */
+
+#define STOPSET_COLUMNS 16 /* of one law at most */
+enum { STOPSET_NO_BOUND = 5 }; /* a law gives no number over these intervals */
+/* What an effect does in a stop: friction that never drives the joint; any torque; one that may be the drive's own. */
+enum { STOPSET_RUBS = 0, STOPSET_PULLS = 1, STOPSET_ARM_OR_DRIVE = 2 };
+
+/* The steps of stopset.ring.tape; numbers are intervals (.., 2). */
 typedef struct {
-    const double *coulomb_lo, *coulomb_hi, *viscous_lo, *viscous_hi, *u_lo, *u_hi, *q_lo, *q_hi, *speed;
-} StopsetRegion;
+    int32_t length;
+    const int32_t *steps; /* (length, 3) */
+    const double *numbers;
+} StopsetBoundLaw;
+
+/* An effect at one joint, see stopset.effects.bound. */
+typedef struct {
+    int32_t joint, other;   /* other: of a pair, else -1 */
+    int32_t role, straight; /* straight: at rest a line over the direction of friction */
+    int32_t roams;          /* looks at the pose or another joint */
+    int32_t terms, states;
+    StopsetBoundLaw law;
+    const int32_t *column;  /* (terms,) steps of the law */
+    const double *value;    /* (terms, 2) */
+    const double *state;    /* (states, 2) at speeds seen */
+    StopsetBoundLaw flow;   /* of one affine state, by which it is bounded at higher speeds; empty: `state` holds at all */
+    double start, range[2]; /* of that state: where it begins, what is admissible */
+} StopsetActing;
+
+/* What a law may see at one joint. Speeds [rad/s]: no faster, nor before (past), nor the partner (other); gear [N m]: no more loads it. */
+typedef struct {
+    double speed, past, other, gear, q[2], load[2], temp[2], stiff[2], inertia[2], coriolis[2], tilt[2][2];
+} StopsetSight;
+
+/* Relative, on top of friction's bounds: it drifts with wear, oil and temperature. */
+STOPSET_API extern const double stopset_friction_tolerance;
+/* Torque of an effect, way (dry + viscous |dq|) + push: out (3, 2) lower and upper ends [N m, N m s/rad, N m]. */
+STOPSET_API int stopset_act(const StopsetActing *law, const StopsetSight *sight, double *out);
+
+/* All of them, see stopset.reach.stops.friction; (n,) arrays unless said. */
+typedef struct {
+    int32_t laws, needs;                               /* needs: what laws look at of the rigid body */
+    const StopsetActing *law;
+    const double *turn;                                /* (n, n, n, n) |d Gamma_ikl/dq_m| over all poses */
+    const double *tilt_gravity, *tilt_bend, *tilt_load; /* (2, 3), (2, n, n, n), (2, n) of gravity's derivatives by roll and pitch */
+    const double *gear, *temp;                         /* [N m]; (n, 2) [K], 0: not known */
+    const double *base, *fixed;                        /* (5, n, 2) sums without any law; with those that do not roam, up to `speed` */
+    const double *speed, *fastest;                     /* [rad/s]; seen in identification */
+    const double *free_lo, *free_hi;                   /* [N m] torque of no effect */
+} StopsetTorques;
+
+/* ---- stops/bound.c again */
 
 typedef struct {
-    StopsetPlant plant;          /* its friction and u are those of a region */
+    StopsetPlant plant;
     const double *lag;           /* (n,) [s] by which a joint's brake is always later; may be 0 */
     double apart;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
     const double *tool;          /* (3,) [m] in the last link's frame */
-    int32_t regions;
-    const StopsetRegion *region; /* each one in the next */
+    const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
 } StopsetStops;
 
 typedef struct {
@@ -619,10 +701,14 @@ typedef struct {
     const double *residual_lo, *residual_hi;                       /* [rad/s] what drives still give while their power goes */
 } StopsetRamp;
 
+/* Friction and u at angles in [q_lo, q_hi] (n,), no joint faster than speed (n,): out (6, n) dry lo, hi, viscous lo, hi, u lo, hi.
+ * STOPSET_NO_BOUND + k: the k-th law gives no number there; negative: a code. */
+STOPSET_API int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *torques, const double *q_lo, const double *q_hi,
+                                      const double *speed, double *out);
 /* Numbers that `work` below has to hold. */
 STOPSET_API int64_t stopset_stop_room(int n);
-/* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, or it may leave the
- * largest region, then `out` holds nothing of use; negative: a code. */
+/* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, then `out` holds nothing of use;
+ * negative: a code. */
 STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
                                   const double *dq_radius, double *work, const StopsetBound *out);
 /* The same of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */

@@ -19,27 +19,33 @@ friction is not known and counted as none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import or_
+from typing import Any
 
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted
-from stopset.effects.bound import ACTING, Acting, Sight, acting, misread, uncovered
+from stopset.effects.bound import ACTING, misread, uncovered
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.expansion import Curvature, Expansion, curvature, expand, gravity_curvature
+from stopset.reach.stops.expansion import Curvature, curvature, gravity_curvature
+from stopset.reach.stops.laws import ActingLaw, acting_law
 from stopset.reach.stops.payload import bodies, effect_of, largest_gravity, weighed
 from stopset.ring import Interval
-from stopset.robot.rigid import Chain
+from stopset.robot.rigid import Chain, arm_struct
 from stopset.sets import Box
 from stopset.types import Array
 
-FRICTION_TOLERANCE = 0.25  # relative, on top: friction drifts with wear, oil and temperature
+FRICTION_TOLERANCE: float = lib.stopset_friction_tolerance  # relative, on top: friction drifts with wear, oil and temperature
 BEYOND = 0.5  # [rad] how far past the identified angles `Torques.everywhere` holds
-ROUNDING = 1e-12  # of a middle, a radius and an expansion, relative to the largest
+ROUNDING = 1e-12  # of an expansion, relative to the largest
+UNBOUNDED = "its law cannot be evaluated over intervals: it has no bound on what a stop may lead to"
 # rows of a sum over effects: friction that never drives, what else opposes the motion, and what may push
 RUBS, RUBS_VISCOUS, DRY, VISCOUS, PUSH = range(5)
 
@@ -55,17 +61,7 @@ class Friction:
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
-    """One effect wherever it acts: ``fitted`` at ``joints``, (m,) each; ``partners``: the other joints of pairs, else empty."""
-
-    effect: Effect
-    fitted: tuple[Fitted, ...]
-    joints: tuple[int, ...]
-    partners: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Body:
+class Body:
     """The rigid body as the laws see it; ``tilted``: with gravity's derivatives by roll and pitch in gravity's place, and the
     bounds of what gravity then is (`gravity_curvature`)."""
 
@@ -76,7 +72,7 @@ class _Body:
     tilted: tuple[tuple[Chain, Array, Array], ...]
 
     @classmethod
-    def of(cls, chain: Chain, pi: Array, half: Array, tilts: bool) -> _Body:
+    def of(cls, chain: Chain, pi: Array, half: Array, tilts: bool) -> Body:
         tilted = []
         for direction in tilt_directions(chain.gravity) if tilts else ():
             other = chain._replace(gravity=direction)
@@ -90,13 +86,12 @@ class Torques:
     """The effects of a model that act in a stop, prepared.
 
     ``fixed`` (5, n, 2): the sum of those that depend on no pose and no other joint, which holds up to ``speed`` (n,) [rad/s],
-    infinite where they do not depend on it either; ``roaming``: the others; ``fastest`` (n,) [rad/s]: seen in identification;
+    infinite where they do not depend on it either; ``base``: without any; ``fastest`` (n,) [rad/s]: seen in identification;
     ``everywhere``: over all identified angles, and `BEYOND` them, and speeds.
     """
 
-    groups: tuple[_Group, ...]
-    roaming: tuple[_Group, ...]
-    body: _Body
+    laws: tuple[ActingLaw, ...]
+    body: Body
     gear: Array
     temp: Box | None
     base: Array
@@ -104,23 +99,67 @@ class Torques:
     speed: Array
     fastest: Array
     everywhere: Friction
+    _core: tuple[Any, Any, Any] | None = None  # the core's view of body and effects, and what it points at
 
     @property
     def settled(self) -> bool:
         """Whether nothing depends on where the arm is and how fast it goes."""
-        return not self.roaming and bool(np.all(np.isinf(self.speed)))
+        return not any(x.roams for x in self.laws) and bool(np.all(np.isinf(self.speed)))
+
+    @property
+    def kelvin(self) -> Array | None:
+        """(n, 2) above the reference temperature, over the domain [K]; None where none was recorded."""
+        return None if self.temp is None else np.column_stack([self.temp.lo, self.temp.hi]) - REFERENCE_TEMPERATURE
+
+    @property
+    def needs(self) -> int:
+        """What laws look at of the rigid body, in the core's bits."""
+        return reduce(or_, (x.needs for x in self.laws), 0)
 
     def over(self, q: Box, speed: Array) -> Friction:
-        """At angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]."""
-        slow = not np.any(speed > self.speed)
-        total = self.fixed.copy() if slow else self.base.copy()
-        groups = self.roaming if slow else self.groups
-        if groups:
-            sight = _sight(self, q, speed, {name for g in groups for name in g.effect.needs})
-            for g in groups:
-                other = speed[list(g.partners)] if g.partners else None
-                _put(total, g, acting(g.effect, g.fitted, replace(sight.at(g.joints), other=other)))
-        return _friction(total, speed)
+        """At angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]. Raises `NotCovered` where a law has no bound."""
+        n = len(speed)
+        if not q.lo.shape == q.hi.shape == speed.shape == (n,):
+            raise ValueError(f"a region of {q.lo.shape} angles and {speed.shape} speeds")
+        plant, struct, _ = self._core or _core_of(self)
+        out = np.empty((6, n))
+        code = lib.stopset_friction_over(plant, struct, *(view(given(x)) for x in (q.lo, q.hi, speed)), view(out))
+        if code >= lib.STOPSET_NO_BOUND:
+            raise NotCovered(uncovered(self.laws[code - lib.STOPSET_NO_BOUND].label, UNBOUNDED))
+        check(-code)
+        return Friction(Box(out[0], out[1]), Box(out[2], out[3]), Box(out[4], out[5]))
+
+
+def torque_fields(x: Torques, free: Box) -> dict[str, Array | None]:
+    """The arrays of ``StopsetTorques`` by their names, laws apart, with the torque ``free`` (n,) [N m] that belongs to no effect."""
+    n, tilted = len(x.gear), x.body.tilted
+    return {
+        "turn": x.body.K.Gamma, "tilt_gravity": np.array([c.gravity for c, *_ in tilted]) if tilted else np.zeros((2, 3)),
+        "tilt_bend": np.array([b for _, b, _ in tilted]) if tilted else np.zeros((2, n, n, n)),
+        "tilt_load": np.array([m for *_, m in tilted]) if tilted else np.zeros((2, n)), "gear": x.gear, "temp": x.kelvin,
+        "base": x.base, "fixed": x.fixed, "speed": x.speed, "fastest": x.fastest, "free_lo": free.lo, "free_hi": free.hi,
+    }  # fmt: skip
+
+
+def torques_struct(x: Torques, free: Box) -> tuple[Any, list[Any]]:
+    """``StopsetTorques``, and what must live as long."""
+    keep: list[Any] = []
+    table = ffi.new("StopsetActing[]", [law.struct(keep) for law in x.laws] or 1)
+    arrays = {k: None if v is None else given(v) for k, v in torque_fields(x, free).items()}
+    values = {k: ffi.NULL if v is None else view(v) for k, v in arrays.items()}
+    struct = ffi.new("StopsetTorques *", {"laws": len(x.laws), "needs": x.needs, "law": table, **values})
+    return struct, [keep, table, arrays]
+
+
+def _core_of(x: Torques) -> tuple[Any, Any, Any]:
+    """Of the plant only what laws see of the rigid body."""
+    n, body = len(x.gear), x.body
+    struct, held = torques_struct(x, Box.point(np.zeros(n)))
+    arm = arm_struct(body.chain, body.pi)
+    bent = [given(k) for k in (body.K.M, body.K.g, body.K.size, body.K.load)]
+    half = given(body.half)
+    plant = ffi.new("StopsetPlant *", {"arm": arm[0], "pi_half": view(half), "curvature": tuple(view(k) for k in bent)})
+    return plant, struct, (held, arm, bent, half)
 
 
 def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Array | None = None) -> Torques:
@@ -131,36 +170,46 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     n, brakes = model.n, brakes_of(model)
     payload = model.domain.payload if payload is None else payload
     com = weighed(model, com)[1]
-    groups = _groups(model)
-    pi, half = bodies(model, payload, com)
-    body = _Body.of(model.robot.chain, pi, half, any("tilt" in g.effect.needs for g in groups))
     gear = largest_gravity(model, payload[1], com) + (0.0 if brakes is None else brakes.torque.hi)
     fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
+    laws, damped = _acting(model, fastest)
+    pi, half = bodies(model, payload, com)
+    body = Body.of(model.robot.chain, pi, half, any(x.needs & lib.STOPSET_NEEDS_TILT for x in laws))
     base = np.zeros((5, n, 2))
-    damped = [i for g in groups if g.effect.enters == "damping" for i in g.joints]
     unknown = np.setdiff1d(np.arange(n), damped)  # there the abstraction's linear friction, as nothing better is known
     base[RUBS_VISCOUS, unknown] = model.abstraction.viscous[unknown, :1]
-    fixed, speed, roaming = base.copy(), np.full(n, np.inf), []
-    blind = Sight(fastest, fastest, gear, temp=_kelvin(model.domain.temp))
-    quick = Sight(3.0 * fastest + 1.0, 3.0 * fastest + 1.0, gear, temp=blind.temp)
-    for g in groups:
-        try:
-            here = acting(g.effect, g.fitted, blind.at(g.joints))
-        except NotCovered:  # it looks at more than the joint's own speed, or cannot be bounded at all
-            roaming.append(g)
-            continue
-        fast = acting(g.effect, g.fitted, quick.at(g.joints))
-        for row, i in enumerate(g.joints):
-            if any(np.any(getattr(here, k)[row] != getattr(fast, k)[row]) for k in ("dry", "viscous", "push")):
-                speed[i] = fastest[i]
-        _put(fixed, g, here)
+    first = Torques(laws, body, gear, model.domain.temp, base, base.copy(), np.full(n, np.inf), fastest, _friction(base, fastest))
+    for x in laws:
+        if not x.roams:
+            here, fast = acting(first, x, fastest), acting(first, x, 3.0 * fastest + 1.0)
+            if np.any(here != fast):
+                first.speed[x.joint] = fastest[x.joint]
+            _put(first.fixed, x, here)
     # damping below zero pushes the more the faster the joint goes
-    drives = np.maximum(fixed[RUBS_VISCOUS, :, 0], 0.0) + fixed[VISCOUS, :, 0] < 0.0
-    speed = np.where(drives, np.minimum(speed, fastest), speed)
-    first = _friction(fixed, fastest)
-    out = Torques(groups, tuple(roaming), body, gear, model.domain.temp, base, fixed, speed, fastest, first)
+    drives = np.maximum(first.fixed[RUBS_VISCOUS, :, 0], 0.0) + first.fixed[VISCOUS, :, 0] < 0.0
+    speed = np.where(drives, np.minimum(first.speed, fastest), first.speed)
+    out = replace(first, speed=speed, everywhere=_friction(first.fixed, fastest))
+    out = replace(out, _core=_core_of(out))
     q = Box(model.domain.q.lo - BEYOND, model.domain.q.hi + BEYOND)
     return out if out.settled else replace(out, everywhere=out.over(q, fastest))
+
+
+def acting(x: Torques, law: ActingLaw, speed: Array) -> Array:
+    """``way (dry + viscous |dq|) + push`` of a law that does not roam, (3, 2) [N m, N m s/rad, N m], up to ``speed`` (n,) [rad/s]."""
+    keep: list[Any] = []
+    j = law.joint
+    temp = (0.0, 0.0) if x.kelvin is None else x.kelvin[j].tolist()
+    sight = {"speed": speed[j], "past": x.fastest[j], "gear": x.gear[j], "temp": temp}
+    return acted(law, sight, keep)
+
+
+def acted(law: ActingLaw, sight: Mapping[str, Any], keep: list[Any]) -> Array:
+    """The core's bound of one law over a ``StopsetSight``. Raises `NotCovered` where it has none."""
+    out = np.empty((3, 2))
+    table = ffi.new("StopsetActing[]", [law.struct(keep)])
+    if lib.stopset_act(table, ffi.new("StopsetSight *", dict(sight)), view(out)):
+        raise NotCovered(uncovered(law.label, UNBOUNDED))
+    return out
 
 
 def misreadings(model: Model, fastest: Array) -> Box:
@@ -209,21 +258,22 @@ def _places(effect: Effect, f: Fitted, model: Model) -> tuple[int, ...]:
         raise NotCovered(uncovered(f.label, str(e))) from e
 
 
-def _groups(model: Model) -> tuple[_Group, ...]:
-    found: dict[str, tuple[Effect, list[tuple[Fitted, int, int]]]] = {}
+def _acting(model: Model, fastest: Array) -> tuple[tuple[ActingLaw, ...], list[int]]:
+    """Every law at every joint, and the joints whose damping an effect says."""
+    laws: list[ActingLaw] = []
+    damped: list[int] = []
+    warm = model.domain.temp is not None
     for f in model.effects:
         effect = effect_of(f)
         if effect.role == "swing":
             raise NotCovered(uncovered(f.label, "it swings in a way that a rigid arm does not have"))
         if effect.role in ACTING:
             places = _places(effect, f, model)
-            found.setdefault(effect.name, (effect, []))[1].extend((f, i, sum(places) - i) for i in places)
-    return tuple(
-        _Group(
-            e, tuple(f for f, _, _ in rows), tuple(i for _, i, _ in rows), tuple(k for *_, k in rows) if e.scope == "pair" else ()
-        )
-        for e, rows in found.values()
-    )
+            damped += places if effect.enters == "damping" else ()
+            for i in places:
+                other = sum(places) - i if effect.scope == "pair" else -1
+                laws.append(acting_law(effect, f, i, other, float(fastest[i]), warm))
+    return tuple(laws), damped
 
 
 def _both(bounds: Callable[[Chain, Array], Sequence[Array]], chain: Chain, pi: Array, half: Array) -> Sequence[Array]:
@@ -232,15 +282,10 @@ def _both(bounds: Callable[[Chain, Array], Sequence[Array]], chain: Chain, pi: A
     return [x + y for x, y in zip(out, bounds(chain, half), strict=True)] if np.any(half) else out
 
 
-def _kelvin(temp: Box | None) -> Interval | None:
-    """(n,) above the reference temperature, over the domain [K]."""
-    return None if temp is None else Interval(temp.lo - REFERENCE_TEMPERATURE, temp.hi - REFERENCE_TEMPERATURE)
-
-
-def _put(total: Array, g: _Group, a: Acting) -> None:
-    rubs = g.effect.role == "friction"
-    for row, x in ((RUBS if rubs else DRY, a.dry), (RUBS_VISCOUS if rubs else VISCOUS, a.viscous), (PUSH, a.push)):
-        np.add.at(total[row], list(g.joints), x)  # an effect may act on one joint more than once
+def _put(total: Array, law: ActingLaw, parts: Array) -> None:
+    rubs = law.role == lib.STOPSET_RUBS
+    for row, x in zip((RUBS if rubs else DRY, RUBS_VISCOUS if rubs else VISCOUS, PUSH), parts, strict=True):
+        total[row, law.joint] += x
 
 
 def _friction(total: Array, speed: Array) -> Friction:
@@ -255,44 +300,3 @@ def _friction(total: Array, speed: Array) -> Friction:
         boxes.append(Box.of(np.maximum(lo, 0.0) * (1.0 - FRICTION_TOLERANCE), np.maximum(hi, 0.0) * (1.0 + FRICTION_TOLERANCE)))
     # effects stand on the side of the arm's own torques: what they give, the arm is pushed by with the opposite sign
     return Friction(boxes[0], boxes[1], Box.of(-push[:, 1], -push[:, 0]))
-
-
-def _sight(x: Torques, q: Box, speed: Array, needs: Collection[str]) -> Sight:
-    """What the laws see at angles in ``q``, no joint faster than ``speed``: expansions at the middle, and what lies beyond."""
-    body, middle, r = x.body, q.centre, q.radius + ROUNDING
-    own = np.arange(len(r))
-    still = np.zeros(len(r))
-    E, K = expand(body.chain, body.pi, body.half, still, middle), body.K
-
-    def around(value: Array, half: Array, most: Array) -> Interval:
-        hair = ROUNDING * (1.0 + np.max(most))
-        return Interval(np.maximum(value - half, -most) - hair, np.minimum(value + half, most) + hair)
-
-    def gravity(e: Expansion, bend: Array, most: Array) -> Interval:
-        near = np.abs(e.dg) @ r + np.abs(e.gp) + np.abs(e.dgp) @ r
-        return around(e.g, near + 0.5 * np.einsum("ikl,k,l->i", bend, r, r), most)
-
-    stiff = inertia = coriolis = None
-    if "stiff" in needs:
-        stiff = around(E.dg[own, own], np.abs(E.dgp[own, own]) + K.g[own, own] @ r, K.load)
-    if "inertia" in needs:
-        half = np.abs(E.Mp[own, own]) + (np.abs(E.dM[own, own]) + np.abs(E.dMp[own, own])) @ r
-        inertia = around(E.M[own, own], half + 0.5 * np.einsum("ikl,k,l->i", K.M[own, own], r, r), K.size)
-        inertia = inertia.maximum(0.0)
-    if "coriolis" in needs:
-        size = np.einsum("ikl,k,l->i", np.abs(E.Gamma) + np.abs(E.Gammap) + K.Gamma @ r, speed, speed) * (1.0 + ROUNDING)
-        coriolis = Interval(-size, size)
-    tilt = tuple(gravity(expand(c, body.pi, body.half, still, middle), *k) for c, *k in body.tilted) or None
-    return Sight(
-        speed,
-        x.fastest,
-        x.gear,
-        Interval(q.lo, q.hi),
-        gravity(E, K.g, K.load),
-        None,
-        _kelvin(x.temp),
-        tilt,
-        stiff,
-        inertia,
-        coriolis,
-    )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from stopset.errors import BusError
+from stopset.monitor.links.endpoints import check_endpoint, not_opened
 
 
 class ZenohLink:
@@ -26,6 +25,8 @@ class ZenohLink:
         file: str | Path | None = None,
     ) -> None:
         self.prefix = prefix
+        for endpoint in (*connect, *listen):
+            check_endpoint(endpoint)
         try:
             config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
             if not file:
@@ -38,10 +39,7 @@ class ZenohLink:
                 config.insert_json5("connect/endpoints", json.dumps(list(connect)))
             self._session = zenoh.open(config)
         except Exception as e:
-            where = ", ".join([*connect, *listen]) or str(file or "its defaults")
-            # without the places in zenoh's own source
-            why = re.sub(r" at \S+\.rs:\d+\.?|, location: Some\(.*?\}\)", "", str(e)).strip()
-            raise BusError(f"zenoh session on {where} cannot be opened ({why}); check addresses, ports and certificates") from e
+            raise not_opened(str(e), connect, listen, str(file or "")) from e
         self._held: list[Any] = []
 
     def key(self, name: str) -> str:

@@ -19,12 +19,14 @@ class Event(msgspec.Struct):
     signals: list[str] = []
     name: str = ""
     reason: str = ""
+    proven: bool = True
+    key: str = ""
     model_sha256: str = ""
 
     def told(self) -> str:
         """The event in a line."""
         kind = self.kind.replace("_", " ")
-        by = f"by {self.name}: {self.reason}" if self.name else ""
+        by = f"by {self.name}{'' if self.proven else ' (as they call themselves)'}: {self.reason}" if self.name else ""
         why = self.why or by or ", ".join(self.signals) or (f"model {self.model_sha256[:16]}" if self.model_sha256 else "")
         return why if why.startswith(kind) else f"{kind}: {why}" if why else kind
 

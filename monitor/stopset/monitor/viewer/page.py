@@ -55,7 +55,10 @@ class _ViewerHandler(Handler):
     def post(self, path: str, body: dict[str, Any]) -> None:
         server, reason = self.server, body.get("reason")
         if path != "/reset" or server.order is None:
-            self.refuse(405, "this page only shows; start `stopset watch` with --reset-as NAME, or use `stopset reset`")
+            self.refuse(
+                405,
+                "this page only shows; start `stopset watch` with --reset-as NAME or --reset-key FILE, or use `stopset reset`",
+            )
         elif not self.proves(server.token):
             self.refuse(403, "only the page itself may give an order; reload it")
         elif set(body) != {"reason"} or not isinstance(reason, str):

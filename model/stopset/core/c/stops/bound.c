@@ -1,8 +1,7 @@
 /* One power-off stop from a box of states, as a loop asks for it: the brakes' windows, a tube of each, the tool's way.
  *
- * The same as stopset.reach.stops.bounds with `fast`, where friction depends on neither pose nor speed; where it does, it is that
- * of one of a few regions made beforehand (stopset.reach.stops.regions) instead of the one the stop stays in. The windows of the
- * brakes' common delay are told in stopset.reach.stops.windows.
+ * The same as stopset.reach.stops.bounds with `fast`. The windows of the brakes' common delay are told in stopset.reach.stops.windows, the
+ * region in which effects are evaluated in stopset.reach.stops.tubes.
  */
 #include <string.h>
 
@@ -10,6 +9,7 @@
 
 enum { KNOTS = STOPSET_STOP_KNOTS, ENERGY_KNOTS = STOPSET_STOP_ENERGY_KNOTS, WINDOWS = STOPSET_STOP_WINDOWS };
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
+enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
 enum { STEPS = KNOTS * PATIENCE > ENERGY_KNOTS * MORE_PATIENCE ? KNOTS * PATIENCE : ENERGY_KNOTS *MORE_PATIENCE };
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone */
 
@@ -78,57 +78,107 @@ static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WIND
     return 1;
 }
 
-/* Largest speed of each joint of the tube; whether it stays inside the region. */
-static int inside(const StopAsk *a, const StopsetRegion *r, double fastest[SN]) {
+/* Largest speed of each joint of the tube, and how far it gets. */
+static void extent(const StopAsk *a, double fastest[SN], double moved[SN]) {
     const StopsetTube *t = &a->tube;
     const int n = a->stops->plant.arm.n;
-    int held = 1;
     for (int i = 0; i < n; i++) {
+        double up = -STOPS_INF, down = STOPS_INF;
         fastest[i] = 0.0;
         for (int64_t k = 0; k <= a->made; k++) {
             const int64_t at = k * n + i;
             double fast = most(size_of(t->v_lo[at]), size_of(t->v_hi[at]));
             if (k < a->made) fast = most(fast, most(size_of(t->e_lo[at]), size_of(t->e_hi[at])));
             fastest[i] = most(fastest[i], fast);
-            if (!(a->q[i] - a->q_radius[i] + t->d_lo[at] >= r->q_lo[i] && a->q[i] + a->q_radius[i] + t->d_hi[at] <= r->q_hi[i])) held = 0;
+            up = most(up, t->d_hi[at]);
+            down = least(down, t->d_lo[at]);
         }
-        if (!(fastest[i] <= r->speed[i])) held = 0;
+        moved[i] = most(up, -down);
     }
-    return held;
 }
 
-StopsetPlant stops_in_region(const StopsetPlant *plant, const StopsetRegion *r) {
+StopsetPlant stops_with_friction(const StopsetPlant *plant, const double *friction) {
+    const int n = plant->arm.n;
     StopsetPlant out = *plant;
-    out.coulomb_lo = r->coulomb_lo;
-    out.coulomb_hi = r->coulomb_hi;
-    out.viscous_lo = r->viscous_lo;
-    out.viscous_hi = r->viscous_hi;
-    out.u_lo = r->u_lo;
-    out.u_hi = r->u_hi;
+    out.coulomb_lo = friction;
+    out.coulomb_hi = friction + n;
+    out.viscous_lo = friction + 2 * n;
+    out.viscous_hi = friction + 3 * n;
+    out.u_lo = friction + 4 * n;
+    out.u_hi = friction + 5 * n;
     return out;
 }
 
-/* A continuous motion that stays inside a region while it has not left cannot leave. */
-int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]) {
+void stops_guess(const StopAsk *a, Region *region) {
+    const StopsetTorques *torques = a->stops->torques;
+    region->known = region->asked = 0;
+    for (int i = 0; torques && i < a->stops->plant.arm.n; i++) {
+        const double fast = size_of(a->dq[i]) + a->dq_radius[i], speed = 1.05 * fast + 0.05, limit = torques->speed[i];
+        region->way[i] = 1.1 * a->lasts * fast + 0.01;
+        region->speed[i] = fast < limit ? least(speed, limit) : speed;
+    }
+}
+
+/* What the effects give in the region; whether they have a bound there. */
+static int asked(const StopAsk *a, Region *region) {
     const StopsetStops *s = a->stops;
-    const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, steps = knots * (energetic ? MORE_PATIENCE : PATIENCE);
-    double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN];
+    double lo[SN], hi[SN];
+    if (region->asked) return 1;
+    for (int i = 0; i < s->plant.arm.n; i++) {
+        lo[i] = a->q[i] - a->q_radius[i] - region->way[i];
+        hi[i] = a->q[i] + a->q_radius[i] + region->way[i];
+    }
+    region->asked = stopset_friction_over(&s->plant, s->torques, lo, hi, region->speed, region->friction) == STOPSET_OK;
+    return region->asked;
+}
+
+/* Whether the tube stays inside; if not the region is now a larger one. */
+static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
+    const int n = a->stops->plant.arm.n;
+    double moved[SN];
+    int held = 1;
+    extent(a, fastest, moved);
+    for (int i = 0; i < n; i++) held = held && moved[i] < region->way[i] && fastest[i] < region->speed[i];
+    if (held) return 1;
+    for (int i = 0; i < n; i++) {
+        region->way[i] = most(region->way[i], 1.3 * moved[i]);
+        region->speed[i] = most(region->speed[i], 1.1 * fastest[i]);
+    }
+    region->known = 1;
+    region->asked = 0;
+    return 0;
+}
+
+/* A continuous motion that stays inside a region while it has not left cannot leave. */
+int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, Region *region, double fastest[SN]) {
+    const StopsetStops *s = a->stops;
+    const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, patience = energetic ? MORE_PATIENCE : PATIENCE;
+    double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN], moved[SN];
     for (int i = 0; i < n; i++) {
         q_lo[i] = a->q[i] - a->q_radius[i];
         q_hi[i] = a->q[i] + a->q_radius[i];
         v_lo[i] = a->dq[i] - a->dq_radius[i];
         v_hi[i] = a->dq[i] + a->dq_radius[i];
     }
-    for (int k = 0; k < s->regions; k++) {
-        const StopsetRegion *r = s->region + k;
-        StopsetPlant plant = stops_in_region(&s->plant, r);
-        int fits = 1;
-        for (int i = 0; i < n; i++) fits = fits && most(size_of(v_lo[i]), size_of(v_hi[i])) <= r->speed[i];
-        if (!fits) continue;
+    for (int k = 0; k < REGIONS; k++) {
+        const int coarse = s->torques && !region->known, steps = coarse ? knots / COARSE : knots;
+        if (s->torques && !asked(a, region)) return 0;
+        StopsetPlant plant = s->torques ? stops_with_friction(&s->plant, region->friction) : s->plant;
         plant.delay_lo = delay_lo;
         plant.delay_hi = delay_hi;
-        if (stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / knots, steps, &stops_whole, energetic, &a->tube, &a->made)) return 0;
-        if (inside(a, r, fastest)) return 1;
+        const int end = stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / steps, steps * patience, &stops_whole, energetic,
+                                          &a->tube, &a->made);
+        if (!s->torques) {
+            extent(a, fastest, moved);
+            return end == 0;
+        }
+        if (end && !coarse) return 0;
+        if (end)
+            region->known = 1; /* no more is found with so few steps */
+        else if (holds(a, region, fastest)) {
+            if (!coarse) return 1;
+            region->known = 1;
+        }
     }
     return 0;
 }
@@ -200,13 +250,15 @@ int stopset_power_off(const StopsetStops *stops, const double *q, const double *
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
+    Region region[2];
     StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
     for (int i = 0; i < n; i++) speed[i] = size_of(dq[i]) + dq_radius[i];
     a.lasts = stops_expected(&stops->plant, q, speed);
+    for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
-        if (!stops_march(&a, lo[k], hi[k], 0, fastest) && !stops_march(&a, lo[k], hi[k], 1, fastest)) return 1;
+        if (!stops_march(&a, lo[k], hi[k], 0, region, fastest) && !stops_march(&a, lo[k], hi[k], 1, region + 1, fastest)) return 1;
         for (int i = 0; i < n; i++) out->time[i] = most(out->time[i], stops_rests_after(&a, i));
         stops_widen(&a, q, q_radius, fastest, out);
     }

@@ -3,6 +3,13 @@
 #define STOPSET_BOUND_H
 #include "stops.h"
 
+/* Angles, `way` beyond the box, and speeds that a stop is taken not to leave, until shown; `known`: found by a tube and not guessed.
+ * `friction`: what the effects give there, once `asked`. The same as stopset.reach.stops.tubes.Region. */
+typedef struct {
+    double way[SN], speed[SN], friction[6 * SN];
+    int known, asked;
+} Region;
+
 /* A stop from the box q +- q_radius, dq +- dq_radius, (n,) each, of some `lasts` seconds; `tube` has `made` steps. */
 typedef struct {
     const StopsetStops *stops;
@@ -16,10 +23,12 @@ typedef struct {
 /* Take the tube's memory from `work`; empty the bound. */
 void stops_begin(StopAsk *ask, double *work, const StopsetBound *out);
 double stops_expected(const StopsetPlant *plant, const double *q, const double *speed);
-/* One tube with the friction of the first region that it does not leave, and its largest speeds; whether it comes to rest. */
-int stops_march(StopAsk *ask, const double *delay_lo, const double *delay_hi, int energetic, double fastest[SN]);
-/* `plant` with the friction of region r. */
-StopsetPlant stops_in_region(const StopsetPlant *plant, const StopsetRegion *r);
+/* A first guess for the box of `ask`. */
+void stops_guess(const StopAsk *ask, Region *region);
+/* One tube with the friction of a region that it does not leave, given or found here, and its largest speeds; whether it comes to rest. */
+int stops_march(StopAsk *ask, const double *delay_lo, const double *delay_hi, int energetic, Region *region, double fastest[SN]);
+/* `plant` with friction (6, n) in place of its own. */
+StopsetPlant stops_with_friction(const StopsetPlant *plant, const double *friction);
 /* The first knot from which joint i's speed bounds are zero [s]. */
 double stops_rests_after(const StopAsk *ask, int i);
 /* The bound widened by the tube, whose displacements count from q +- q_radius: all but the time. */

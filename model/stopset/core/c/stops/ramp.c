@@ -1,7 +1,6 @@
 /* STOP 1 and STOP 2 as a loop asks for them: a ramp that works, and one that fails.
  *
- * The same as stopset.reach.stops.bounds with `fast`; where friction depends on pose or speed it is that of the first region that
- * holds the stop. What is assumed of ramps and failures stands in stopset.reach.stops.ramp and .failed.
+ * The same as stopset.reach.stops.bounds with `fast`. What is assumed of ramps and failures stands in stopset.reach.stops.ramp and .failed.
  *
  * Source: IEC 61800-5-2 for SS1-t, SS1-r, SS2; stop notes of the project.
  */
@@ -128,11 +127,27 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
     return 1;
 }
 
+/* The plant with what the effects give at angles in [q_lo, q_hi], no joint faster than `speed`; 0 where they have no bound. */
+static int near(const StopsetStops *s, const double *q_lo, const double *q_hi, const double *speed, double friction[6 * SN], StopsetPlant *out) {
+    *out = s->plant;
+    if (!s->torques) return 1;
+    if (stopset_friction_over(&s->plant, s->torques, q_lo, q_hi, speed, friction)) return 0;
+    *out = stops_with_friction(&s->plant, friction);
+    return 1;
+}
+
 /* Whether brakes and dry friction surely hold the arm anywhere in q +- radius. */
-static int held(const StopsetPlant *p, const double *q, const double *radius) {
-    const int n = p->arm.n;
-    double g[2][SN], body[2][10 * SN];
+static int held(const StopsetStops *s, const double *q, const double *radius) {
+    const int n = s->plant.arm.n;
+    const double still[SN] = {0};
+    double g[2][SN], body[2][10 * SN], lo[SN], hi[SN], friction[6 * SN];
+    StopsetPlant plant, *p = &plant;
     Expansion E;
+    for (int i = 0; i < n; i++) {
+        lo[i] = q[i] - radius[i];
+        hi[i] = q[i] + radius[i];
+    }
+    if (!near(s, lo, hi, still, friction, p)) return 0;
     for (int side = 0; side < 2; side++) {
         StopsetArm arm = p->arm;
         for (int k = 0; k < 10 * n; k++) body[side][k] = p->arm.pi[k] + (side ? 1.0 : -1.0) * p->pi_half[k];
@@ -155,33 +170,25 @@ static int held(const StopsetPlant *p, const double *q, const double *radius) {
     return 1;
 }
 
-/* The first region that holds what the tube sweeps; 0 if none does. */
-static const StopsetRegion *region_of(const StopAsk *a, const double fastest[SN]) {
-    const int n = a->stops->plant.arm.n;
-    for (int k = 0; k < a->stops->regions; k++) {
-        const StopsetRegion *r = a->stops->region + k;
-        int fits = 1;
-        for (int i = 0; i < n; i++) {
-            fits = fits && fastest[i] <= r->speed[i];
-            for (int64_t j = 0; j <= a->made; j++)
-                fits = fits && a->q[i] - a->q_radius[i] + a->tube.d_lo[j * n + i] >= r->q_lo[i] &&
-                       a->q[i] + a->q_radius[i] + a->tube.d_hi[j * n + i] <= r->q_hi[i];
-        }
-        if (fits) return r;
-    }
-    return 0;
-}
-
 int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int stays, const double *q, const double *dq, const double *q_radius,
                          const double *dq_radius, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    double fastest[SN], end[SN], half[SN], after = 0.0;
+    double fastest[SN], end[SN], half[SN], lo[SN], hi[SN], friction[6 * SN], after = 0.0;
+    StopsetPlant plant;
     StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
     ramp_tube(&a, r, fastest);
-    const StopsetRegion *region = region_of(&a, fastest);
-    if (!region) return 1;
+    for (int i = 0; i < n; i++) {
+        double up = -STOPS_INF, down = STOPS_INF;
+        for (int64_t k = i; k < (a.made + 1) * n; k += n) {
+            up = most(up, a.tube.d_hi[k]);
+            down = least(down, a.tube.d_lo[k]);
+        }
+        lo[i] = q[i] - q_radius[i] + down;
+        hi[i] = q[i] + q_radius[i] + up;
+    }
+    if (!near(stops, lo, hi, fastest, friction, &plant)) return 1;
     for (int i = 0; i < n; i++)
         if (!(r->dq_error[i] <= r->band[i])) after = r->settle;
     if (!(after >= 0.0)) return 1;
@@ -189,7 +196,6 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
         const double fast = most(size_of(dq[i] - dq_radius[i]), size_of(dq[i] + dq_radius[i]));
         out->time[i] = r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]) + after;
     }
-    const StopsetPlant plant = stops_in_region(&stops->plant, region);
     if (!feasible(&a, r, &plant)) return 1;
     if (stays)
         for (int64_t k = n; k < (a.made + 1) * n; k++) {
@@ -198,11 +204,11 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
         }
     else {
         for (int i = 0; i < n; i++) {
-            const double lo = a.tube.d_lo[a.made * n + i], hi = a.tube.d_hi[a.made * n + i];
-            end[i] = q[i] + 0.5 * (lo + hi);
-            half[i] = q_radius[i] + 0.5 * (hi - lo);
+            const double first = a.tube.d_lo[a.made * n + i], last = a.tube.d_hi[a.made * n + i];
+            end[i] = q[i] + 0.5 * (first + last);
+            half[i] = q_radius[i] + 0.5 * (last - first);
         }
-        if (!held(&plant, q, q_radius) || !held(&plant, end, half)) return 1;
+        if (!held(stops, q, q_radius) || !held(stops, end, half)) return 1;
     }
     stops_widen(&a, q, q_radius, fastest, out);
     return STOPSET_OK;
@@ -256,6 +262,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
                 const double *dq_radius, int alone, const StopsetBound *out) {
     const int n = a->stops->plant.arm.n;
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
+    Region region[2];
     for (int i = 0; i < n; i++) {
         const double moved = cell->way * dq[i], v = cell->share * dq[i], off = cell->way * dq_radius[i], unsure = cell->share * dq_radius[i];
         lo[i] = least(0.0, moved) - off - r->q_error[i];
@@ -274,7 +281,9 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
     a->dq_radius = box[3];
     a->lasts = stops_expected(&a->stops->plant, a->q, speed);
     const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
-    if (!(alone && stops_march(a, early, late, 0, fastest)) && !stops_march(a, early, late, 1, fastest)) return 0;
+    stops_guess(a, region);
+    stops_guess(a, region + 1);
+    if (!(alone && stops_march(a, early, late, 0, region, fastest)) && !stops_march(a, early, late, 1, region + 1, fastest)) return 0;
     for (int i = 0; i < n; i++) {
         out->time[i] = most(out->time[i], cell->time + stops_rests_after(a, i));
         for (int64_t k = i; k < (a->made + 1) * n; k += n) { /* since the request */

@@ -1,7 +1,6 @@
-"""Friction of a model's stops for a few regions of angles and speeds, made once: for who cannot evaluate laws over intervals.
+"""Whole stops by the core alone, as a loop asks for them and as an FMU computes them.
 
-`CompiledStops` is what an FMU computes: the core's stop bounds with these regions.  The largest region counts where a stop may leave
-the others; each is an enclosure of the laws over all of it, so a stop that stays inside while it has not left cannot leave it.
+Python's own way to the same numbers, with more pieces and finer steps, is `stopset.reach.stops.bounds`.
 """
 
 from __future__ import annotations
@@ -12,37 +11,12 @@ from typing import Any
 import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.reach.stops.friction import BEYOND
+from stopset.reach.stops.friction import torques_struct
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting
-from stopset.reach.stops.tube import Plant, plant_struct
+from stopset.reach.stops.tube import plant_struct
 from stopset.reach.stops.types import Category
-from stopset.sets import Box
 from stopset.types import Array
-
-FRICTION = ("coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi")  # of a `Plant`, in the order of the C struct
-SHARES = (0.5, 1.0, 2.0)  # of the fastest speeds that identification has seen, one region each
-
-
-@dataclass(frozen=True, slots=True)
-class FrictionRegion:
-    """``plant``: its friction and torques hold at angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]."""
-
-    plant: Plant
-    q: Box
-    speed: Array
-
-
-def regions(setting: Setting) -> tuple[FrictionRegion, ...]:
-    """From the smallest to the largest, each inside the next; one without an end where friction depends on neither."""
-    n, torques, seen = setting.model.n, setting.torques, setting.model.domain.q
-    whole = Box(np.full(n, -np.inf), np.full(n, np.inf))
-    if torques.settled:
-        return (FrictionRegion(setting.plant, whole, whole.hi),)
-    near = Box(seen.lo - BEYOND, seen.hi + BEYOND)
-    q = near if torques.roaming else whole
-    speeds = [share * torques.fastest for share in SHARES]
-    return tuple(FrictionRegion(setting.near(setting.plant, near, v), q, v) for v in speeds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +32,8 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class CompiledStops:
-    """The core's bounds of whole stops, by category, of measured states in a box; no domain is looked at.
-
-    Where friction depends on neither pose nor speed they are those of `StopBounds.bound` with ``fast``.
-    """
+    """The core's bounds of whole stops, by category, of measured states in a box: those of `StopBounds.bound` with ``fast``. No
+    domain is looked at."""
 
     setting: Setting
     ramp: Ramp | None
@@ -74,20 +46,17 @@ class CompiledStops:
     def of(cls, setting: Setting, ramp: Ramp | None = None) -> CompiledStops:
         """``ramp``: for categories 1 and 2."""
         s, n = setting, setting.model.n
-        rows = [
-            [given(getattr(r.plant, k)) for k in FRICTION] + [given(x) for x in (r.q.lo, r.q.hi, r.speed)] for r in regions(s)
-        ]
-        table = ffi.new("StopsetRegion[]", [tuple(view(x) for x in row) for row in rows])
+        torques, effects = (ffi.NULL, None) if s.torques.settled else torques_struct(s.torques, s.free)
         plant, tool = plant_struct(s.plant), given(s.payload_com)
         lag = ffi.NULL if s.lag is None else view(given(s.lag))
         apart = -1.0 if s.apart is None else s.apart
-        struct = ffi.new("StopsetStops *", (plant[0][0], lag, apart, view(tool), len(rows), table))
+        struct = ffi.new("StopsetStops *", (plant[0][0], lag, apart, view(tool), torques))
         arrays, numbers = ({}, {}) if ramp is None else ramp_fields(s, ramp)
         held = {k: given(x) for k, x in arrays.items()}
         braking = ffi.NULL
         if ramp is not None:
             braking = ffi.new("StopsetRamp *", {k: view(x) for k, x in held.items()} | numbers)
-        return cls(s, ramp, struct, braking, (plant, rows, table, lag, tool, held), np.empty(lib.stopset_stop_room(n)))
+        return cls(s, ramp, struct, braking, (plant, torques, effects, lag, tool, held), np.empty(lib.stopset_stop_room(n)))
 
     def bound(
         self, q: Array, dq: Array, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None

@@ -1,0 +1,115 @@
+"""Orders to clear the latch, signed: the name in the log is that of the key, not what somebody typed.
+
+An order is about the monitor's life and message that the person saw (``boot_id``, ``seq``): it cannot be used again, nor later, nor at
+another arm.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import contextlib
+import json
+import queue
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from stopset.artifact.signature import key_id, public_key, secret_key
+from stopset.errors import BusError
+from stopset.monitor.config import Operator
+from stopset.monitor.layout import unpack
+from stopset.monitor.orders import Reset
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from stopset.monitor.links.zenoh_link import ZenohLink
+
+CONTEXT = b"stopset reset order, schema 1\n"  # no signature of anything else is one of an order
+LIVES = 5000  # messages: 20 s at 250 Hz; whoever takes longer looks again
+WRAP = 1 << 32  # of ``seq`` in a message
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The message that a person had before the eyes when clearing."""
+
+    data_id: int
+    boot_id: int
+    seq: int
+
+
+def look(link: ZenohLink, seconds: float = 3.0) -> Moment:
+    """The monitor's present message. Raises `BusError` where none comes."""
+    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    link.subscribe("state", lambda _, data: heard.put(data))
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        with contextlib.suppress(queue.Empty, BusError):
+            told = unpack(heard.get(timeout=left))
+            return Moment(told["data_id"], told["boot_id"], told["seq"])
+    raise BusError(
+        f"no monitor says anything here within {seconds:g} s; expected its state, for an order is signed for the message it is about: "
+        "look with `stopset watch` whether it lives"
+    )
+
+
+def _text(order: Reset, seen: Moment) -> bytes:
+    told = [order.name, order.reason, seen.data_id, seen.boot_id, seen.seq]
+    return CONTEXT + json.dumps(told, separators=(",", ":"), ensure_ascii=True).encode()
+
+
+def signed(order: Reset, seen: Moment, key: str | Path, passphrase: str = "") -> Reset:
+    """The order with the signature of a secret key. Raises `SigningKeyError`."""
+    secret = secret_key(key, passphrase)
+    signature = base64.b64encode(secret.sign(_text(order, seen))).decode()
+    return msgspec.structs.replace(
+        order, boot_id=seen.boot_id, seq=seen.seq, key=key_id(secret.public_key()), signature=signature
+    )
+
+
+@dataclass(slots=True)
+class Operators:
+    """Who may clear the latch, by key; without any, every order that reached the monitor does, under the name it gives."""
+
+    keys: dict[str, tuple[str, Any]] = field(default_factory=dict)
+    _last: int = -1  # message at which the last signed order was taken
+
+    @classmethod
+    def of(cls, people: Sequence[Operator]) -> Operators:
+        """The people of a configuration. Raises `SigningKeyError`."""
+        keys = [(p.name, public_key(p.key)) for p in people]
+        return cls({key_id(k): (name, k) for name, k in keys})
+
+    def refused(self, order: Reset, now: Moment) -> str:
+        """Why this order does not clear the latch, empty if it does; ``now``: the message the monitor is at."""
+        from cryptography.exceptions import InvalidSignature
+
+        if not self.keys:
+            return ""
+        if not order.key:
+            return "the order is not signed; expected one by an operator's key: stopset reset --key"
+        if order.key not in self.keys:
+            return f"the order is signed by the key {order.key[:16]}, which is no operator's of this monitor"
+        name, key = self.keys[order.key]
+        try:
+            key.verify(
+                base64.b64decode(order.signature, validate=True), _text(order, Moment(now.data_id, order.boot_id, order.seq))
+            )
+        except (InvalidSignature, binascii.Error, ValueError):
+            return f"the order is not what {name} signed, or is about another arm"
+        age = (now.seq - order.seq) % WRAP
+        if order.boot_id != now.boot_id or age > LIVES:
+            return f"{name}'s order is about a message of long ago, or of an earlier life of this monitor: look again, and order anew"
+        if self._last >= 0 and age >= (now.seq - self._last) % WRAP:
+            return f"{name}'s order was obeyed already, or another after it: look again, and order anew"
+        self._last = now.seq
+        return ""
+
+    def name(self, order: Reset) -> str:
+        """Who ordered it: the key's name where orders are signed."""
+        return self.keys[order.key][0] if order.key in self.keys else order.name

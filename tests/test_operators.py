@@ -1,0 +1,134 @@
+"""Who may clear a latched violation: orders signed by a key, each good once, for one arm, and now; the log holds the key's name."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_process import DATA_ID, Ear, free_port, running, write_config
+from stopset.artifact import save_model
+from stopset.artifact.signature import new_key
+from stopset.cli.main import main
+from stopset.monitor.config import ConfigError, Operator, load_config
+from stopset.monitor.layout import unpack
+from stopset.monitor.operators import LIVES, WRAP, Moment, Operators, signed
+from stopset.monitor.orders import Reset, parse_reset
+from stopset.recording import write_recordings
+
+NOW = Moment(data_id=7, boot_id=2**63 + 5, seq=10_000)
+ORDER = Reset.of("whoever", "hose refitted")
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    for name in ("smith", "stranger"):
+        new_key(tmp_path / name)
+    return tmp_path
+
+
+def people(keys: Path) -> Operators:
+    return Operators.of([Operator("A. Smith", str(keys / "smith.pub"))])
+
+
+def test_a_signed_order_is_good_once_and_in_the_keys_name(keys: Path) -> None:
+    who, order = people(keys), signed(ORDER, NOW, keys / "smith")
+    later = msgspec.structs.replace(order)
+    assert parse_reset(order.text()) == order, "nothing is lost on the way"
+    now = Moment(NOW.data_id, NOW.boot_id, NOW.seq + 3)
+    assert who.refused(order, now) == "" and who.name(order) == "A. Smith"
+    assert "obeyed already" in who.refused(later, Moment(NOW.data_id, NOW.boot_id, NOW.seq + 50))
+    fresh = signed(ORDER, Moment(NOW.data_id, NOW.boot_id, NOW.seq + 40), keys / "smith")
+    assert who.refused(fresh, Moment(NOW.data_id, NOW.boot_id, NOW.seq + 50)) == "", "the next one is taken again"
+
+
+def test_the_count_of_messages_may_begin_anew(keys: Path) -> None:
+    who, seen = people(keys), Moment(7, 1, WRAP - 2)
+    order = signed(ORDER, seen, keys / "smith")
+    assert who.refused(order, Moment(7, 1, 1 + WRAP)) == "" and "obeyed already" in who.refused(order, Moment(7, 1, 9 + WRAP))
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("unsigned", "not signed"), ("stranger", "no operator's"), ("reason", "not what A. Smith signed"), ("name", "not what A. Smith"),
+        ("seq", "not what A. Smith"), ("arm", "another arm"), ("life", "earlier life"), ("old", "long ago"), ("ahead", "long ago"),
+        ("rubbish", "not what A. Smith"), ("stolen name", "no operator's"),
+    ],
+)  # fmt: skip
+def test_what_is_no_order_of_an_operator_is_refused(keys: Path, what: str, said: str) -> None:
+    who, order, seen = people(keys), signed(ORDER, NOW, keys / "smith"), NOW
+    if what == "unsigned":
+        order = ORDER
+    elif what in ("stranger", "stolen name"):
+        order = signed(Reset.of("A. Smith", "x"), NOW, keys / "stranger")
+    elif what in ("reason", "name"):
+        order = msgspec.structs.replace(order, **{what: "something else"})
+    elif what == "seq":
+        order = msgspec.structs.replace(order, seq=order.seq + 1)
+    elif what == "arm":
+        seen = Moment(8, NOW.boot_id, NOW.seq)
+    elif what == "life":
+        seen = Moment(7, NOW.boot_id + 1, NOW.seq)
+    elif what == "old":
+        seen = Moment(7, NOW.boot_id, NOW.seq + LIVES + 1)
+    elif what == "ahead":
+        seen = Moment(7, NOW.boot_id, NOW.seq - 1)
+    else:
+        order = msgspec.structs.replace(order, signature="\N{SNOWMAN}")
+    assert said in who.refused(order, seen)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[operators]]\nname = "A"\n', "lacks key"), ('[[operators]]\nname = ""\nkey = "k"\n', "1 to 200 letters"),
+        ('[[operators]]\nname = "A"\nkey = "k"\n[[operators]]\nname = "A"\nkey = "l"\n', "each once"),
+    ],
+)  # fmt: skip
+def test_operators_that_are_none_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "c.toml").write_text(f'model = "m"\ndata_id = 1\n[bus]\nlink = "hub:1"\n{text}')
+    with pytest.raises(ConfigError, match=said):
+        load_config(tmp_path / "c.toml")
+
+
+def test_a_real_monitor_is_cleared_by_a_key_alone(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Daemon and replay are processes; an order that was overheard clears nothing again."""
+    model, recording, port = keys / "arm.model.json", keys / "rec.parquet", free_port()
+    save_model(known_model(), model)
+    write_recordings(recording, meta(), [with_torque_scaled(motion(s, 200, s), 2, 1.5) for s in range(2)])
+    source = f'[[operators]]\nname = "A. Smith"\nkey = "{keys / "smith.pub"}"\n[joint_states]\nkey = "js"\ncycle_s = 0.004'
+    config = write_config(keys, model, source, port)
+    to = f"tcp/127.0.0.1:{port}"
+    overheard: list[bytes] = []
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        ear.link.subscribe("reset", lambda _, data: overheard.append(data))
+        with running("replay", str(recording), "--to", f"zenoh:{to}", "--key", "js"):
+            assert ear.wait(lambda: ear.twins and ear.twins[-1]["violation_latched"])
+            assert ear.wait(lambda: ear.twins[-1]["samples"] >= 390)
+        assert main(["reset", "--connect", to, "--name", "A. Smith", "--reason", "I say so"]) == 1
+        assert "the order is not signed" in capsys.readouterr().out
+        time.sleep(1.1)  # refusals are told once a second
+        assert main(["reset", "--connect", to, "--key", str(keys / "stranger"), "--reason", "me too"]) == 1
+        assert "no operator's" in capsys.readouterr().out
+        assert ear.twins[-1]["violation_latched"]
+        assert (
+            main(["reset", "--connect", to, "--key", str(keys / "smith"), "--name", "Somebody", "--reason", "hose refitted"]) == 0
+        )
+        assert "by A. Smith: hose refitted" in capsys.readouterr().out
+        (event,) = [e for e in ear.events if e["kind"] == "reset"]
+        assert event["name"] == "A. Smith" and event["proven"] is True and len(event["key"]) == 16
+        assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+        ear.events.clear()
+        time.sleep(1.1)
+        ear.link.put("reset", overheard[-1])
+        assert ear.wait(lambda: any("obeyed already" in e.get("why", "") for e in ear.events), 5.0)
+        assert unpack(ear.raw[-1])["data_id"] == DATA_ID and not [e for e in ear.events if e["kind"] == "reset"]
+
+
+def test_nobody_named_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reset", "--reason", "x"]) == 2
+    assert "neither --name nor --key" in capsys.readouterr().err
