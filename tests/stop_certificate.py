@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stop_tubes import tube_of
 from stopset.core.library import ffi, given, lib, view
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import beyond_domain
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, tube_of
+from stopset.reach.stops.tubes import FAST_KNOTS
 from stopset.sets import Box
 from stopset.types import Array
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import ffi, given, integers, lib, view
-from stopset.sets import Box
 from stopset.types import Array
 
 Integers = NDArray[np.int64]
@@ -38,59 +37,6 @@ class Polynomial:
     def degree(self) -> int:
         """Highest total degree of a monomial."""
         return int(self.exponent.sum(axis=1).max(initial=0))
-
-    def recentred(self, centre: Array) -> Polynomial:
-        """The same function written in the deviation from ``centre`` (d,): ``P.recentred(a)(w) == P(a + w)``.
-
-        Binomial expansion, one variable after the other; monomials that cancel to zero are dropped.
-        """
-        e, c = self.exponent, self.coefficient
-        for i in np.flatnonzero(np.asarray(centre)):
-            power = e[:, i]
-            rows = np.repeat(np.arange(power.size), power + 1)
-            kept = np.arange(rows.size) - np.repeat(np.cumsum(power + 1) - power - 1, power + 1)  # 0..power of each row
-            table = _binomials(int(power.max(initial=0)))
-            new_c = c[rows] * table[power[rows], kept] * centre[i] ** (power[rows] - kept)
-            new_e = e[rows].copy()
-            new_e[:, i] = kept
-            e, c = collected(new_e, new_c)
-        return Polynomial(e, c)
-
-    def enclosure(self, box: Box) -> tuple[float, float]:
-        """Bounds of the values over a box (d,), true for every point in it.
-
-        Written about the box's centre, where a monomial's range is that of its powers; rounding of the re-expansion is
-        added. Source: Moore, Kearfott & Cloud (2009), ch. 6 (centred forms).
-        """
-        local = self.recentred(box.centre)
-        size = np.prod(np.nextafter(box.radius, np.inf) ** local.exponent, axis=1) * np.abs(local.coefficient)
-        fixed = ~np.any(local.exponent, axis=1)
-        even = ~np.any(local.exponent % 2, axis=1) & ~fixed
-        up, down = ~even | (local.coefficient > 0), ~even | (local.coefficient < 0)
-        middle = float(local.coefficient[fixed].sum())
-        # every original monomial is split into at most prod(e + 1) parts, of about 2 (degree + 1) operations each
-        reach = np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(box.centre)
-        parts = np.prod(self.exponent + 1.0, axis=1)
-        scale = np.prod(np.maximum(reach, 1e-300) ** self.exponent, axis=1) * np.abs(self.coefficient) * parts
-        slack = 2.0**-52 * (2 * self.degree + 2 + np.log2(max(2, self.coefficient.size))) * float(scale.sum())
-        vary = ~fixed
-        return middle - float(size[vary & down].sum()) - slack, middle + float(size[vary & up].sum()) + slack
-
-    def derivative(self, i: int) -> Polynomial:
-        """Partial derivative in variable ``i``."""
-        keep = self.exponent[:, i] > 0
-        e, c = self.exponent[keep].copy(), self.coefficient[keep] * self.exponent[keep, i]
-        e[:, i] -= 1
-        return Polynomial(e, c)
-
-
-def _binomials(n: int) -> Array:
-    """(n+1, n+1) Pascal's triangle."""
-    table = np.zeros((n + 1, n + 1))
-    for k in range(n + 1):
-        table[k, 0] = 1.0
-        table[k, 1 : k + 1] = table[k - 1, :k] + table[k - 1, 1 : k + 1]
-    return table
 
 
 def _rows(exponent: Integers) -> NDArray[np.bytes_]:
