@@ -46,6 +46,7 @@ LEFT_OUT = (
     ("stopset.recording.seen", "SIGNALS", FORMAT),
     ("stopset.offline.nominal.physical", "_UPPER", CODES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
+    ("stopset.offline.campaign.trials", "MOST", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
     ("stopset.offline.conform.corners", "Q_LO V_LO Q_HI V_HI NOISE_LO NOISE_HI U_LO U_HI", CODES),

@@ -13,9 +13,7 @@ from stopset.types import Array
 Source = Callable[[], Iterable[Recording]]
 Pairs = Callable[[], Iterable[tuple[int, Recording, Array]]]  # (independent motion, trial on the grid, its input u)
 
-MOST = (
-    2**27
-)  # bytes of trials that are remembered: some ten minutes of six joints at 1 kHz; what is longer is read again and again
+MOST = 2**27  # bytes of trials that are remembered: ten minutes of six joints at 1 kHz; what is longer is read again each time
 
 
 class ReadOnce:
