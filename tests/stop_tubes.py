@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
-from stopset.reach.stops.tube import ALL_PARTS, Parts, Tube
+from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import KNOTS, march_box
 from stopset.types import Array
 

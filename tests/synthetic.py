@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from stopset.offline.description import robot_from_text
 from stopset.recording import Recording
 from stopset.robot import Robot
-from stopset.robot.rigid import standard_parameters
+from stopset.robot.arm import standard_parameters
 from stopset.types import Array
 
 DT = 0.004

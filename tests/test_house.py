@@ -367,7 +367,9 @@ def test_lemmas_that_the_code_rests_on_are_proved_in_the_docs() -> None:
 
 
 # called by name from what they are made for: servers, notebooks, the path planner, and links that fill a batch by themselves
-CALLED_BY_OTHERS = re.compile(r"fill|dof|path_interval|do_[A-Z]+|log_message|send_error|handle_error|process_request\w*|_repr_html_")
+CALLED_BY_OTHERS = re.compile(
+    r"fill|dof|path_interval|do_[A-Z]+|log_message|send_error|handle_error|process_request\w*|_repr_html_"
+)
 
 
 def test_the_product_holds_nothing_that_only_tests_use() -> None:

@@ -38,6 +38,32 @@ class Polynomial:
         """Highest total degree of a monomial."""
         return int(self.exponent.sum(axis=1).max(initial=0))
 
+    def recentred(self, centre: Array) -> Polynomial:
+        """The same function written in the deviation from ``centre`` (d,): ``P.recentred(a)(w) == P(a + w)``.
+
+        Binomial expansion, one variable after the other; monomials that cancel to zero are dropped.
+        """
+        e, c = self.exponent, self.coefficient
+        for i in np.flatnonzero(np.asarray(centre)):
+            power = e[:, i]
+            rows = np.repeat(np.arange(power.size), power + 1)
+            kept = np.arange(rows.size) - np.repeat(np.cumsum(power + 1) - power - 1, power + 1)  # 0..power of each row
+            table = _binomials(int(power.max(initial=0)))
+            new_c = c[rows] * table[power[rows], kept] * centre[i] ** (power[rows] - kept)
+            new_e = e[rows].copy()
+            new_e[:, i] = kept
+            e, c = collected(new_e, new_c)
+        return Polynomial(e, c)
+
+
+def _binomials(n: int) -> Array:
+    """(n+1, n+1) Pascal's triangle."""
+    table = np.zeros((n + 1, n + 1))
+    for k in range(n + 1):
+        table[k, 0] = 1.0
+        table[k, 1 : k + 1] = table[k - 1, :k] + table[k - 1, 1 : k + 1]
+    return table
+
 
 def _rows(exponent: Integers) -> NDArray[np.bytes_]:
     """One sortable byte string per monomial."""
@@ -105,18 +131,13 @@ def _parents(exponent: Integers) -> tuple[Integers, Integers]:
     return up, last
 
 
-def struct_of(program: Program) -> tuple[Any, Program]:
-    """``StopsetPolynomials``, and what must live as long."""
-    return ffi.new("StopsetPolynomials *", (
-        *program.coefficient.shape, program.dimension, integers(program.parent), integers(program.variable), view(program.coefficient),
-    )), program  # fmt: skip
-
-
 def _table(program: Program, z: Array) -> Any:
     """``StopsetPolynomials`` of a program whose arrays outlive it, for the rows of ``z``."""
     if z.ndim != 2 or z.shape[1] != program.dimension:
         raise ValueError(f"arguments of shape {z.shape}; expected rows of {program.dimension}")
-    return struct_of(program)[0]
+    return ffi.new("StopsetPolynomials *", (
+        *program.coefficient.shape, program.dimension, integers(program.parent), integers(program.variable), view(program.coefficient),
+    ))  # fmt: skip
 
 
 def evaluate(program: Program, z: Array) -> Array:
