@@ -15,8 +15,9 @@ import time
 from typing import Any
 
 from stopset.monitor.fleet import Fleet
-from stopset.monitor.layout import State, pack
+from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.packer import pack
 
 JOINTS = tuple(f"arm_{k}_joint" for k in range(1, 7))
 GROUP = 25  # arms per process

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stop_tubes import tube_of
-from stopset.core.library import ffi, given, lib, view
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import beyond_domain
@@ -23,14 +23,34 @@ from stopset.types import Array
 
 
 def follow(tube: Tube, low: Array, high: Array) -> Array:
-    """Curves from speeds ``[low, high]`` (n,) under the tube's certified rates; (4, n): time, forward, back, speed."""
-    out, steps = np.empty((4, len(low))), len(tube.forward_lo)
-    rates = [given(x) for x in (tube.forward_lo, tube.forward_hi, tube.backward_lo, tube.backward_hi)]
-    held = [given(x) for x in (tube.t, tube.v_lo, tube.v_hi, low, high)]
-    t, v_lo, v_hi, lo, hi = (view(x) for x in held)
-    struct = ffi.new("StopsetTube *", {"t": t, "v_lo": v_lo, "v_hi": v_hi, "rates": [view(x) for x in rates]})
-    lib.stopset_follow(struct, len(low), steps, lo, hi, view(out))
-    return out
+    """Curves from speeds ``[low, high]`` (n,) under the tube's certified rates; (4, n): time, forward, back, speed.
+
+    Lower ones are upper ones of the mirrored tube.
+    """
+    up = _upper(tube.t, high, tube.forward_hi, tube.backward_hi, tube.v_lo, tube.v_hi)
+    down = _upper(tube.t, -low, -tube.backward_lo, -tube.forward_lo, -tube.v_hi, -tube.v_lo)
+    return np.array([tube.t[np.maximum(up[0], down[0])], up[1], down[1], np.maximum(up[2], down[2])])
+
+
+def _upper(
+    t: Array, speed: Array, forward: Array, backward: Array, v_lo: Array, v_hi: Array
+) -> tuple[NDArray[np.int_], Array, Array]:
+    """Of the upper curves from ``speed`` (n,): the first knot at which they are at rest for good, how far, how fast in size."""
+    h, U, K = t[1] - t[0], speed, len(forward)
+    way, far, fast, last = np.zeros_like(U), np.zeros_like(U), np.abs(U), np.zeros(len(U), int)
+    with np.errstate(invalid="ignore"):
+        for k in range(K):
+            moving = U + h * forward[k]
+            ahead = np.where((v_lo[k] <= 0.0) | (moving > 0.0), np.maximum(moving, 0.0), v_hi[k + 1])
+            back = np.where(U == 0.0, 0.0, U + h * backward[k])
+            new = np.where(U > 0.0, ahead, np.where(back >= 0.0, h * np.maximum(0.0, forward[k]), back))
+            # rates of a direction the whole box cannot take are infinite; the tube itself bounds those steps
+            new = np.where(new < np.inf, new, np.maximum(v_hi[k], v_hi[k + 1]))
+            way = way + h * np.where((U < 0.0) & (new >= 0.0), new, 0.5 * (U + new))
+            far, fast = np.maximum(far, way), np.maximum(fast, np.abs(new))
+            U = np.minimum(new, v_hi[k + 1])
+            last = np.where(U != 0.0, k + 2, last)
+    return np.minimum(last, K), far, fast
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,6 +113,18 @@ def test_stamps_of_another_clock_do_not_make_old_frames_young() -> None:
     assert theirs(70.0, 1e9 + 65.0 + 0.01) == pytest.approx(1e9 + 65.0, abs=0.02)
 
 
+def test_the_frames_of_a_time_are_found_in_the_ring_of_all() -> None:
+    decoder = Decoder(load_profile("lwa4p/monitor"), room=50)
+    sent = [(10.0 + 0.1 * k, 0x123, bytes(range(k % 9))) for k in range(120)]
+    for k, (t, x, data) in enumerate(sent):
+        decoder.frame(x, data, t)
+        if k == 19:
+            assert decoder.heard() == sent[:20], "not yet round"
+    assert decoder.heard() == sent[-50:] and decoder.heard(20.45, 20.65) == sent[105:107] and not decoder.heard(1.0, 2.0)
+    decoder.frame(0x123, b"", float("nan"))
+    assert len(decoder.heard(1.0, 1e9)) == 49, "what has no time belongs to none"
+
+
 def test_a_listener_has_nothing_to_send_with() -> None:
     assert not hasattr(HubClient, "send")
     hears = listen("virtual:stopset-passive")

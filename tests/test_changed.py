@@ -78,9 +78,31 @@ def test_more_friction_and_a_dragging_brake_are_changes_with_their_joints_and_si
         assert c.after == pytest.approx(true[1], rel=0.05) and c.std < 0.03 * c.after
         assert c.error_after < 0.8 * c.error_before
     shown = found.as_json()["ranked_effects"]
-    assert all({"before", "after", "std"} == set(r["change"]) for r in shown) and len(shown) == len(wanted)
+    assert all({"before", "after", "std", "since"} == set(r["change"]) for r in shown) and len(shown) == len(wanted)
 
 
 def test_a_load_and_a_drives_gain_are_named_with_what_the_model_said_of_them(pair: Pair) -> None:
     found = pair.weeks_later(lambda plant: plant._replace(gain=np.array([1.0, 1.06, 1.0])))
     assert found.verdict == "missing" and [r.label for r in found.ranked] == ["torque_gain:lift"]
+
+
+def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) -> None:
+    """A brake that begins to drag in the middle of the recordings: its joint, its torque, and from which trial on."""
+    s, dragging = pair.scenario, np.array([0.0, DRAG, 0.0])
+
+    def day(change: Callable[[SimulatedPlant], SimulatedPlant]) -> Recordings:
+        truth = replace(s.cell.truth, plant=change(s.cell.truth.plant))
+        return recorded(replace(s, cell=replace(s.cell, truth=truth, seed=LATER)))
+
+    good, worn = day(lambda plant: plant), day(lambda plant: plant._replace(fc=plant.fc + dragging))
+    moving = [k for k, r in enumerate(good.trials) if r.phase != "static"]
+    begins = moving[len(moving) // 2]
+    mixed = replace(good, trials=(*good.trials[:begins], *worn.trials[begins:]))
+    found, _ = diagnose_model(pair.model, mixed)
+    assert {(c.effect, c.joint) for c in found.changed} == {("coulomb", pair.model.joints[DRAGGING])}
+    (c,) = found.changed
+    assert c.after - c.before == pytest.approx(DRAG, abs=4 * c.std)
+    assert c.since == worn.trials[begins].label and c.since in c.says
+    # and where all recordings show it, that is what is said
+    (whole,) = diagnose_model(pair.model, worn)[0].changed
+    assert whole.since == "" and "before the first of these recordings" in whole.says

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from scipy.linalg import expm
 from monitor_arm import known_model
 from stopset.artifact import Abstraction
 from stopset.artifact.model import TorqueZonotope, UncertaintySets
-from stopset.core.library import ffi, given, lib, view
+from stopset.core.library import ffi, flags, given, integers, lib, view
 from stopset.effects.base import Fitted
+from stopset.effects.memory import stepped
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.watch import Quantum
 from stopset.offline.description import robot_from_text
@@ -30,7 +32,8 @@ from test_description import serial
 SIZED = (
     "stopset_torques", "stopset_bent_torques", "stopset_gravity_torques", "stopset_mass_matrices", "stopset_regressors",
     "stopset_levers", "stopset_link_frames", "stopset_point", "stopset_expand", "stopset_inertia_box", "stopset_point_sets",
-    "stopset_swept_capsules", "stopset_power_off", "stopset_stop_tube", "stopset_largest_energy", "stopset_discretise",
+    "stopset_swept_capsules", "stopset_power_off", "stopset_working_ramp", "stopset_failed_ramp", "stopset_power_excess",
+    "stopset_stop_tube", "stopset_largest_energy", "stopset_discretise",
     "stopset_linear_step", "stopset_responses", "stopset_along", "stopset_sim_mass_and_bias", "stopset_sim_torques",
 )  # fmt: skip
 
@@ -189,7 +192,174 @@ def test_responses_to_what_is_not_a_number_are_none() -> None:
     assert np.isnan(plus[-1, 0, 0]) and np.isnan(minus[-1, 2, 0]) and np.isfinite(plus[:, 1, 1]).all()
 
 
+def test_an_envelope_along_directions_is_that_of_what_they_see() -> None:
+    """A joint, one counted backward, and a mixture of two: against the windows one by one."""
+    n, N, rng = 2, 9, np.random.default_rng(8)
+    across, Ad, residual = (
+        np.array([[1.0, 0.0], [0.0, -1.0], [0.6, -0.8]]),
+        rng.normal(scale=0.5, size=(4, 4)),
+        rng.normal(size=(4, N)),
+    )
+    ages, k = 4, len(across)
+    hi, lo, at, work = (
+        np.full((ages, 2 * k), -np.inf),
+        np.full((ages, 2 * k), np.inf),
+        np.zeros((2, ages, 2 * k, 2), np.int64),
+        np.empty(9 * N),
+    )
+    env = ffi.new("StopsetEnvelope *", (ages, 2 * k, 0, view(hi), view(lo), integers(at[0]), integers(at[1])))
+    lib.stopset_widen_coupled(env, n, view(Ad), k, view(across), N, view(residual), N, view(work))
+    look = np.kron(np.eye(2), across)
+    for h in range(1, ages):
+        seen = []
+        for start in range(N - h + 1):
+            e = np.zeros(4)
+            for j in range(h):
+                e = Ad @ e + residual[:, start + j]
+            seen.append(look @ e)
+        assert hi[h] == pytest.approx(np.max(seen, axis=0)) and lo[h] == pytest.approx(np.min(seen, axis=0))
+        assert at[0, h, :, 1].tolist() == np.argmax(seen, axis=0).tolist()
+
+
+def test_a_memory_goes_on_along_a_recording_as_step_by_step() -> None:
+    """Held inputs, also none; it starts anew where a trial does."""
+    b, a, dt = np.array([1.0, 1.0, 0.5, 0.0, 2.0]), np.array([-2.0, 0.0, -1.0, -3.0, 0.0]), np.full(5, 0.1)
+    first, z = np.array([True, False, False, True, False]), np.empty(5)
+    lib.stopset_remember(5, view(b), view(a), view(dt), flags(first), 0.25, view(z))
+    want = [0.25]
+    for k in range(1, 5):
+        want.append(0.25 if first[k] else float(stepped(np.array(want[-1]), b[k - 1], a[k - 1], 0.1)))
+    assert z.tolist() == pytest.approx(want, rel=1e-14)
+
+
+def test_a_seal_is_both_checksums_of_what_is_before_them() -> None:
+    data = np.frombuffer(b"123456789" + bytes(8), np.uint8).copy()
+    here = ffi.from_buffer("uint8_t[]", data)
+    lib.stopset_seal(9, here)
+    assert data[9:13].tobytes() == zlib.crc32(b"123456789").to_bytes(4, "little")
+    assert data[13:].tobytes() == lib.stopset_crc32c(13, here).to_bytes(4, "little")
+
+
+def test_polynomials_and_their_slopes_are_sums_of_monomials() -> None:
+    """1, x, y, x^2, x y, x^2 y, each from its parent; two polynomials of them."""
+    parent, variable = integers(np.array([0, 0, 0, 1, 1, 3])), integers(np.array([0, 0, 1, 0, 1, 1]))
+    rng = np.random.default_rng(9)
+    C, z, work = rng.normal(size=(6, 2)), rng.normal(size=(5, 2)), np.empty((6, 3))
+    value, slope = np.empty((5, 2)), np.empty((5, 2, 2))
+    p = ffi.new("StopsetPolynomials *", (6, 2, 2, parent, variable, view(C)))
+    lib.stopset_polynomials(p, 5, view(z), view(work), view(value))
+    lib.stopset_polynomial_slopes(p, 5, view(z), view(work), view(slope))
+    x, y, none, one = z[:, 0], z[:, 1], np.zeros(5), np.ones(5)
+    assert value == pytest.approx(np.stack([one, x, y, x * x, x * y, x * x * y], axis=1) @ C)
+    by_x, by_y = np.stack([none, one, none, 2 * x, y, 2 * x * y], axis=1), np.stack([none, none, one, none, x, x * x], axis=1)
+    assert slope == pytest.approx(np.stack([by_x @ C, by_y @ C], axis=2))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_how_far_readings_lie_beyond_a_corner_is_found_at_every_age(sign: float) -> None:
+    """Against one solution at a time; what runs away the wrong way encloses nothing, the right way it is let go."""
+    rng, N, horizon, limit = np.random.default_rng(12), 30, 12, (0.02, 0.05)
+    x, w, c, starts = 0.05 * rng.normal(size=(N, 2)), rng.normal(size=N), np.array([0.4, 0.1]), np.array([0, 5, 20, 29])
+
+    def excess(runaway: float, w: Array) -> tuple[Array, Array, Array]:
+        best, at, outside = (
+            np.full((horizon + 1, 2), -np.inf),
+            np.zeros((horizon + 1, 2, 2), np.int64),
+            np.zeros(len(starts), bool),
+        )
+        corner = ffi.new("StopsetCorner *", (2, view(c), 0.01, 0.001, -0.002, sign, runaway, 2, horizon, limit))
+        lib.stopset_corner_excess(
+            corner, N, view(x), view(w), len(starts), integers(starts), 3, view(best), integers(at.reshape(-1)), flags(outside)
+        )
+        return best, at, outside
+
+    best, at, outside = excess(1e3, w)
+    want, bad = np.full((horizon + 1, 2), -np.inf), np.zeros(len(starts), bool)
+    for k, start in enumerate(starts):
+        steps, path = min(horizon, N - 1 - start), np.empty((horizon + 1, 2))
+        lib.stopset_corner(
+            x[start, 0] + 0.001, x[start, 1] - 0.002, steps, view(w[start:].copy()), 2, view(c), 0.01, 2, view(path)
+        )
+        e = sign * (x[start : start + steps + 1] - path[: steps + 1])[1:]
+        want[1 : steps + 1] = np.maximum(want[1 : steps + 1], e)
+        bad[k] = bool(np.any(e > np.array(limit)))
+    assert best == pytest.approx(want) and np.array_equal(outside, bad) and 0 < bad.sum() < len(starts)
+    assert np.all(at[1:, :, 0] == 3) and np.all(np.isin(at[1:, :, 1], starts))
+    # thrown upward: no bound from above (sign 1) is left behind, and one from below (sign -1) encloses nothing
+    gone, _, left = excess(0.3, w + 1e3)
+    assert np.isinf(gone[1]).all() and (gone[1, 0] > 0) == (sign < 0) and left[:3].all() == (sign < 0)
+
+
+def test_responses_along_a_motion_are_signed_parts_of_the_whole() -> None:
+    """Many steps of a model whose torques turn their sign: the parts add up to the response to a torque that is always there."""
+    n, H, dt, rng = 2, 90, 0.02, np.random.default_rng(13)
+    J_x, J_u = np.zeros((H + 1, n, 2 * n)), np.zeros((H + 1, n, n))
+    J_x[:, :, :n], J_x[:, :, n:] = -20.0 * np.eye(n), -3.0 * np.eye(n) + 0.2 * rng.normal(size=(H + 1, n, n))
+    J_u[:] = np.sin(0.3 * np.arange(H + 1))[:, None, None] * np.eye(n) + 0.1
+    E1, plus, minus = np.empty((H + 1, 4, 4)), np.empty((H + 1, 4, n)), np.empty((H + 1, 4, n))
+    assert lib.stopset_along(n, H, view(J_x), view(J_u), dt, view(E1), view(plus), view(minus), view(np.empty(3 * H * 8))) == 0
+    E, R = np.eye(4), np.zeros((4, n))
+    for k in range(H):
+        A, B = np.zeros((6, 6)), np.zeros((4, n))
+        A[:n, n : 2 * n], A[n : 2 * n, : 2 * n] = np.eye(n), 0.5 * (J_x[k] + J_x[k + 1])
+        B[n:] = 0.5 * (J_u[k] + J_u[k + 1])
+        A[:4, 4:] = B
+        step = expm(A * dt)
+        E, R = step[:4, :4] @ E, step[:4, :4] @ R + step[:4, 4:]
+    assert E1[-1] == pytest.approx(E, rel=1e-9, abs=1e-12) and (plus + minus)[-1] == pytest.approx(R, rel=1e-6, abs=1e-9)
+    assert np.all(plus >= 0.0) and np.all(minus <= 0.0) and minus[-1].min() < -1e-3
+
+
 # ---- torques, inputs and stretches of time
+
+
+def test_a_bent_joint_is_that_pose() -> None:
+    arm = robot_from_text(serial("revolute", "revolute"))
+    x, bend = np.random.default_rng(5).normal(size=(3, 4, 2)), np.random.default_rng(6).normal(size=(3, 4))
+    tau, struct = np.empty((4, 2)), arm_struct(arm.chain, arm.pi)
+    lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), 1, *(view(given(b)) for b in bend), 0, view(tau))
+    x[:, :, 1] += bend
+    assert tau == pytest.approx(torques(arm.chain, arm.pi, *x), rel=1e-13)
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_law_of_no_steps_gives_nothing(samples: int) -> None:
+    """Of one sample alone, and of several."""
+    out, none = np.ones(samples), np.zeros(samples * lib.STOPSET_SIGNALS)
+    lib.stopset_law(ffi.new("StopsetProgram *", (0, ffi.NULL, ffi.NULL)), samples, view(none), view(out))
+    assert not out.any()
+
+
+def test_products_of_series_end_at_their_order_and_at_the_room_there_is() -> None:
+    """1 + x + x^2 times itself, up to each degree; what has no room, or no degree, is refused."""
+    shift, powers, ones = 8, np.arange(3), np.ones(3)
+    key, slot = integers(np.array([(k << shift) + k for k in powers])), np.empty(16, np.int64)
+
+    def product(order: int, room: int, size: int = 16) -> tuple[int, Array]:
+        keys, values = np.empty(16, np.int64), np.empty(16)
+        made = lib.stopset_taylor_multiply(
+            3, key, view(ones), 3, key, view(ones), order, shift, size, integers(slot), room, integers(keys), view(values)
+        )
+        return made, values[: max(made, 0)][np.argsort(keys[: max(made, 0)])]
+
+    for order, want in ((0, [1]), (1, [1, 2]), (2, [1, 2, 3]), (3, [1, 2, 3, 2]), (63, [1, 2, 3, 2, 1])):
+        made, values = product(order, 16)
+        assert made == len(want) and values.tolist() == want
+    assert product(4, 5)[0] == 5 and product(4, 4)[0] == -1 and product(-1, 16)[0] == -1 and product(64, 16)[0] == -1
+    assert product(4, 8, 8)[1].tolist() == [1, 2, 3, 2, 1]  # keys that share a place
+
+
+def test_an_envelope_names_the_last_window_too() -> None:
+    """The extremes are found wherever they are, the first and the last of many windows among them."""
+    n, N = 1, 21
+    for where in (0, 9, N - 1):
+        residual = np.zeros((2, N))
+        residual[0, where], residual[1, where] = 1.0, -1.0
+        hi, lo, at, work = np.zeros((2, 2)), np.zeros((2, 2)), np.full((2, 2, 2, 2), -1), np.empty(2 * N)
+        env = ffi.new("StopsetEnvelope *", (2, 2, 7, view(hi), view(lo), integers(at[0]), integers(at[1])))
+        lib.stopset_widen_decoupled(env, n, view(np.zeros(4)), N, view(residual), N, view(work))
+        assert hi[1].tolist() == [1.0, 0.0] and lo[1].tolist() == [0.0, -1.0]
+        assert at[0, 1, 0].tolist() == [7, where] and at[1, 1, 1].tolist() == [7, where]
 
 
 @pytest.mark.parametrize("joint", [-1, 2, 7])

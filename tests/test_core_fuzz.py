@@ -137,6 +137,8 @@ def test_simulated_friction_and_stops(seed: int) -> None:
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 @example(791)  # ended in not a number and was told to hold the arm
+@example(300)  # at rest by its speeds, held by nothing
+@example(573)  # energy that outgrows every claim
 def test_stop_tubes(seed: int) -> None:
     """Plants out of their senses: a tube ends, and one that comes to rest holds the arm."""
     rng = np.random.default_rng(seed)

@@ -21,6 +21,7 @@ from stopset.errors import EffectError
 from stopset.offline.description import load_robot
 from stopset.ring import Tape
 from stopset.robot.rigid import gravity_torques, torques
+from stopset.sets import Box
 from stopset.types import Array
 
 ARM = load_robot("lwa4p")
@@ -100,6 +101,10 @@ def test_every_step_of_a_tape_does_what_it_says() -> None:
         lib.stopset_law(law, 40, view(signals), view(out))
         fine = ~np.isnan(want) | np.isnan(a) | np.isnan(b)
         assert np.array_equal(out[fine], want[fine], equal_nan=True), (steps[number.at], out, want)
+        alone = np.empty(1)
+        for k in range(8):  # one sample by itself has the same bits
+            lib.stopset_law(law, 1, view(signals[:, k].copy()), view(alone))
+            assert np.array_equal(alone[0], out[k], equal_nan=True)
     for name in ("sin", "cos", "exp", "tanh"):
         number = getattr(x, name)()
         steps, numbers = tape.finished(number)
@@ -139,7 +144,7 @@ def test_a_states_interval_goes_on_as_its_flow_says() -> None:
     inputs = Inputs.of(model, Quantum.none(model.n), (0.0, 0.0))
     z = inputs.carried.ends.copy()[0]
     for k in range(20):
-        q, dq = Q[k, : model.n], DQ[k, : model.n]
+        q, dq = Q[k, : model.n], DQ[k, : model.n] * (k != 7)  # at rest it stays as it is
         b, a = coefficients(
             get("hysteresis"), law_signals(model.robot, [(f, get("hysteresis"))], Samples(q[None], dq[None]))[0], f.values
         )
@@ -314,3 +319,109 @@ def test_an_arm_of_no_or_too_many_joints_is_refused() -> None:
     inputs.struct.map.arm.n = model.n
     inputs.struct.states = 65
     assert lib.stopset_sample_input(inputs.struct, x, x, x, none, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
+
+
+def watched(effort: str = "compensated_torque", windows: str = "sliding", hot: bool = False):  # type: ignore[no-untyped-def]
+    """A check of the known arm with its struct, and samples of a motion inside it."""
+    from monitor_arm import known_model, motion
+    from stopset.monitor.watch import Watch
+
+    model = known_model(windows=windows)
+    if hot:
+        temp = Box.of(np.full(model.n, 20.0), np.full(model.n, 40.0))
+        model = replace(model, domain=replace(model.domain, temp=temp))
+    watch, r = Watch(replace(model, effort=effort)), motion(1, 60)
+    return watch, watch._struct, r
+
+
+def told(watch, row: Array, temp: Array | None = None) -> int:  # type: ignore[no-untyped-def]
+    watch._here[:3] = row
+    if temp is not None:
+        watch._here[3] = temp
+    return int(lib.stopset_next(watch._struct, temp is not None))
+
+
+def test_readings_that_cannot_be_are_no_samples() -> None:
+    """Not a number, beyond any robot, all zero: a code, and nothing of the check has moved on. So for temperatures, where there are some."""
+    watch, s, r = watched()
+    rows = np.stack([r.q, r.dq, r.tau], axis=1)
+    assert told(watch, rows[0]) == told(watch, rows[1]) == lib.STOPSET_OK and s.known and s.live == 1
+    kept = watch._x.copy()
+    for place, bad in (((0, 0), math.nan), ((1, 5), math.inf), ((2, 3), -math.inf), ((2, 3), 1e300)):
+        row = rows[2].copy()
+        row[place] = bad
+        assert told(watch, row) == lib.STOPSET_NOT_A_NUMBER
+    assert told(watch, 0.0 * rows[2]) == lib.STOPSET_ALL_ZERO
+    assert told(watch, rows[2], np.full(6, math.nan)) == lib.STOPSET_NOT_A_NUMBER
+    assert np.array_equal(watch._x, kept) and told(watch, rows[2], np.full(6, 25.0)) == lib.STOPSET_OK
+    for n in (0, 33):
+        s.monitor.map.arm.n = n
+        assert lib.stopset_readable(s, 0) == lib.stopset_look(s, 0) == lib.STOPSET_TOO_MANY_JOINTS
+
+
+@pytest.mark.parametrize("hot", [False, True])
+def test_a_temperature_is_looked_at_where_the_domain_has_one(hot: bool) -> None:
+    watch, s, r = watched(hot=hot)
+    row = np.stack([r.q[0], r.dq[0], r.tau[0]])
+    for temp, beyond in ((None, 0), (np.full(6, 30.0), 0), (np.array([30.0, 50, 30, 30, 10, 30]), 2 if hot else 0)):
+        assert told(watch, row, temp) == lib.STOPSET_OK and s.outside == beyond
+
+
+def test_from_the_start_alone_one_prediction_starts() -> None:
+    """Of the windows of the paper: the first sample's, as long as the tube; sliding ones start every sample."""
+    live = {}
+    for windows in ("start", "sliding"):
+        watch, s, r = watched(windows=windows)
+        live[windows] = []
+        for k in range(20):
+            assert told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
+            live[windows].append(s.live)
+    assert live["start"] == [0, *[1] * 19] and live["sliding"] == list(range(20))
+
+
+def test_an_arm_that_leaves_its_model_is_refuted_and_predicts_nothing() -> None:
+    watch, s, r = watched()
+    for k in range(10):
+        told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
+    before = s.place
+    assert not s.seen[1] and told(watch, np.stack([r.q[10] + 0.1, r.dq[10], r.tau[10]])) == lib.STOPSET_OK
+    assert s.seen[1] >= 6 and s.place == before and s.seen[0] == 10
+
+
+def test_predictions_start_as_often_as_they_are_asked_to() -> None:
+    watch, s, r = watched()
+    s.every, live = 4, []
+    for k in range(13):
+        assert told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
+        live.append(s.live)
+    assert live == [0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3]
+
+
+def test_widening_by_what_is_known_exactly_changes_nothing() -> None:
+    """A plain input without rounding: the tube is the same whether or not it is widened from step to step."""
+    rooms = []
+    for widen in (0, 1):
+        watch, s, r = watched()
+        s.widen = widen
+        for k in range(20):
+            told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
+        rooms.append(watch.tubes.room.copy())
+    assert np.array_equal(*rooms)
+
+
+def test_what_is_not_known_of_a_state_widens_the_tube() -> None:
+    """A joint with presliding friction whose state is unknown at first has more room than one whose state has come to be known."""
+    from monitor_arm import known_model, motion
+    from stopset.monitor.watch import Watch
+
+    model, r = known_model(), motion(1, 60)
+    rigid = Watch(replace(model, effort="motor_torque"))
+    assert told(rigid, np.stack([r.q[0], r.dq[0], r.tau[0]])) == lib.STOPSET_OK and not rigid._du.any(), "nothing is remembered"
+    held = Fitted("hysteresis", model.joints[0], {"F_h": 0.05, "delta": 0.02}, {})
+    watch = Watch(replace(model, effort="motor_torque", effects=(held,)))
+    du = []
+    for k in range(40):
+        row = np.stack([r.q[k], r.dq[k], r.tau[k] + gravity_torques(model.robot.chain, model.robot.pi, r.q[k : k + 1])[0]])
+        assert told(watch, row) == lib.STOPSET_OK
+        du.append(watch._du[0, 0])
+    assert not watch._struct.monitor.plain and du[0] == pytest.approx(0.05) and du[-1] < du[0] and not watch._du[0, 1:].any()

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from campaign import RATE, trials
 
 from stopset.offline.description import load_robot
 from stopset.recording import Meta, write_recordings
+from synthetic import names, recordings, save_trials, urdf
 
 TRIALS = 400
 LOOPBACK = "tcp://127.0.0.1"
@@ -90,3 +92,61 @@ def test_a_missing_scheduler_is_one_sentence(data: Path, tmp_path: Path, capsys:
     assert main(words) == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
     assert not out.exists()
+
+
+def arm_folders(root: Path, count: int) -> Path:
+    """So many small arms, each of its own inertia, one folder each."""
+    for k in range(count):
+        folder = root / f"arm{k:02d}"
+        (folder / "later").mkdir(parents=True)
+        (folder / "robot.urdf").write_text(urdf(names(2)))
+        for place, seed in ((folder, 1), (folder / "later", 2)):
+            save_trials(place / "rec.parquet", recordings((2.0 + 0.05 * k, 0.7), (9.0, 4.0), seed=seed), names(2))
+    return root
+
+
+@pytest.mark.slow
+def test_many_arms_with_one_command_are_each_as_alone_though_a_worker_is_killed(
+    tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    address, workers = cluster
+    fleet, out = arm_folders(tmp_path / "fleet", 8), tmp_path / "out"
+    (fleet / "arm05" / "rec.parquet").write_bytes(b"no recording")
+    killed = threading.Timer(6.0, lambda: os.kill(workers[0].pid, signal.SIGKILL))
+    killed.start()
+    words = ["identify-fleet", str(fleet), "--out", str(out), "--scheduler", address]
+    assert main([*words, "--json", str(tmp_path / "all.json"), "--report", str(tmp_path / "all.html")]) == 1
+    killed.join()
+    assert workers[0].wait(timeout=10) != 0
+    told = capsys.readouterr().out
+    assert "7 of 8 arms identified and diagnosed" in told and "arm05  not done:" in told and "expected" in told
+    rows = {r["name"]: r for r in json.loads((tmp_path / "all.json").read_text())}
+    assert len(rows) == 8 and [n for n, r in rows.items() if r["error"]] == ["arm05"]
+    assert not (out / "arm05.model.json").exists() and "arm05" in (tmp_path / "all.html").read_text()
+    for k in (0, 7):
+        name, alone, diagnosis = f"arm{k:02d}", tmp_path / "alone.json", tmp_path / "diagnosis.json"
+        folder = fleet / name
+        words = ["--robot", str(folder / "robot.urdf"), "--data", str(folder / "rec.parquet"), "--quiet", "--accept-wide"]
+        assert main(["identify", *words, "--out", str(alone)]) == 0
+        assert (out / f"{name}.model.json").read_bytes() == alone.read_bytes()
+        assert (
+            main(["diagnose", str(alone), "--data", str(folder / "later/rec.parquet"), "--quiet", "--json", str(diagnosis)]) == 0
+        )
+        assert (out / f"{name}.diagnosis.json").read_bytes() == diagnosis.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda d: None, "is no folder"), (lambda d: d.mkdir(), "holds no arm"),
+        (lambda d: ((d / "a").mkdir(parents=True), (d / "a/robot.urdf").write_text("<robot/>")), "no recording"),
+        (lambda d: (arm_folders(d, 1), (d.parent / "out").write_text("")), "is a file"),
+    ],
+)  # fmt: skip
+def test_a_fleet_that_is_none_is_a_sentence(
+    tmp_path: Path, spoil: Callable[[Path], object], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil(tmp_path / "fleet")
+    assert main(["identify-fleet", str(tmp_path / "fleet"), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert said in told and "expected" in told

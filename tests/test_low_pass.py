@@ -11,7 +11,11 @@ from scipy.signal import butter, filtfilt
 
 from nominal_cases import F_C, JOINTS, Truth, arm, moving
 from stopset.effects.selection import base, usual
+from stopset.offline.compare.compare import compare
 from stopset.offline.description import load_robot
+from stopset.offline.diagnose import diagnose_model
+from stopset.offline.identify.pipeline import identify
+from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import Preprocessing, identify_nominal, residuals
 from stopset.offline.nominal.low_pass import recorded_low_pass
@@ -61,6 +65,19 @@ def test_inspect_tells_that_the_torque_was_smoothed(tmp_path: Path, motion: Reco
         write_recordings(path, Meta(joints=JOINTS, robot="three", rate_hz=125.0), [r])
         said = [f.kind for f in inspect_recordings([path], arm())[0].findings]
         assert ("torque_smoothed" in said) == (name == "smoothed"), (name, said)
+
+
+def test_a_reversal_is_no_effect_where_the_torque_was_smoothed(tmp_path: Path, motion: Recording) -> None:
+    """A healthy arm: of the file as it comes the whole catalogue of reversals was named; now the filter is, and nothing else."""
+    path = tmp_path / "r.parquet"
+    write_recordings(path, Meta(joints=JOINTS, robot="three", rate_hz=125.0), [smoothed(motion, 1.5)])
+    model = identify(arm(), [path], Settings(horizon=0.5)).model
+    assert next(x["unit"] for x in model.provenance["taken_out"]) == "Hz"
+    full = [row["torque_rmse_known"] for row in compare(model, [path]).figures.values()]
+    assert np.all(np.array(full) < 0.1 * F_C), full
+    found, _ = diagnose_model(model, read_recordings(path, arm()))
+    assert not {r.effect for r in found.ranked} & {"hysteresis", "delay", "elasticity", "stribeck", "spring"}
+    assert any("low-pass" in n for n in found.notes)
 
 
 @pytest.mark.shared

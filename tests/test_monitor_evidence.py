@@ -6,6 +6,7 @@ import hashlib
 import json
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from stopset.monitor.evidence.recorder import AFTER, Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
+from stopset.monitor.links.hub import Hub
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch
@@ -70,6 +72,31 @@ def test_every_fault_gets_its_class(arm: tuple[Path, Model], kind: Kind) -> None
         onset = cause["t"] - EPOCH * 1e-9 - fault.at * DT
         assert abs(onset) < (0.8 if kind in (Kind.DRIFT, Kind.MISSING_EFFECT) else 0.03), onset
         assert world.told[-1].m["violation_class"] == kind.code
+
+
+@pytest.mark.slow
+def test_every_fault_gets_its_class_from_real_processes(arm: tuple[Path, Model], tmp_path: Path) -> None:
+    """The same frames at their times over a bus, to one monitor that is reset by a person after each."""
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, arm[0], f'[bus]\nlink = "hub:{bus}"\nwait_s = 60\n[stops]\ncategories = ["0"]', port)
+    hub = Hub("127.0.0.1", bus)
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        assert ear.wait(lambda: hub.clients == 1, 60)
+        for n, kind in enumerate(KINDS, start=1):
+            world = World(1, *arm, SECONDS, Fault(kind, np.random.default_rng([1, n - 1]), 100))
+            time.sleep(0.7)  # over half a round of the SYNC counter: another motion
+            begin = time.monotonic()
+            for at, _, frame, _ in sorted(world.frames):
+                time.sleep(max(0.0, begin + at - time.monotonic()))
+                hub.send(frame.cob_id, frame.data)
+            assert ear.wait(lambda n=n: sum(e["kind"] == "bundle" for e in list(ear.events)) >= n, 30), (kind, ear.twins[-1])
+            cause = [e for e in ear.events if e["kind"] == "bundle"][-1]["cause"]
+            assert cause["kind"] == kind and cause["joint"] in ("", arm[1].joints[world.fault.joint]), (kind, cause)
+            assert ear.wait(lambda kind=kind: ear.twins[-1]["violation_class"] == kind.value)
+            ear.link.put("reset", b'{"name": "A. Person", "reason": "looked at"}')
+            assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+    hub.close()
+    assert len(list((tmp_path / "monitor.record").glob("violation-*.mcap"))) == len(KINDS)
 
 
 def test_a_spike_counts_once(arm: tuple[Path, Model]) -> None:
@@ -136,7 +163,7 @@ def record(folder: Path, model: Model, settings: Records, r: Any, words: tuple[b
             "joints": ",".join(model.joints), "effort": model.effort, "robot": "known arm", "cycle_s": repr(DT),
             "model_sha256": "ab", "config_sha256": "cd",
         },
-        heard=lambda: [(1000.0 + DT * k, 0x183, bytes([k % 256])) for k in range(len(r.t))],
+        heard=lambda first, last: [(1000.0 + DT * k, 0x183, bytes([k % 256])) for k in range(len(r.t))],
     )  # fmt: skip
     recorder.watching(model, Quantum.none(6))
     watch, latch = Watch(model), Latch()

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model, motion, with_torque_scaled
+from stopset.monitor.certificates import Numbers
 from stopset.monitor.grid import REACH, SETTLE, Cycles, GridMotion
 from stopset.monitor.jointstate import JointState, to_json
-from stopset.monitor.source import JointStateSource
+from stopset.monitor.layout import State
+from stopset.monitor.source import SWAPPED, JointStateSource
+from stopset.monitor.status import OkConditions, Situation, decide
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch
 from stopset.recording import Recording
@@ -98,6 +101,28 @@ def test_cycles_are_counted_through_jitter_loss_and_a_slow_clock() -> None:
     assert counted == 999 - SETTLE + 1, "all but those that the places were found from"
     assert cycles.step(START) == (0, 0.0), "a stamp that goes back belongs to no cycle"
     assert REACH < 1.0
+
+
+@pytest.mark.parametrize("back", [0.5, 2.0])
+def test_a_senders_clock_that_is_set_back_is_never_ok(back: float) -> None:
+    """By little: refused until it has caught up; by more: a new start, and as old as it says. The daemon's own rule decides."""
+    model, r = known_model(), motion(0, 900)
+    source, watch = JointStateSource(model.joints, DT), Watch(model)
+    limits, sample, arrived, said = OkConditions(0.03, 0.004, 0.02, 0.0), None, 0.0, []
+    proven = Numbers(*np.full((3, 6), 0.1), 0.1, np.full(6, True))
+    for k in range(900):
+        now = 1000.0 + DT * k
+        stamp = now - (back if k >= 300 else 0.0)
+        row = (tuple(x[k].tolist()) for x in (r.q, r.dq, r.tau))
+        source.take("", to_json(JointState(round(stamp * 1e9), model.joints, *row)))
+        if (new := source.next(0.0)) is not None:
+            sample, arrived, verdict = new, now, watch.step(new)
+        assert sample is not None
+        situation = Situation(True, "", False, False, "", now - sample.t, now - arrived, sample, verdict, True, {"0": proven})
+        said.append(decide(situation, limits)[0])
+    assert State.OK in said[:300], "a good arm"
+    caught_up = 300 + round(back / DT) if back < SWAPPED else 900
+    assert State.OK not in said[310:caught_up]
 
 
 def test_messages_without_effort_give_stops_but_no_verdict() -> None:

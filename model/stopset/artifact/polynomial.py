@@ -131,13 +131,18 @@ def _parents(exponent: Integers) -> tuple[Integers, Integers]:
     return up, last
 
 
+def struct_of(program: Program) -> tuple[Any, Program]:
+    """``StopsetPolynomials``, and what must live as long."""
+    return ffi.new("StopsetPolynomials *", (
+        *program.coefficient.shape, program.dimension, integers(program.parent), integers(program.variable), view(program.coefficient),
+    )), program  # fmt: skip
+
+
 def _table(program: Program, z: Array) -> Any:
     """``StopsetPolynomials`` of a program whose arrays outlive it, for the rows of ``z``."""
     if z.ndim != 2 or z.shape[1] != program.dimension:
         raise ValueError(f"arguments of shape {z.shape}; expected rows of {program.dimension}")
-    return ffi.new("StopsetPolynomials *", (
-        *program.coefficient.shape, program.dimension, integers(program.parent), integers(program.variable), view(program.coefficient),
-    ))  # fmt: skip
+    return struct_of(program)[0]
 
 
 def evaluate(program: Program, z: Array) -> Array:

@@ -64,7 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_condition_options(parser)
     parser.add_argument("--mixed", action="store_true", help="take recordings of several conditions as one")
     parser.add_argument("--out", required=True, type=Path, metavar="M.model.json", help="the model file to write")
-    parser.add_argument("--model", type=int, choices=(1, 2, 3), default=1, help="abstraction (default 1)")
+    parser.add_argument(
+        "--model", type=int, choices=(1, 2, 3), help="abstraction (default: 1, and the next one where its sets say too little)"
+    )
     parser.add_argument("--order", type=order, metavar="P", help="polynomial order (default: by held-out error)")
     parser.add_argument("--effects", default="", metavar="a,b", help="effects beyond the base ones (see `stopset diagnose`)")
     parser.add_argument(
@@ -79,8 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="predictions restart at every sample, or only at each trial's start as in the paper (default sliding)",
     )  # fmt: skip
     parser.add_argument(
-        "--shape", choices=("box", "zonotope"), default="box",
-        help="of the torque set; a zonotope is narrower at the tool where joints are disturbed together, and slower to find",
+        "--shape", choices=("box", "zonotope"),
+        help="of the torque set (default box); a zonotope is narrower at the tool where joints are disturbed together, and slower to find",
     )  # fmt: skip
     parser.add_argument("--margin", type=margin, default=None, metavar="auto|FACTOR", help="growth of the sets (default auto)")
     parser.add_argument(
@@ -169,9 +171,10 @@ def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
         raise StopsetError(f"--state {args.state} is only read by --update; name the model it belongs to, or leave it out")
     robot = load_robot(args.robot, tip=args.tip, lock=args.lock)
     settings = Settings(
-        model=args.model, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
+        model=args.model or 1, order=args.order, effects=tuple(e for e in args.effects.split(",") if e),
         conform=args.conform, windows=args.windows, margin=args.margin, bands=args.bands,
-        shape=args.shape, friction=args.friction, mixed=args.mixed,
+        ladder=args.model is None and args.order is None and args.shape is None,
+        shape=args.shape or "box", friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
     campaign = tagged(campaign_of(robot, args.data), args.condition, args.data)
     return identified(robot, campaign, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)

@@ -21,6 +21,8 @@ def run(args: argparse.Namespace) -> int:
 
     config = load_config(args.config)
     heard = config.bus.link if config.bus else config.joint_states.key if config.joint_states else ""
+    if config.rtde:
+        heard = f"the controller at {config.rtde.host}:{config.rtde.port}"
     where = config.zenoh.file or ", ".join([*config.zenoh.listen, *config.zenoh.connect])
     say(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
     say(NOTICE)

@@ -90,8 +90,9 @@ def _messages(path: Path, topic: str) -> Iterator[bytes]:
                 yield data
         finally:
             db.close()
-    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as e:
-        raise RecordingError(f"{path} is not a readable ROS 2 bag ({e}); give the .db3 file") from e
+    except (sqlite3.Error, UnicodeDecodeError, OverflowError, MemoryError) as e:  # a damaged length asks for more than there is
+        why = f"{type(e).__name__}: {e}"
+        raise RecordingError(f"{path} is not a readable ROS 2 bag ({why}); give the .db3 file") from e
 
 
 def trials_of_bag(

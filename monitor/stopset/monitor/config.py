@@ -17,6 +17,13 @@ from stopset.errors import StopsetError
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
 
 
+TORQUES = (
+    "actual_current_as_torque",
+    "actual_current",
+    "target_moment",
+)  # of a controller, the nearer to a measurement, the earlier
+
+
 class ConfigError(StopsetError):
     """The configuration cannot be used: mend the TOML file."""
 
@@ -38,6 +45,18 @@ class JointStates:
 
     key: str
     cycle_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rtde:
+    """Where a Universal Robots controller is heard. ``torque``: the output that is nearest to a measurement of it; for
+    ``actual_current`` with the ``torque_constant`` of each joint, link side [N m/A]."""
+
+    host: str
+    cycle_s: float = 0.002
+    port: int = 30004
+    torque: str = "actual_current_as_torque"
+    torque_constant: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +183,7 @@ class Config:
     data_id: int = field(kw_only=True)
     bus: Bus | None = None
     joint_states: JointStates | None = None
+    rtde: Rtde | None = None
     site: str = "site"
     cell: str = "cell"
     arm: str = "arm"
@@ -223,6 +243,8 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
     return (
         ("bus.time_scale", config.bus.time_scale if config.bus else 1.0, 1e-3, 1e3),
         ("joint_states.cycle_s", config.joint_states.cycle_s if config.joint_states else 1.0, 1e-4, 1.0),
+        ("rtde.cycle_s", config.rtde.cycle_s if config.rtde else 1.0, 1e-3, 1.0),
+        ("rtde.port", config.rtde.port if config.rtde else 1, 1, 65535),
         ("publish.json_hz", config.publish.json_hz, 0.1, 50.0),
         ("publish.valid_for_ms", config.publish.valid_for_ms, 1, 1000),
         ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
@@ -258,6 +280,18 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
     )
 
 
+def _check_rtde(path: Path, r: Rtde) -> None:
+    """Raises `ConfigError` for a torque that no controller has, or without what makes one of a current."""
+    if r.torque not in TORQUES:
+        raise ConfigError(f"{path}: rtde.torque is {r.torque!r}; expected one of {', '.join(TORQUES)}")
+    constants = r.torque_constant
+    if len(constants) != (6 if r.torque == "actual_current" else 0) or not all(0.0 < k < 1e6 for k in constants):
+        raise ConfigError(
+            f"{path}: rtde.torque_constant is {list(constants)} beside {r.torque}; expected six numbers above 0 beside actual_current "
+            "[N m/A, link side], and none else"
+        )
+
+
 def load_config(path: str | Path) -> Config:
     """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
     p = Path(path)
@@ -269,8 +303,10 @@ def load_config(path: str | Path) -> Config:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
         raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
     config: Config = _build(Config, raw, "")
-    if (config.bus is None) == (config.joint_states is None):
-        raise ConfigError(f"{p}: expected exactly one of [bus] and [joint_states], the arm is heard on one of them")
+    if sum(x is not None for x in (config.bus, config.joint_states, config.rtde)) != 1:
+        raise ConfigError(f"{p}: expected exactly one of [bus], [joint_states] and [rtde], the arm is heard on one of them")
+    if config.rtde is not None:
+        _check_rtde(p, config.rtde)
     for name, value, lo, hi in _ranges(config):
         if not lo <= value <= hi:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}: mend it")

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import RecordingError
+from stopset.monitor.config import TORQUES
 from stopset.recording import Meta, Recording
 from stopset.types import Array
 
 JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
-TORQUES = ("actual_current_as_torque", "actual_current", "target_moment")  # the nearer to a measurement, the earlier
 GAP = 5.5  # periods without a row that end a trial
 SHORTEST = 10  # rows
 TAKEN = {

@@ -25,6 +25,7 @@ from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import Profile, load_profile
 from stopset.monitor.realtime import claim
 from stopset.monitor.report import about, health
+from stopset.monitor.rtde_source import RtdeSource
 from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, SampleSource
 from stopset.monitor.watch import check_cycle
 
@@ -48,6 +49,8 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     def open_source() -> SampleSource:
         if config.bus and profile:
             return CanSource(listen(config.bus.link), profile, cycle_s / config.bus.time_scale, valid_for)
+        if config.rtde:
+            return RtdeSource(config.rtde, valid_for)
         assert config.joint_states is not None
         source = JointStateSource(model.joints, cycle_s, max(BACKLOG, round(valid_for / cycle_s)))
         link.subscribe("/" + config.joint_states.key, source.take)
@@ -71,7 +74,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
         link.close()
         raise
     recorder.about = lambda: about(daemon)
-    recorder.heard = lambda: daemon.source.heard()
+    recorder.heard = lambda first, last: daemon.source.heard(first, last)
     recorder.start()
     _signals(daemon, seconds)
     gc.collect()
@@ -98,7 +101,12 @@ def _cycle(config: Config, model: Model, profile: Profile | None) -> float:
         raise NotCovered(
             f"the bus profile names {', '.join(profile.joints)}, the model {', '.join(model.joints)}; give the matching profile"
         )
-    cycle_s = config.joint_states.cycle_s if config.joint_states else 0.0
+    if config.rtde and (model.n != 6 or model.effort != "motor_torque"):
+        raise NotCovered(
+            f"the model has {model.n} joints and takes {model.effort}, a Universal Robots controller tells motor_torque of 6; give a model of "
+            "its recordings"
+        )
+    cycle_s = config.joint_states.cycle_s if config.joint_states else config.rtde.cycle_s if config.rtde else 0.0
     if config.bus and profile:
         cycle_s = config.bus.cycle_s or profile.cycle_s
     check_cycle(model, cycle_s)

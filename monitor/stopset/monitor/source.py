@@ -32,8 +32,8 @@ SWAPPED = 1.0  # [s] a stamp that goes back by less is an old message, by more a
 class SampleSource(Protocol):
     """``next`` waits up to ``timeout`` [s] for a sample; raises `BusError` when there is no bus any more.
 
-    ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the last frames of
-    the bus as (time [s], identifier, bytes), for the record of a violation.
+    ``complaints``: what the other side has said or sent wrongly since the last call, in words; ``heard``: the frames of the
+    bus stamped between two times, as (time [s], identifier, bytes), for the record of a violation.
     """
 
     quantum: Quantum
@@ -42,7 +42,7 @@ class SampleSource(Protocol):
     def next(self, timeout: float) -> Sample | None: ...
     def counters(self) -> dict[str, int]: ...
     def complaints(self) -> list[str]: ...
-    def heard(self) -> list[tuple[float, int, bytes]]: ...
+    def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]: ...
     def close(self) -> None: ...
 
 
@@ -153,8 +153,8 @@ class CanSource:
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
         ]
 
-    def heard(self) -> list[tuple[float, int, bytes]]:
-        return self.decoder.heard()
+    def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]:
+        return self.decoder.heard(first, last)
 
     def close(self) -> None:
         self.bus.close()
@@ -182,7 +182,7 @@ class NoSource:
     def complaints(self) -> list[str]:
         return []
 
-    def heard(self) -> list[tuple[float, int, bytes]]:
+    def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]:
         return []
 
     def close(self) -> None:
@@ -273,7 +273,7 @@ class JointStateSource:
         said, self.complaint = self.complaint, ""
         return [said] if said else []
 
-    def heard(self) -> list[tuple[float, int, bytes]]:
+    def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]:
         return []
 
     def close(self) -> None:

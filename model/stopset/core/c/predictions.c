@@ -11,7 +11,7 @@
 
 enum { J = STOPSET_JOINTS, X = 2 * STOPSET_JOINTS };
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(STOPSET_NARROW)
 #define UNROLLED static inline __attribute__((always_inline)) /* where n is a number the loops below become straight lines */
 #else
 #define UNROLLED static inline

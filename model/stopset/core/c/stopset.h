@@ -530,11 +530,9 @@ STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript
                                 const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
                                 double *link, double *speed);
 
-/* ---- stops/: proofs of power-off stops; at most STOPSET_STOP_JOINTS joints; redos of a step when a first excursion can end with
- * less brake impulse than was taken; passes of claims per step */
+/* ---- stops/: proofs of power-off stops; at most STOPSET_STOP_JOINTS joints; passes of claims per step */
 
 #define STOPSET_STOP_JOINTS 12
-#define STOPSET_TUBE_REDOS 4
 #define STOPSET_TUBE_PASSES 40
 #define STOPSET_ENERGY_CLAIMS 12
 #define STOPSET_PULL_CLAIMS 6
@@ -580,8 +578,6 @@ STOPSET_API extern const double stopset_tube_recentre, stopset_energy_rounding, 
 STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo,
                                   const double *v0_hi, double h, int64_t steps, const StopsetParts *parts, int energetic,
                                   const StopsetTube *tube, int64_t *made);
-/* Curves from speeds [low, high] (n,) under certified rates of K steps; out (4, n): time, forward, back, speed. */
-STOPSET_API void stopset_follow(const StopsetTube *tube, int n, int64_t K, const double *low, const double *high, double *out);
 /* Inertia, gravity and Christoffel symbols at q and their slopes, of the middle payload and of half its range. */
 STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
                                double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
@@ -594,8 +590,8 @@ STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const doubl
                                           const double *v_lo, const double *v_hi);
 /* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, for the directions in which
  * speeds within [v_lo, v_hi] point. */
-STOPSET_API void stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
-                                      const double *B_lo, const double *v_lo, const double *v_hi, double *w);
+STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
+                                     const double *B_lo, const double *v_lo, const double *v_hi, double *w);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
  * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the ways (S, n) allow, as in a tube. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,

@@ -108,10 +108,11 @@ static inline void advance(int64_t N, const double *a, const double *rq, const d
     }
 }
 
+/* `value` is one of x: the last one if it is none before. */
 static int64_t first_of(int64_t N, const double *x, double value) {
-    for (int64_t k = 0; k < N; k++)
-        if (x[k] == value) return k;
-    return -1;
+    int64_t k = 0;
+    while (k + 1 < N && x[k] != value) k++;
+    return k;
 }
 
 /* Column i of the envelope at age h, by the deviations x of all windows of that age. */

@@ -37,7 +37,6 @@ from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
 
 OK, ENDLESS, UNBOUNDED = 0, 1, 2  # how a tube ends: at rest; still moving at the last step; claims not verifiable
-REDOS: int = lib.STOPSET_TUBE_REDOS  # of a step, when a first excursion can end with less brake impulse than was taken
 PASSES: int = lib.STOPSET_TUBE_PASSES  # of claims per step; each grows them, an arm with bounded coupling needs one or two
 RECENTRE: float = lib.stopset_tube_recentre  # [rad] sum of angles from the pose of expansion until a new one is worth its cost
 ENERGY_CLAIMS: int = lib.STOPSET_ENERGY_CLAIMS  # of caps per step

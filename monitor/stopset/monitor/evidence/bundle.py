@@ -51,6 +51,11 @@ class BundleContents:
     frames: list[tuple[float, int, bytes]]
 
 
+def span(w: Window) -> tuple[float, float]:
+    """Between which stamps [s] the frames of a window were on the bus."""
+    return (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
+
+
 def name_of(incident: Incident) -> str:
     """By the time of the violation, in UTC."""
     at = time.gmtime(max(0.0, min(incident.t, 4e9)))
@@ -84,11 +89,9 @@ def _write(file: McapFile, x: BundleContents, pause: Callable[[], None]) -> None
         file.add(topic, t, message)
         if k % AT_ONCE == 0:
             pause()
-    first, last = (float(w.t[0]) - MARGIN, float(w.t[-1]) + MARGIN) if len(w) else (0.0, 0.0)
     for k, (t_frame, identifier, data) in enumerate(x.frames):
-        if first <= t_frame <= last:
-            t = nanoseconds(t_frame)
-            file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})
+        t = nanoseconds(t_frame)
+        file.add("can", t, {"timestamp": stamp(t), "id": identifier, "data": data.hex()})
         if k % (4 * AT_ONCE) == 0:
             pause()
     t = nanoseconds(incident.t)

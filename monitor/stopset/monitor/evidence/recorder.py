@@ -23,7 +23,7 @@ import numpy as np
 from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.evidence import plausible
-from stopset.monitor.evidence.bundle import BundleContents, Incident, write_bundle
+from stopset.monitor.evidence.bundle import BundleContents, Incident, span, write_bundle
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
 from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics
@@ -58,7 +58,7 @@ class Filed:
 @dataclass(slots=True)
 class Recorder:
     """``settings``: what is kept and where (``folder``); ``about``: identity of arm, model and configuration for the files;
-    ``heard``: gives the frames of the bus as (time, identifier, bytes). ``answers``, and ``notes`` on what
+    ``heard``: gives the frames of the bus between two times as (time, identifier, bytes). ``answers``, and ``notes`` on what
     looks strange, are for the loop to take."""
 
     trace: Trace
@@ -66,7 +66,7 @@ class Recorder:
     folder: Path
     cycle_s: float
     about: Callable[[], Mapping[str, str]] = dict
-    heard: Callable[[], list[tuple[float, int, bytes]]] = list
+    heard: Callable[[float, float], list[tuple[float, int, bytes]]] = lambda first, last: []
     clock: Clock = field(default_factory=SystemClock)
     pause: Callable[[], None] = lambda: time.sleep(2e-4)  # lets the loop have the interpreter
     answers: deque[Filed] = field(default_factory=lambda: deque(maxlen=WAITING))
@@ -181,7 +181,7 @@ class Recorder:
         incident.tried, digest = True, ""
         try:
             if self.settings.violations:
-                contents = BundleContents(incident, cause, w, model, self._model[0].joints, self.heard())
+                contents = BundleContents(incident, cause, w, model, self._model[0].joints, self.heard(*span(w)))
                 incident.written, digest = write_bundle(self.folder, self.settings.keep_mb, contents, self.about(), self.pause)
                 self.files += whole
             answer = Filed(cause, str(incident.written or ""), digest)

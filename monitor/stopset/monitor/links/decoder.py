@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +19,7 @@ KINDS = {
     "b": lib.STOPSET_I8, "h": lib.STOPSET_I16, "i": lib.STOPSET_I32, "q": lib.STOPSET_I64, "B": lib.STOPSET_U8, "H": lib.STOPSET_U16,
     "I": lib.STOPSET_U32, "Q": lib.STOPSET_U64, "f": lib.STOPSET_F32, "d": lib.STOPSET_F64, "?": lib.STOPSET_BOOL,
 }  # fmt: skip
-FRAME = struct.Struct("=Ii8sd")  # as the core's `StopsetFrame`
+FRAME = np.dtype([("id", "=u4"), ("length", "=i4"), ("data", "u1", 8), ("t", "=f8")])  # as the core's `StopsetFrame`
 BYTES = {"b": 1, "h": 2, "i": 4, "q": 8, "B": 1, "H": 2, "I": 4, "Q": 8, "f": 4, "d": 8, "?": 1}
 
 
@@ -129,13 +128,17 @@ class Decoder:
         f = self._log[number % self.room]
         return Frame(f.id, bytes(ffi.buffer(f.data, min(f.length, 8))), f.t)
 
-    def heard(self) -> list[tuple[float, int, bytes]]:
-        """The frames kept, the oldest first, as (time [s], identifier, bytes)."""
-        seen, rows = (
-            self.frames,
-            [(t, x, data[:length]) for x, length, data, t in FRAME.iter_unpack(bytes(ffi.buffer(self._log)))],
-        )
-        return rows[:seen] if seen <= self.room else [*rows[seen % self.room :], *rows[: seen % self.room]]
+    def heard(self, first: float = -np.inf, last: float = np.inf) -> list[tuple[float, int, bytes]]:
+        """The frames kept that were stamped between ``first`` and ``last`` [s], in the order they came, as (time [s], identifier, bytes).
+
+        Only these are taken apart: seconds of a violation, of the minute that is kept.
+        """
+        seen, log = self.frames, np.frombuffer(ffi.buffer(self._log), FRAME)
+        kept = log[:seen] if seen <= self.room else np.concatenate([log[seen % self.room :], log[: seen % self.room]])
+        rows = kept[(first <= kept["t"]) & (kept["t"] <= last)]
+        return [(t, x, data[:length]) for x, length, data, t in zip(
+            rows["id"].tolist(), rows["length"].tolist(), [d.tobytes() for d in rows["data"]], rows["t"].tolist(), strict=True
+        )]  # fmt: skip
 
 
 def _fields(m: FrameMap, n: int) -> list[tuple[int, int, int]]:

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.artifact import Abstraction
 from stopset.offline.campaign.survey import Survey
 from stopset.offline.compare.metrics import torque_error
 from stopset.offline.nominal.model import NominalPart, pairs_of
@@ -25,7 +24,7 @@ def swift(nominal: NominalPart, found: Survey, effort: str) -> NominalPart:
     if plain.kind != 1 or effort == "compensated_torque":
         return nominal
     taken = replace(plain, swift=True)
-    before, after = (_error(replace(nominal, abstraction=a), found, effort, a) for a in (plain, taken))
+    before, after = (lacking(replace(nominal, abstraction=a), found, effort) for a in (plain, taken))
     if not np.all(np.isfinite(before)) or float(np.mean(np.log(after / before))) > np.log1p(-LOWERS):
         return nominal
     j = int(np.argmax(before - after))
@@ -37,9 +36,9 @@ def swift(nominal: NominalPart, found: Survey, effort: str) -> NominalPart:
     return replace(nominal, abstraction=taken, notes=(*nominal.notes, note))
 
 
-def _error(nominal: NominalPart, found: Survey, effort: str, model: Abstraction) -> Array:
-    """(n,) RMS [N m] of what ``model`` lacks; never zero."""
+def lacking(nominal: NominalPart, found: Survey, effort: str) -> Array:
+    """(n,) RMS [N m] of what the abstraction lacks over a stop's length; never zero."""
     pairs = pairs_of(lambda: found.sample, found, nominal, effort)
-    e = [torque_error(model, found.dt, r.q, r.dq, u) for _, r, u in pairs()]
+    e = [torque_error(nominal.abstraction, found.dt, r.q, r.dq, u) for _, r, u in pairs()]
     rows = np.concatenate(e) if e else np.zeros((0, nominal.robot.n))
     return np.asarray(np.sqrt(np.mean(rows**2, axis=0)) + 1e-12) if len(rows) else np.full(nominal.robot.n, np.nan)

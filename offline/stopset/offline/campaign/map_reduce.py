@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from threading import Lock
-from typing import Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
 from stopset.offline.campaign.trials import Source
@@ -101,8 +102,10 @@ def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str |
     return a, b
 
 
-def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str, tell: Tell) -> list[tuple[A, B]]:
-    from distributed import Client, as_completed
+@contextmanager
+def connected(scheduler: str) -> Iterator[Any]:
+    """A client of a running Dask cluster. Raises `StopsetError` where none answers, or none works."""
+    from distributed import Client
 
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
@@ -111,11 +114,18 @@ def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: st
             f"no Dask scheduler answers at {scheduler} ({type(e).__name__}); start one and name its address"
         ) from e
     with client:
-        workers = len(client.scheduler_info(n_workers=-1)["workers"])
-        if not workers:
+        if not client.scheduler_info(n_workers=-1)["workers"]:
             raise StopsetError(
                 f"the Dask scheduler at {scheduler} has no worker; start at least one that can read the recordings"
             )
+        yield client
+
+
+def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str, tell: Tell) -> list[tuple[A, B]]:
+    from distributed import as_completed
+
+    with connected(scheduler) as client:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
         for done, _ in enumerate(as_completed(jobs, loop=client.loop), 1):
             tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers", done / len(jobs))

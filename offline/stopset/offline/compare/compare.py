@@ -15,10 +15,12 @@ from stopset.notebook import shown
 from stopset.offline.campaign.survey import Survey, on_grid, survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.compare.metrics import Figures, torque_error
+from stopset.offline.compare.restored import restored
 from stopset.offline.compare.tightness import Along, Tightness, of_tube
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
+from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.offline.nominal.model import roller
 from stopset.progress import Tell, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
@@ -116,13 +118,15 @@ def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> C
     judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
     figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
     rows: list[Row] = []
-    left, out = [], 0
+    left, out = list[Array](), 0
+    # a torque that was smoothed before it was recorded is held against the model smoothed alike
+    cutoff = 0.0 if model.effort == "compensated_torque" else recorded_low_pass(model.robot, found.sample)
     for motion, r, u in inputs(model, paths, found, dt):
         share = min(1.0, len(rows) / max(found.trials, 1))
         tell(f"{len(rows)} of {found.trials} trials compared, {out} leave the sets so far", share)
         figures.add(r, u)
         if model.effort != "compensated_torque":
-            left.append(left_over(model, r, u, float(np.median(np.diff(r.t)))))
+            left += _known(model, r, u, cutoff)
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         covered = bool(model.domain.covers(r.q, r.dq, u, r.temp).all())
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
@@ -133,6 +137,14 @@ def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> C
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
     return Comparison(by_joint, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
+
+
+def _known(model: Model, r: Recording, u: Array, cutoff: float) -> list[Array]:
+    """Torque without explanation, see `left_over`; ``cutoff`` [Hz]: of the low-pass that the torque went through, 0: none."""
+    if not cutoff:
+        return [left_over(model, r, u, float(np.median(np.diff(r.t))))]
+    pieces = restored(model, [r], cutoff)
+    return [left_over(model, x, model.input(x.q, x.dq, x.tau, x.temp, 0.0, x.t), float(np.median(np.diff(x.t)))) for x in pieces]
 
 
 class _Linear:

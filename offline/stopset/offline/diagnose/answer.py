@@ -110,7 +110,7 @@ class Diagnosis:
                     "says": r.says,
                     "in_model": r.in_model,
                 }
-                | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std")}})
+                | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std", "since")}})
                 for r in self.ranked
             ],
             "rivals": [list(group) for group in self.rivals],

@@ -9,9 +9,10 @@ arm's friction differs from day to day anyway.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects.base import Effect, Part
@@ -36,7 +37,8 @@ ColumnLevel = tuple[str, str, str, float, float]  # of a column: effect, symbol,
 class Change:
     """One level ``before`` (the model's) and ``after`` in ``unit``, with the error ``std`` of the difference.
 
-    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None).
+    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None);
+    ``since``: from where in the recordings on; empty where they all show it.
     """
 
     effect: str
@@ -48,11 +50,14 @@ class Change:
     std: float
     error_before: float
     error_after: float
+    since: str = ""
 
     @property
     def says(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
-        return f"The {PARTS[get(self.effect).part]}{where} changed from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})."
+        when = f"from {self.since} on" if self.since else "before the first of these recordings"
+        level = f"from {self.before:.3g} to {self.after:.3g} {self.unit} (+- {self.std:.2g})"
+        return f"The {PARTS[get(self.effect).part]}{where} changed {level}, {when}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +69,18 @@ class _Candidate:
     terms: tuple[ColumnLevel, ...]
     least: tuple[float, ...]
 
+    def only(self, here: NDArray[np.bool_]) -> _Candidate:
+        """The same where ``here``, nothing elsewhere."""
+        return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
+
+    def rows(self, here: NDArray[np.bool_]) -> _Candidate:
+        """The same of these rows alone."""
+        return replace(self, columns=self.columns[here])
+
 
 def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
     """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
-    left, block, found = _rows(model, recordings)
+    left, block, found, begins = _rows(model, recordings)
     count = int(block.max()) + 1 if len(block) else 0
     if count < limit.CHANGE_TRIALS:
         return ()
@@ -79,17 +92,22 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         if best is None or best[1] <= 0:
             break
         candidate, _, theta, std, before, after = best
+        onset = _onset(left, block, count, scale, candidate)
+        here = block >= onset
+        if onset:
+            candidate = candidate.only(here)
+            _, theta, std, before, after = _judged(left[here], block[here] - onset, count - onset, scale, candidate.rows(here))
         where = range(model.n) if candidate.joint is None else [candidate.joint]
         worst = max(where, key=lambda j: before[j] - after[j])
         certain = [
             Change(
                 effect, None if candidate.joint is None else model.joints[candidate.joint], symbol, unit, level,
-                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]),
+                level + float(theta[k]), float(np.hypot(std[k], error)), float(before[worst]), float(after[worst]), begins[onset] if onset else "",
             )
             for k, (effect, symbol, unit, level, error) in enumerate(candidate.terms)
             if abs(theta[k]) > max(limit.CHANGE_SURE * np.hypot(std[k], error), candidate.least[k])
         ]  # fmt: skip
-        found = [c for c in found if c is not candidate]
+        found = [c for c in found if c is not best[0]]
         if not certain:
             continue
         out += certain
@@ -97,10 +115,21 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
     return tuple(out[: limit.CHANGES])
 
 
-def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate]]:
-    """Leftover torque (rows, n), nan where a joint stands, the block of each row, and all that may have changed."""
+def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> int:
+    """The block from which on a change explains most; 0 where that is not clearly more than from the first one on."""
+    A, b, _ = _sums(left, block, count, scale, c)
+    later_A, later_b = (np.cumsum(x[::-1], axis=0)[::-1] for x in (A, b))
+    ridge = 1e-9 * np.eye(A.shape[1]) * np.trace(later_A[0])
+    gains = np.array([v @ np.linalg.solve(M + ridge, v) for M, v in zip(later_A, later_b, strict=True)])
+    best = int(np.argmax(gains[: max(1, count - limit.CHANGE_BLOCKS + 1)]))
+    return best if best >= limit.CHANGE_BLOCKS and gains[best] > (1 + limit.CHANGE_ONSET) * gains[0] else 0
+
+
+def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[_Candidate], list[str]]:
+    """Leftover torque (rows, n), nan where a joint stands, the block of each row, all that may have changed, and where blocks begin."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
+    begins: list[str] = []
     number, moving = 0, [r for r in recordings if r.phase != "static"]
     whole = len(moving) >= limit.CHANGE_TRIALS  # friction scatters from trial to trial: pieces of one err alike
     for r in moving:
@@ -114,11 +143,13 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
                 e = left_over(model, part, u, float("nan"), ddq, window=1)
                 parts.append((q, dq, ddq, np.where(m.moving[k], e, np.nan)))
                 block += [number] * len(k)
-            number += 1
+            if number in block[-1:]:  # one that gave no row, as a stop's, is none
+                begins.append(r.label if whole else f"{piece.t[0]:.0f} s of {r.label}")
+                number += 1
     if not parts:
-        return np.zeros((0, model.n)), np.zeros(0, np.intp), []
+        return np.zeros((0, model.n)), np.zeros(0, np.intp), [], []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return left, np.array(block), _candidates(model, q, dq, ddq)
+    return left, np.array(block), _candidates(model, q, dq, ddq), begins
 
 
 def _candidates(model: Model, q: Array, dq: Array, ddq: Array) -> list[_Candidate]:
@@ -159,16 +190,24 @@ def _column(law: Effect, before: float = 0.0, error: float = 0.0, term: int = 0)
     return law.name, law.terms[term].symbol, law.terms[term].unit, before, error
 
 
-def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:
-    """Gain of a change (none: not positive), its numbers and their errors, held-out error (n,) before and after."""
+def _sums(
+    left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate
+) -> tuple[Array, Array, tuple[Array, Array, NDArray[np.bool_]]]:
+    """Normal matrices (count, k, k) and right-hand sides of each block; columns, leftover and which rows count, in units of ``scale``."""
     use = np.isfinite(left)
     y = np.where(use, left, 0.0) / scale
     X = np.where(use[:, :, None], c.columns, 0.0) / scale[:, None]
     k = X.shape[2]
-    A = np.zeros((count, k, k))
-    b = np.zeros((count, k))
+    A, b = np.zeros((count, k, k)), np.zeros((count, k))
     np.add.at(A, block, np.einsum("rjk,rjl->rkl", X, X))
     np.add.at(b, block, np.einsum("rjk,rj->rk", X, y))
+    return A, b, (X, y, use)
+
+
+def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: _Candidate) -> tuple[float, Array, Array, Array, Array]:
+    """Gain of a change (none: not positive), its numbers and their errors, held-out error (n,) before and after."""
+    A, b, (X, y, use) = _sums(left, block, count, scale, c)
+    k = X.shape[2]
     ridge = 1e-9 * np.eye(k) * np.trace(A.sum(axis=0))
     theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0))
     rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) for g in range(count)])

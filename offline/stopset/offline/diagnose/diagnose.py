@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
+from stopset.offline.compare.restored import restored
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
@@ -21,6 +22,7 @@ from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.remainder import verdict_of
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
+from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Tell, silent
 from stopset.recording import Recordings
@@ -101,10 +103,14 @@ def diagnose_model(
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
+    moving = [r for r in recordings if moves(r)]
+    cutoff = recorded_low_pass(model.robot, moving)
+    if cutoff:
+        recordings = replace(recordings, trials=tuple(restored(model, recordings, cutoff)))
     base = baseline(model, recordings)
     # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
     fitted = settled(model) if base.known is None else model.effects
-    if not any(moves(r) for r in recordings):
+    if not moving:
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
     found = answered(examine(base.robot, recordings, fitted, known=base.known, tell=tell), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
@@ -112,7 +118,8 @@ def diagnose_model(
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *found.notes))
+    told = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *told, *found.notes))
     if base.known is None:
         found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())))
     if base.known is None or names is not None:

@@ -93,6 +93,8 @@ LEAST_GAIN = 0.02  # of the torque
 LEAST_MASS = 0.05  # [kg]
 CHANGE_TRIALS = 6
 CHANGES = 8
+CHANGE_ONSET = 0.1  # of what a change explains
+CHANGE_BLOCKS = 2
 HELPS, HELPS_THERE = 0.02, 0.05  # of the held-out error
 WIDER = 0.10  # of the widths of U
 
@@ -271,6 +273,10 @@ LATER = (
               "chosen: the scatter of fewer tells nothing"),
     Threshold("CHANGES", "changes that are told", "",
               "chosen"),
+    Threshold("CHANGE_ONSET", "more that a change explains from a later trial on, so that it is said to begin there", "%",
+              "chosen: friction differs from trial to trial by a few percent, whose sign is random"),
+    Threshold("CHANGE_BLOCKS", "trials, or blocks of time, before it and after it that are wanted for that", "",
+              "chosen: one trial alone may be odd"),
     Threshold("HELPS", "held-out error that an added effect lowers over all joints (compensated torque)", "%",
               "chosen"),
     Threshold("HELPS_THERE", "the same at its own joints", "%",

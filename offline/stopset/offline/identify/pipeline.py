@@ -29,6 +29,7 @@ from stopset.offline.conform.linear_sets import ConformedSets
 from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.identify.ladder import climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
@@ -97,8 +98,19 @@ def identified(
     asked = replace(chosen, effects=(*chosen.effects, *(g.name for g in shared)))
     numbers = known_effects(robot, meta, fitting.trials, asked, known)
     nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
-    nominal = swift(abstracted(fitting, numbers, nominal), learnt, meta.effort)
-    nominal = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
+    plain = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
+
+    def formed(asked: Settings) -> NominalPart:
+        return swift(abstracted(replace(fitting, settings=asked), numbers, plain), learnt, meta.effort)
+
+    def with_sets(asked: Settings, part: NominalPart) -> Identification:
+        try:
+            return _with_sets(replace(run, settings=asked), part, tell, scheduler, tally if keep == "sums" else None)
+        except NotConformant as e:
+            raise NotConformant("; ".join([str(e), *part.limited])) from e
+
+    first = replace(chosen, ladder=False)
+    nominal = formed(first)
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
@@ -109,10 +121,10 @@ def identified(
             f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; keep "
             "signals, or take the linear model (--model 1 --order 1)"
         )
-    try:
-        out = _with_sets(run, nominal, tell, scheduler, tally if keep == "sums" else None)
-    except NotConformant as e:
-        raise NotConformant("; ".join([str(e), *nominal.limited])) from e
+    if chosen.ladder and keep is None and meta.effort != "compensated_torque":
+        out = climbed(lambda: with_sets(first, nominal), nominal, learnt, chosen, meta.effort, (formed, with_sets), tell)
+    else:
+        out = with_sets(first, nominal)
     out = stopped(out, stops, tell)
     return replace(out, kept=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
 

@@ -22,3 +22,4 @@ class Settings:
     shape: str = "box"  # or "zonotope": of the torque set
     mixed: bool = False  # recordings of several conditions are taken as one
     friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for
+    ladder: bool = False  # the next abstraction is tried where the sets of the linear model say too little

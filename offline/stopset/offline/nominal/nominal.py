@@ -160,8 +160,8 @@ def solve_nominal(
         fastest = float(np.abs(data.speed).max()) if data.recordings else 0.0
         if data.recordings and fastest < 2 * data.settings.still:
             raise RecordingError(
-                f"no joint moves in these {data.recordings} recordings (fastest {fastest:.2g} rad/s, largest range "
-                f"{float(np.ptp(data.span, axis=1).max()):.2g} rad): held poses alone show neither friction nor inertia; expected motions "
+                f"no joint moves within any of these {data.recordings} recordings (fastest {fastest:.2g} rad/s; their poses are up to "
+                f"{float(np.ptp(data.span, axis=1).max()):.2g} rad apart): held poses alone show neither friction nor inertia; expected motions "
                 "of every joint: record some, and give the poses with them as phase static"
             )
         raise RecordingError(

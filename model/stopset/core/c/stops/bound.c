@@ -36,24 +36,21 @@ double stops_expected(const StopsetPlant *p, const double *q, const double *spee
     return engaged + least(0.5, longest);
 }
 
-/* Delays between `early` and `late` plus each joint's own; 0 where one joint has none there. */
-static int window(const StopsetStops *s, double early, double late, double lo[SN], double hi[SN]) {
+/* Delays between `early` and `late` plus each joint's own, no joint without any: see `windows`. */
+static void window(const StopsetStops *s, double early, double late, double lo[SN], double hi[SN]) {
     for (int i = 0; i < s->plant.arm.n; i++) {
         const double own = s->lag ? s->lag[i] : 0.0;
         lo[i] = most(s->plant.delay_lo[i], early + own);
-        hi[i] = least(s->plant.delay_hi[i], late + own);
-        if (lo[i] > hi[i] + TINY) return 0;
-        hi[i] = most(hi[i], lo[i]);
+        hi[i] = most(least(s->plant.delay_hi[i], late + own), lo[i]); /* but for rounding these are in order */
     }
-    return 1;
 }
 
-/* Delays (n,) of every window of the common delay, all of them where delays are independent; returns how many. */
+/* Delays (n,) of every window of the common delay, all of them where delays are independent or no such stop fits; returns how many.
+ * The common delay is at most every joint's largest and at least every joint's least less `apart`, so all have delays in a window. */
 static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WINDOWS][SN]) {
     const StopsetPlant *p = &s->plant;
     const int n = p->arm.n;
     double first = STOPS_INF, latest = -STOPS_INF, soonest = STOPS_INF, last = -STOPS_INF;
-    int made = 0;
     for (int i = 0; i < n; i++) {
         const double own = s->lag ? s->lag[i] : 0.0, a = p->delay_lo[i] - own, b = p->delay_hi[i] - own;
         first = least(first, a);
@@ -62,20 +59,15 @@ static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WIND
         last = most(last, b);
     }
     const double apart = s->apart, begin = most(first, latest - apart), end = least(soonest, most(last - apart, begin));
-    if (apart >= 0.0 && end - begin > TINY) {
-        const double pieces = (end - begin) / most(WIDTH, 0.5 * apart);
-        const int count = pieces > 1.0 ? WINDOWS : 1; /* WINDOWS is two */
-        const double step = (end - begin) / count;
-        for (int k = 0; k < count; k++) {
-            const double from = k * step + begin, to = k + 1 < count ? (k + 1) * step + begin : end;
-            made += window(s, from, to + apart, lo[made], hi[made]);
-        }
-    } else if (apart >= 0.0 && !(end < begin - TINY))
-        made = window(s, begin, end + apart, lo[0], hi[0]);
-    if (made) return made;
-    memcpy(lo[0], p->delay_lo, (size_t)n * sizeof(double));
-    memcpy(hi[0], p->delay_hi, (size_t)n * sizeof(double));
-    return 1;
+    if (!(apart >= 0.0) || end < begin - TINY) {
+        memcpy(lo[0], p->delay_lo, (size_t)n * sizeof(double));
+        memcpy(hi[0], p->delay_hi, (size_t)n * sizeof(double));
+        return 1;
+    }
+    const double room = end - begin > TINY ? end - begin : 0.0;
+    const int count = room / most(WIDTH, 0.5 * apart) > 1.0 ? WINDOWS : 1; /* WINDOWS is two */
+    for (int k = 0; k < count; k++) window(s, k * (room / count) + begin, (k + 1 < count ? (k + 1) * (room / count) + begin : end) + apart, lo[k], hi[k]);
+    return count;
 }
 
 /* Largest speed of each joint of the tube, and how far it gets. */

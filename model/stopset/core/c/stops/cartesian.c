@@ -236,7 +236,7 @@ int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi,
             out_vl[s * n + i] = vl;
             out_vh[s * n + i] = vh;
         }
-        const int64_t from = way_left ? nearest(n, begin, d_lo, d_hi, way_left) : -1;
+        const int64_t from = nearest(n, begin, d_lo, d_hi, way_left);
         for (int i = 0; i < n; i++) {
             near_lo[s * n + i] = from < 0 ? 0.0 : d_lo[from * n + i];
             near_hi[s * n + i] = from < 0 ? 0.0 : d_hi[from * n + i];

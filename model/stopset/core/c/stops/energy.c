@@ -223,12 +223,14 @@ double stopset_largest_energy(const StopsetPlant *plant, const double *q, const 
     return stops_largest(&at, v_lo, v_hi);
 }
 
-void stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,
+int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,
                           const double *v_lo, const double *v_hi, double *w) {
     Energy e;
-    for (int i = 0; i < n && i < SN; i++) {
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    for (int i = 0; i < n; i++) {
         e.g_lo[i] = g_lo[i];
         e.g_hi[i] = g_hi[i];
     }
-    stops_power_excess(n < SN ? n : SN, &e, u_lo, u_hi, B_lo, v_lo, v_hi, w);
+    stops_power_excess(n, &e, u_lo, u_hi, B_lo, v_lo, v_hi, w);
+    return STOPSET_OK;
 }

@@ -247,7 +247,7 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
         claim.lo[i] = most(-fastest[i], v_lo[i] - room);
         claim.hi[i] = least(fastest[i], v_hi[i] + room);
     }
-    for (int attempt = 0; attempt < CLAIMS; attempt++) {
+    for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
         for (int i = 0; i < n; i++) {
             if (attempt == CLAIMS - 1) {

@@ -11,7 +11,7 @@
 #include "stops.h"
 
 enum { OK, ENDLESS, UNBOUNDED };
-enum { REDOS = STOPSET_TUBE_REDOS, PASSES = STOPSET_TUBE_PASSES };
+enum { PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0};
 
@@ -156,7 +156,7 @@ static void later_friction(March *m, double now) {
         if (m->b.sign[i] == 0.0) continue;
         if (m->b.alive[i]) s->way[i] = m->b.sign[i];
         const double since = now - p->delay_lo[i];
-        if (m->b.rested[i] && m->need[i] > 0.0 && m->need[i] < STOPS_INF && since > 0.0) {
+        if (m->b.rested[i] && m->need[i] > 0.0 && since > 0.0) { /* having rested it needed some finite impulse */
             const double worked = most(0.5 * since, since - 0.5 * p->rise_lo[i]); /* a ramp has given half of its torque times the time */
             s->B_later[i] = least(most(s->B_lo[i], p->coulomb_lo[i] + m->need[i] / worked), s->B_hi[i]);
         }
@@ -228,7 +228,7 @@ static int take_step(March *m, int64_t k) {
     double *v_lo = t->v_lo + k * n, *v_hi = t->v_hi + k * n, *e_lo = t->e_lo + k * n, *e_hi = t->e_hi + k * n;
     int verified = 0;
     for (int i = 0; i < n; i++) m->need[i] = m->b.alive[i] ? m->momentum.needed[i] - 2.0 * m->drop[i] : m->momentum.needed[i];
-    for (int redo = 0; redo <= REDOS; redo++) {
+    for (int redo = 0;; redo++) { /* ends: from the second on each takes nothing of one more joint */
         int enough = 1;
         later_friction(m, (double)k * m->h + m->h);
         verified = verify(m, k);
@@ -244,9 +244,9 @@ static int take_step(March *m, int64_t k) {
         }
         stops_kept_impulse(m->p, &m->momentum, &m->at, &m->start, &m->b, &m->end, m->v0_lo, m->v0_hi, m->x_lo, m->x_hi, m->h, m->kept);
         for (int i = 0; i < n; i++)
-            if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->need[i] < STOPS_INF && m->kept[i] < m->need[i]) {
+            if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->kept[i] < m->need[i]) {
                 enough = 0;
-                m->need[i] = redo < REDOS - 1 ? m->kept[i] - 0.01 * size_of(m->kept[i]) : 0.0;
+                m->need[i] = redo ? 0.0 : m->kept[i] - 0.01 * size_of(m->kept[i]);
             }
         if (enough) break;
     }
@@ -463,45 +463,4 @@ int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const doubl
     }
     *made = steps;
     return ENDLESS;
-}
-
-void stopset_follow(const StopsetTube *tube, int n, int64_t K, const double *low, const double *high, double *out) {
-    const double h = tube->t[1] - tube->t[0];
-    for (int i = 0; i < n; i++) {
-        double U = high[i], L = low[i], ahead = 0.0, behind = 0.0, far = 0.0, back = 0.0, fast = most(size_of(U), size_of(L));
-        int64_t last = 0;
-        for (int64_t k = 0; k < K; k++) {
-            const int64_t at = k * n + i;
-            const double *v_lo = tube->v_lo + at, *v_hi = tube->v_hi + at, forward_lo = tube->rates[0][at], forward_hi = tube->rates[1][at],
-                         backward_lo = tube->rates[2][at], backward_hi = tube->rates[3][at];
-            double up, down;
-            if (U > 0.0) {
-                up = U + h * forward_hi;
-                up = v_lo[0] <= 0.0 || up > 0.0 ? most(up, 0.0) : v_hi[n];
-            } else {
-                up = U == 0.0 ? 0.0 : U + h * backward_hi;
-                if (up >= 0.0) up = h * most(0.0, forward_hi);
-            }
-            if (L < 0.0) {
-                down = L + h * backward_lo;
-                down = v_hi[0] >= 0.0 || down < 0.0 ? least(down, 0.0) : v_lo[n];
-            } else {
-                down = L == 0.0 ? 0.0 : L + h * forward_lo;
-                if (down <= 0.0) down = h * least(0.0, backward_lo);
-            }
-            /* rates of a direction the whole box cannot take are infinite; the tube itself bounds those steps */
-            if (!(up < STOPS_INF)) up = most(v_hi[0], v_hi[n]);
-            if (!(down > -STOPS_INF)) down = least(v_lo[0], v_lo[n]);
-            ahead += h * (U < 0.0 && up >= 0.0 ? most(up, 0.0) : 0.5 * (U + up));
-            behind += h * (L > 0.0 && down <= 0.0 ? least(down, 0.0) : 0.5 * (L + down));
-            far = most(far, ahead);
-            back = most(back, -behind);
-            U = least(up, v_hi[n]);
-            L = most(down, v_lo[n]);
-            fast = most(fast, most(size_of(up), size_of(down)));
-            if (U != 0.0 || L != 0.0) last = k + 2;
-        }
-        const double found[4] = {tube->t[last < K ? last : K], far, back, fast};
-        for (int row = 0; row < 4; row++) out[row * n + i] = found[row];
-    }
 }

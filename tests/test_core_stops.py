@@ -1,0 +1,206 @@
+"""Turns of the stop proofs' C that ordinary arms rarely take, each with what must hold there: sampled stops inside, or no number at all."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core_plants import LYING, UPRIGHT, bodies, chain_of, planar, plant_of, power_off
+from stop_sampling import sample_stops
+from stopset.fmu.stops import bounds_of
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.cartesian import SLICES, point_sets, slices
+from stopset.reach.stops.parts import ALL_PARTS
+from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, inertia_box, march
+from stopset.reach.stops.tubes import march_box
+from stopset.robot.rigid import mass_matrix
+from stopset.sets import Box
+from stopset.types import Array
+from test_fmu_stops import braked, core_stop, cut_together, ramped, states
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+from stop_arms_wide import cobot7_like
+
+
+def marched(plant: Plant, q: Array, dq: Array, radius: float, h: float, energetic: bool = False, lasts: float = 1.5) -> Tube:
+    return march(plant, q, q, dq - radius, dq + radius, h, int(min(600, lasts / h)), ALL_PARTS, energetic)
+
+
+# ---- tubes
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("seed", [33, 338, 1980, 2219])
+def test_light_rotors_on_heavy_links_stay_inside(seed: int, side: float) -> None:
+    """Joints that rest at a knot though they may move before it (33, 338), or that their momenta show to be moving still though their
+    accelerations could have stopped them (1980, 2219): sampled stops are inside the tube, and inside the whole stop's bound."""
+    plant, q, dq, radius, h = planar(seed)
+    q, dq = side * q, side * dq
+    tube, none = marched(plant, q, dq, radius, h), np.zeros_like(q)
+    assert tube.end == OK
+    x = sample_stops(plant, q, dq, none, none + radius, np.zeros(3), tube, 200, seed)
+    assert x.escaped == 0
+    bound = power_off(plant, q, dq, radius)
+    assert np.all(bound[0] + 2e-3 >= x.time) and np.all(bound[1] + 2e-6 >= x.forward) and np.all(bound[2] + 2e-6 >= x.back)
+
+
+def test_an_impulse_that_was_taken_too_large_twice_is_not_taken_at_all() -> None:
+    """What a brake must have given to end an excursion within a step is known after it: the step is repeated with less, then with none."""
+    s = StopBounds.of(cobot7_like(), (2.9, 3.0)).setting
+    assert s is not None
+    rng, n = np.random.default_rng(51), 7
+    q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
+    r, v = s.noise.radius[:n], s.noise.radius[n:]
+    tube = march_box(s, s.plant, q, dq, r, v, True)
+    assert tube.end == OK and sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, 2).escaped == 0
+
+
+def test_the_inertia_of_a_box_holds_that_of_its_poses() -> None:
+    plant, q, _, _, _ = planar(338)
+    wide = np.full(len(q), 0.2)
+    M, spread, _ = inertia_box(plant, q, -wide, wide, ALL_PARTS)
+    rotor, rng = np.diag(plant.rotor), np.random.default_rng(1)
+    for _ in range(100):
+        away = np.abs(mass_matrix(plant.chain, plant.pi, q + rng.uniform(-wide, wide)) + rotor - M)
+        assert np.all(away <= spread + 1e-12)
+
+
+def pendulum(brake: float) -> tuple[Plant, Array, Array]:
+    """It hangs, 1 kg m^2 with its rotor, at rest and free until its brake closes after 0.6 s."""
+    chain, body = chain_of(np.zeros(0), LYING), bodies(np.ones(1), np.full(1, 0.5), np.full(1, 0.3))
+    return plant_of(chain, body, np.full(1, 0.7), np.full(1, brake), 0.6, 0.1, 0.0, 1e-9), np.full(1, 0.5 * np.pi), np.zeros(1)
+
+
+def test_a_step_in_which_gravity_outgrows_every_claim_is_not_provable() -> None:
+    """Its swing doubles in half a second: whatever caps are claimed for such a step, more is possible."""
+    plant, q, dq = pendulum(20.0)
+    assert marched(plant, q, dq, 0.0, 0.5, True, 300.0).end == UNBOUNDED
+    tube = marched(plant, q, dq, 0.0, 0.01, True)
+    assert tube.end == OK and tube.d_hi.max() < 1e-3
+
+
+def test_ways_that_outgrow_every_claim_are_not_told() -> None:
+    """Gravity grows with the way, and the way with gravity, for as often as is tried: there the ways are unknown, the tube is a bound."""
+    s = StopBounds.of(prbt_like(), (2.75, 3.0)).setting
+    assert s is not None
+    rng, n = np.random.default_rng(140), 6
+    q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
+    r, v = s.noise.radius[:n], s.noise.radius[n:]
+    tube = march_box(s, s.plant, q, dq, r, v, True)
+    known = np.isfinite(tube.way).all(axis=1)
+    assert tube.end == OK and known.any() and np.all(np.isinf(tube.way[~known]))
+    assert sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, 1).escaped == 0
+
+
+def test_joints_whose_inertia_has_no_inverse_prove_nothing_or_hold() -> None:
+    """Two joints about one axis behind a third, rotors of milligrams: their speeds are not known one by one from their momenta."""
+    body = bodies(np.array([0.0, 0.55, 0.0]), np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.0, 0.034]))
+    rotor, brake = np.array([6e-6, 1.3e-5, 1.2e-8]), np.array([0.2, 0.1, 6.0])
+    plant = plant_of(chain_of(np.array([0.3, 0.0]), UPRIGHT), body, rotor, brake, 0.01, 0.01, 1e-3, 1e-3)
+    fast, still, none = np.array([0.5, -0.3, 0.2]), np.array([1.7e-4, -3e-5, -6e-5]), np.zeros(3)
+    assert marched(plant, none, fast, 1e-6, 2e-3, True).end in (ENDLESS, UNBOUNDED)
+    tube = marched(plant, none, still, 1e-6, 7.7e-3, True)
+    assert tube.end == OK and np.all(tube.margin >= 0.0) and np.all(np.abs(still) <= np.maximum(tube.v_hi[0], -tube.v_lo[0]))
+    assert marched(plant._replace(rotor=np.full(3, 0.5)), none, 0.1 * fast, 1e-6, 2e-3, True).end == OK
+
+
+def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
+    """The momentum overflows: nothing is known of what the brake must have given to end it, and no stop is provable."""
+    chain, body = chain_of(np.zeros(0), UPRIGHT), bodies(np.ones(1), np.zeros(1), np.ones(1))
+    plant = plant_of(chain, body, np.full(1, 1e150), np.full(1, 1e308), 0.1, 0.1, u=1e300)
+    speed = np.full(1, 2e160)
+    tube = march(plant, 0.0 * speed, 0.0 * speed, speed, speed, 1.0, 590, ALL_PARTS)
+    assert tube.end == UNBOUNDED
+
+
+# ---- whole stops: the brakes' windows
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.05])
+def test_brakes_that_close_together_are_one_window_or_two(apart: float) -> None:
+    """Delays farther apart than they are long say nothing (0.05 s); all at once (0 s) is tighter; both as Python has them."""
+    bounds, any_ = bounds_of(cut_together(apart)), core_stop(bounds_of(replace_apart(None)))
+    core, n = core_stop(bounds), 4
+    for q, dq in states(bounds.model, 4, 3):
+        want, got, free = bounds.bound(q, dq, "0", np.zeros(n), np.zeros(n)), core(q, dq), any_(q, dq)
+        assert got is not None and free is not None and want.forward is not None
+        assert np.array_equal(got.forward, want.forward) and np.array_equal(got.back, want.back)
+        assert np.all(got.forward <= free.forward) and (apart == 0.0 or np.array_equal(got.forward, free.forward))
+
+
+def replace_apart(apart: float | None) -> Any:
+    model = cut_together(0.0)
+    assert model.brakes is not None
+    return replace(model, brakes=replace(model.brakes, apart=apart))
+
+
+# ---- ramps
+
+
+def same(bounds: StopBounds, core: Any, q: Array, dq: Array, category: str, radius: float = 0.0) -> bool:
+    """Whether there is a bound: the core's and Python's are one to the last bit, or both refuse."""
+    r = np.full(len(q), radius)
+    want, got = bounds.bound(q, dq, category, r, r), core(q, dq, category, r, r)  # type: ignore[arg-type]
+    assert want.certified == (got is not None), want.why
+    if got is not None:
+        pairs = ((got.time, want.time), (got.forward, want.forward), (got.back, want.back), (got.speed, want.speed))
+        assert all(np.array_equal(a, b) for a, b in pairs) and got.tool.tolist() == [want.tcp, want.tcp_speed]
+    return got is not None
+
+
+def with_ramp(model: Any, **changes: Any) -> tuple[StopBounds, Any]:
+    ramp: Ramp = ramped(model.n, **changes)
+    bounds = replace(bounds_of(model), ramp=ramp)
+    return bounds, core_stop(bounds)
+
+
+def test_joints_that_do_not_move_ask_nothing_of_the_ramp() -> None:
+    for kind in ({}, {"kind": "deceleration", "value": Box.of(np.full(4, 3.0), np.full(4, 3.6))}):
+        bounds, core = with_ramp(braked(8.0), **kind)
+        for q, dq in states(bounds.model, 4, 5):
+            for still in ([0], [1, 2], [0, 1, 2, 3]):
+                dq[still] = 0.0
+                assert same(bounds, core, q, dq, "1") and same(bounds, core, q, dq, "1", 1e-3)
+
+
+def test_a_programmed_motion_that_turns_round_within_the_ramp_is_left_there() -> None:
+    """Along a motion that itself slows by 8 / s the speed is gone before the ramp is."""
+    bounds, core = with_ramp(braked(8.0), pace=(-8.0, 0.7))
+    for q, dq in states(bounds.model, 4, 5, 0.2):
+        assert same(bounds, core, q, dq, "1")
+
+
+def test_brakes_that_cannot_hold_the_arm_where_it_is_or_comes_to_prove_nothing() -> None:
+    model, held = braked(8.0, effort="motor_torque"), set()
+    assert model.brakes is not None
+    for q, dq in states(model, 12, 21, 1.0):
+        weak, strong, found = 0.02, 0.6, {}
+        while strong - weak > 1e-3:  # at the least that holds it the start, or the end, asks for more
+            share = 0.5 * (weak + strong)
+            brakes = replace(model.brakes, torque=Box.of(share * model.brakes.torque.lo, model.brakes.torque.hi))
+            found[share] = same(*with_ramp(replace(model, brakes=brakes)), q, dq, "1")
+            weak, strong = (weak, share) if found[share] else (share, strong)
+        held |= {frozenset(found.values())}
+    assert frozenset({True, False}) in held
+
+
+# ---- sets of points
+
+
+def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
+    s = StopBounds.of(prbt_like(), (0.0, 0.25)).setting
+    assert s is not None
+    q, dq, r = np.full(6, 0.3), np.full(6, 0.5), s.noise.radius[:6]
+    cut = slices(march_box(s, s.plant, q, dq, r, s.noise.radius[6:], True), SLICES)
+    assert cut.left is not None
+    none = point_sets(s.plant.chain, q, r, cut._replace(near_lo=None, near_hi=None, left=None), 5, s.payload_com)
+    unknown = point_sets(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), 5, s.payload_com)
+    for a, b in zip(none, unknown, strict=True):
+        assert np.array_equal(a, b)
