@@ -60,6 +60,7 @@ API = (
     "stopset.artifact.save_model", "stopset.offline.compare.compare.compare", "stopset.offline.compare.verdict.verdict",
     "stopset.offline.diagnose.diagnose_model", "stopset.offline.revise.revise.add", "stopset.reach.stops.stop",
     "stopset.reach.stops.StopBounds", "stopset.offline.stops.table.stop_table", "stopset.offline.plan.design", "stopset.fmu.export",
+    "stopset.simulation.simulate_stop",
 )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ from stopset.simulation.arm import run as simulate
 from stopset.simulation.scenario import Scenario
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
+from synthetic import with_payload
 
 PIECE, STEPS = 1e-3, 2  # [s] an effect's torque is held constant over a piece, of so many steps of the simulation
 HELD = 4.0  # times as much as the stepping's own error: the torque of an effect is held over a piece
@@ -144,7 +145,7 @@ def drawn(model: Model, q: Array, dq: Array, com: Array, rng: np.random.Generato
     def end(box: Box, low: NDArray[np.bool_]) -> Array:
         return np.where(low, box.lo, box.hi)
 
-    one = model.robot.with_payload(1.0, com).pi - model.robot.pi
+    one = with_payload(model.robot, 1.0, com).pi - model.robot.pi
     load = rng.integers(0, 2, N)[:, None, None] * model.domain.payload[1]
     V = model.powered.V
     along = np.sign(dq) * np.where(slow, 1.0, -1.0)

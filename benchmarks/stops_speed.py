@@ -22,10 +22,11 @@ from stop_arms import prbt_like, ur5_like
 
 from stop_certificate import Certificate, certify
 from stop_sampling import DT
+from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
-from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop, tube_of
+from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 

@@ -10,9 +10,13 @@ joints up, the tool's x, y and z at six poses.
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from plain_sets import volume
 from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.linear_sets import BOX
 from stopset.offline.description import load_robot
@@ -31,7 +35,7 @@ def size(fit: FittedSets) -> float:
     """Edge of the cube of the same volume [N m]."""
     assert fit.zonotope is not None
     few = fit.zonotope.generators.shape[1] <= FEW
-    return fit.zonotope.set.volume ** (1.0 / fit.U.dim) if few else float("nan")
+    return volume(fit.zonotope.set) ** (1.0 / fit.U.dim) if few else float("nan")
 
 
 def main() -> None:

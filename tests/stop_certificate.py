@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stop_tubes import tube_of
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import beyond_domain
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, tube_of
+from stopset.reach.stops.tubes import FAST_KNOTS
 from stopset.sets import Box
 from stopset.types import Array
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ import pyarrow.parquet as pq
 from stopset.offline.description import robot_from_text
 from stopset.recording import Recording
 from stopset.robot import Robot
+from stopset.robot.arm import standard_parameters
+from stopset.types import Array
 
 DT = 0.004
 
@@ -33,6 +36,16 @@ def urdf(joints: Sequence[str]) -> str:
 
 def arm(joints: Sequence[str]) -> Robot:
     return robot_from_text(urdf(joints))
+
+
+def with_payload(robot: Robot, mass: float, com: Array, inertia: Array | None = None) -> Robot:
+    """The same arm with a rigid load in the last link: ``mass`` [kg], ``com`` (3,) [m] in the last link frame.
+
+    ``inertia``: (3, 3) about the load's centre of mass [kg m^2], zero if left out (a point mass).
+    """
+    pi = robot.pi.copy()
+    pi[-1] += standard_parameters(mass, np.asarray(com, float), np.zeros((3, 3)) if inertia is None else inertia)
+    return replace(robot, pi=pi)
 
 
 def names(n: int) -> tuple[str, ...]:

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from articulated import forward_dynamics
 from stopset.artifact import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluate, jacobian
 from stopset.errors import StopsetError
 from stopset.offline.abstraction import ORDERS, build, degrees, predicted_bytes
 from stopset.offline.abstraction.forms import dynamics, inverse
 from stopset.offline.description import load_robot, robot_from_text
-from stopset.robot import Robot, generic
+from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import mass_matrix, torque
-from stopset.sets import Box
 from test_taylor import CIRCLE, RADIUS
 
 ROTOR, VISCOUS = np.array([0.7, 0.4]), np.array([[3.0, 0.2, -0.3], [2.0, -0.1, -0.2]])
@@ -111,7 +111,7 @@ def test_along_a_motion_model_3_agrees_with_the_arm_to_its_order(order: int) -> 
         s, c = np.sin(x * dir_q), np.cos(x * dir_q)
         dq = x * dir_dq
         u = x * dir_u - sum(viscous[:, k] * dq ** (k + 1) for k in range(3))
-        return np.array(generic.forward_dynamics(robot.chain, robot.pi, rotor, list(s), list(c), list(dq), list(u)))
+        return np.array(forward_dynamics(robot.chain, robot.pi, rotor, list(s), list(c), list(dq), list(u)))
 
     def abstract(x: complex) -> np.ndarray:
         z = np.concatenate([x * dir_dq, np.sin(x * dir_q), np.cos(x * dir_q), x * dir_u])
@@ -137,7 +137,7 @@ def test_overloaded_articulated_bodies_give_the_same_polynomial_behind_u() -> No
     algebra = Algebra(4 * n, order)
     centre = np.repeat([0.0, 0.0, 1.0, 0.0], n)
     z = [algebra.variable(i, centre[i]) for i in range(4 * n)]
-    forms = generic.forward_dynamics(robot.chain, robot.pi, rotor, z[n : 2 * n], z[2 * n : 3 * n], [0.0] * n, z[3 * n :])
+    forms = forward_dynamics(robot.chain, robot.pi, rotor, z[n : 2 * n], z[2 * n : 3 * n], [0.0] * n, z[3 * n :])
     # sine and cosine as free variables allow many polynomials for one function; along a motion they all agree to the
     # order
     rng = np.random.default_rng(0)
@@ -233,52 +233,19 @@ def test_what_would_not_fit_is_refused_before_the_work() -> None:
         build(4, 1, robot, rotor, viscous)
 
 
-@pytest.mark.parametrize(("kind", "order"), [(1, 3), (2, 5), (3, 3)])
-def test_linearisation_is_the_derivative(kind: int, order: int) -> None:
-    robot, rotor, viscous = arm("lwa4p")
-    model = build(kind, order, robot, rotor, viscous)
-    rng = np.random.default_rng(4)
-    x = np.concatenate([rng.uniform(-1, 1, 12), rng.uniform(-5, 5, 6)])
-    J_x, J_u = model.linearised(x[None, :6], x[None, 6:12], x[None, 12:])
-    J = np.hstack([J_x[0], J_u[0]])
-
-    def f(z: np.ndarray) -> np.ndarray:
-        return model.ddq(z[None, :6], z[None, 6:12], z[None, 12:])[0]
-
-    h = 1e-4
-    for k, e in enumerate(np.eye(18)):
-        # fourth-order difference as a check: h^4 times a fifth derivative, and rounding 1e-16 * 10 / h
-        d = (8 * (f(x + h * e) - f(x - h * e)) - (f(x + 2 * h * e) - f(x - 2 * h * e))) / (12 * h)
-        assert np.abs(J[:, k] - d).max() < 1e-9
-
-
-def test_polynomial_evaluation_recentring_and_jacobian() -> None:
+def test_polynomial_evaluation_and_jacobian() -> None:
     rng = np.random.default_rng(0)
     e, c = rng.integers(0, 4, (60, 5)), rng.normal(size=60)
     p = Polynomial(*collected(e, c))
     z = rng.uniform(-1, 1, (9, 5))
     want = np.prod(z[:, None, :] ** e, axis=2) @ c
     assert np.abs(p(z) - want).max() < 1e-13
-    a = rng.uniform(-1, 1, 5)
-    assert np.abs(p.recentred(a)(z - a) - want).max() < 1e-11
-    program = compiled((p, p.derivative(0)))
-    assert np.abs(evaluate(program, z)[:, 1] - jacobian(program, z)[:, 0, 0]).max() < 1e-12
+    slope = np.prod(np.where(np.arange(5) == 0, z[:, None, :] ** np.maximum(e - 1, 0) * e, z[:, None, :] ** e), axis=2) @ c
+    program = compiled((p,))
+    assert np.abs(evaluate(program, z)[:, 0] - want).max() < 1e-13
+    assert np.abs(jacobian(program, z)[:, 0, 0] - slope).max() < 1e-12
     zero = Polynomial(np.zeros((1, 5), np.int64), np.zeros(1))
     assert np.all(zero(z) == 0.0)
-
-
-def test_enclosure_holds_every_sample_and_tightens() -> None:
-    rng = np.random.default_rng(1)
-    widths = []
-    p = Polynomial(*collected(rng.integers(0, 4, (30, 3)), rng.normal(size=30)))
-    for r in (0.5, 0.1, 0.02):
-        box = Box.of(np.array([0.2, -0.3, 0.9]) - r, np.array([0.2, -0.3, 0.9]) + r)
-        lo, hi = p.enclosure(box)
-        corners = np.array(np.meshgrid(*zip(box.lo, box.hi, strict=True))).reshape(3, -1).T
-        y = p(np.vstack([rng.uniform(box.lo, box.hi, (4000, 3)), corners]))
-        assert lo <= y.min() and y.max() <= hi
-        widths.append((hi - lo) / (y.max() - y.min()))
-    assert widths[2] < 1.1  # first order terms are exact: the overestimation vanishes with the box
 
 
 def test_sine_and_cosine_do_not_forget_each_other() -> None:
@@ -297,25 +264,6 @@ def test_sine_and_cosine_do_not_forget_each_other() -> None:
         got = np.array([e.M[4][4](points - e.centre), e.M[5][5](points - e.centre)])
         cut[name] = np.abs(got - want[:, (4, 5), (4, 5)].T).max()
     assert cut["ours"] < 0.2 * cut["plain"]
-
-
-@pytest.mark.parametrize(("kind", "order"), [(1, 3), (2, 10), (3, 3)])
-def test_accelerations_over_a_box(kind: int, order: int) -> None:
-    """Every sample is inside; sine and cosine as free intervals over the same box would be far wider (trap P20)."""
-    robot, rotor, viscous = arm("lwa4p")
-    model = build(kind, order, robot, rotor, viscous)
-    rng = np.random.default_rng(3)
-    q, dq, u = (Box(x - r, x + r) for x, r in zip(rng.uniform(-1, 1, (3, 6)), (0.05, 0.1, 0.5), strict=True))
-    box = model.enclosure(q, dq, u)
-    samples = model.ddq(*(rng.uniform(b.lo, b.hi, (5000, 6)) for b in (q, dq, u)))
-    assert np.all(box.lo <= samples.min(axis=0)) and np.all(samples.max(axis=0) <= box.hi)
-    if kind == 2:
-        free = np.concatenate([[-1.0] * 6, [-1.0] * 6]), np.concatenate([[1.0] * 6, [1.0] * 6])
-        naive = Box(np.concatenate([dq.lo, free[0]]), np.concatenate([dq.hi, free[1]]))
-        z = [np.concatenate(x) for x in ((dq.lo, np.sin(q.lo), np.cos(q.hi)), (dq.hi, np.sin(q.hi), np.cos(q.lo)))]
-        ours = Box(np.minimum(*z), np.maximum(*z))
-        p = model.coriolis[0]
-        assert np.diff(p.enclosure(ours))[0] < 0.2 * np.diff(p.enclosure(naive))[0]
 
 
 def test_inverse_of_a_matrix_of_forms() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from read_anew import from_scratch
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import ModelFileError, RecordingError
@@ -21,7 +22,7 @@ from stopset.offline.nominal import identify_nominal, solve_nominal
 from stopset.offline.update import staleness
 from stopset.offline.update.sums_file import ENVELOPE
 from stopset.offline.update.sums_file import load_sums as load_state
-from stopset.offline.update.update import from_scratch, save_state, update
+from stopset.offline.update.update import save_state, update
 from stopset.recording import Recording, stream_recordings
 from synthetic import arm, names, recordings, save_trials
 

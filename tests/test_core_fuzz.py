@@ -11,8 +11,9 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from core_calls import maths, point_jacobian, solve_inclusion
 from stop_certificate import follow
-from stopset.core.library import ffi, integers, lib, maths, view
+from stopset.core.library import ffi, integers, lib, view
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import ALL_PARTS
@@ -24,11 +25,9 @@ from stopset.robot.rigid import (
     levers,
     link_frames,
     mass_matrices,
-    point_jacobian,
     regressors,
     torques,
 )
-from stopset.simulation.inclusion import solve_inclusion
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from core_calls import inertia_box
 from core_plants import LYING, UPRIGHT, bodies, chain_of, planar, plant_of, power_off
 from stop_sampling import sample_stops
 from stopset.fmu.stops import bounds_of
@@ -17,7 +18,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_sets, slices
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
-from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, inertia_box, march
+from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from float32 import outward
 from stopset.artifact.inputs import InputMap, effect_torques, law_signals, memories_along
 from stopset.artifact.taped import SIGNALS, Kept
 from stopset.core.library import ffi, lib, view
@@ -17,7 +18,6 @@ from stopset.effects.memory import coefficients, stepped
 from stopset.effects.registry import catalogue, get
 from stopset.effects.signals import Samples
 from stopset.errors import EffectError
-from stopset.monitor.layout import outward
 from stopset.offline.description import load_robot
 from stopset.ring import Tape
 from stopset.robot.rigid import gravity_torques, torques

@@ -24,7 +24,7 @@ from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.baseline import drive_gain
-from stopset.offline.diagnose.evidence.priors import DRIVES
+from stopset.offline.diagnose.thresholds import DRIVES
 from stopset.offline.nominal import physical, qp
 from stopset.recording import write_recordings
 from stopset.sets import Box

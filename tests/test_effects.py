@@ -20,6 +20,7 @@ from stopset.errors import EffectError
 from stopset.offline.description import load_robot
 from stopset.ring import Interval
 from stopset.robot.rigid import gravity_torques, torques
+from synthetic import with_payload
 
 NAMES = [
     "thermal_viscous",
@@ -158,7 +159,7 @@ def test_payload_tilt_and_offset_are_the_rigid_body_s_derivatives() -> None:
     q, dq, ddq = (rng.uniform(-1, 1, (20, robot.n)) for _ in range(3))
     sig = arm_signals(robot, Samples(q, dq, ddq))
     mass, com = 2.0, np.array([0.02, -0.03, 0.1])
-    loaded = robot.with_payload(mass, com)
+    loaded = with_payload(robot, mass, com)
     more = torques(loaded.chain, loaded.pi, q, dq, ddq) - torques(robot.chain, robot.pi, q, dq, ddq)
     values = dict(zip([t.symbol for t in get("payload").terms], loaded.pi[-1] - robot.pi[-1], strict=True))
     ours = np.stack([get("payload").torque(s, values) for s in sig], axis=1)

@@ -26,6 +26,7 @@ from stopset.fmu.reference import reference, reference_texts
 from stopset.reach.flowpipe import deviation_tube, expm, predict
 from stopset.robot.rigid import mass_matrix
 from stopset.types import Array
+from synthetic import with_payload
 
 fmpy = pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -340,7 +341,7 @@ def test_a_payload_moves_the_arm_as_the_rigid_body_says(exported: Any) -> None:
         model, exported(model, "arm_coupled", 3), np.array([0.0, DT]), joint_inputs(model, "tau", tau), names(model, "ddq"), start
     )  # fmt: skip
     r, zero = model.robot, np.zeros(model.n)
-    loaded = r.with_payload(mass, com)
+    loaded = with_payload(r, mass, com)
     added = mass_matrix(r.chain, loaded.pi, zero) - mass_matrix(r.chain, r.pi, zero)
     M = np.linalg.inv(model.abstraction.Minv) + added
     assert np.abs(columns(out, model, "ddq")[0] - np.linalg.solve(M, tau[0] - model.input.offset)).max() < AGREE

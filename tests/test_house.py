@@ -300,19 +300,35 @@ def bib_keys() -> set[str]:
     return set(re.findall(r"^@\w+\{([^,\s]+),", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8"), re.MULTILINE))
 
 
-def cited() -> Iterator[tuple[str, str, str]]:
-    """(module, first surname in small letters, year) of every ``Source:`` in a docstring."""
+@cache
+def sources_in_c() -> dict[str, str]:
+    """The C files of core and FMU, by name."""
+    return {
+        p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8")
+        for part in PARTS for p in sorted((ROOT / part).rglob("*.[ch]"))
+    }  # fmt: skip
+
+
+def explained() -> Iterator[tuple[str, str]]:
+    """What docstrings and the comments of the C files say, with where it stands."""
     for m in modules():
         for node in ast.walk(tree(m)):
-            if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
-                continue
-            text = ast.get_docstring(node) or ""
-            for found in re.finditer(r"Source:\s*(.*?)(?:\n\s*\n|\Z)", text, re.DOTALL):
-                paragraph = " ".join(found.group(1).split())
-                for part in re.split(r";", paragraph):
-                    for names, year in re.findall(r"((?:[A-Z][\w.'’-]*)[^;()]*?)\((\d{4})\)", part):
-                        words = [w for w in re.findall(r"[A-Z][\w’'-]+", names) if not re.fullmatch(r"[A-Z]\.?", w)]
-                        yield m, re.sub(r"[^a-z]", "", words[0].lower()), year
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                yield m, ast.get_docstring(node) or ""
+    for name, text in sources_in_c().items():
+        for comment in re.findall(r"/\*(.*?)\*/", text, re.DOTALL):
+            yield name, re.sub(r"^\s*\*", "", comment, flags=re.MULTILINE)
+
+
+def cited() -> Iterator[tuple[str, str, str]]:
+    """(module or C file, first surname in small letters, year) of every ``Source:``."""
+    for where, text in explained():
+        for found in re.finditer(r"Source:\s*(.*?)(?:\n\s*\n|\Z)", text, re.DOTALL):
+            paragraph = " ".join(found.group(1).split())
+            for part in re.split(r";", paragraph):
+                for names, year in re.findall(r"((?:[A-Z][\w.'’-]*)[^;()]*?)\((\d{4})\)", part):
+                    words = [w for w in re.findall(r"[A-Z][\w’'-]+", names) if not re.fullmatch(r"[A-Z]\.?", w)]
+                    yield where, re.sub(r"[^a-z]", "", words[0].lower()), year
 
 
 def test_every_source_in_a_docstring_is_in_the_bibliography() -> None:
@@ -337,6 +353,47 @@ def test_every_entry_of_the_bibliography_is_used() -> None:
     used = {surname + year for _, surname, year in cited()} | set(re.findall(r'source="(\w+)"', "\n".join(text.values())))
     unused = {k for k in bib_keys() if not any(u.endswith(k[-4:]) and u.startswith(k[:-4]) for u in used)}
     assert not unused
+
+
+def test_lemmas_that_the_code_rests_on_are_proved_in_the_docs() -> None:
+    """Cited by number, and every one that is proved is used where it says."""
+    proved = set(re.findall(r"\*\*Lemma (\d+) \(", (ROOT / "docs" / "stops.md").read_text(encoding="utf-8")))
+    used: set[str] = set()
+    nameless = []
+    for where, text in explained():
+        words = " ".join(text.split())
+        used |= {n for list_ in re.findall(r"\bLemmas? (\d+(?:(?:,| and) \d+)*)", words) for n in re.findall(r"\d+", list_)}
+        nameless += [f"{where}: {x}" for x in re.findall(r"(?i)\b[a-z]* lemma\b(?! \d)[^.]{0,40}", words)]
+    assert used == proved, f"cited and not proved: {sorted(used - proved)}; proved and not cited: {sorted(proved - used)}"
+    assert not nameless, "say which"
+
+
+# called by name from what they are made for: servers, notebooks, the path planner, and links that fill a batch by themselves
+CALLED_BY_OTHERS = re.compile(
+    r"fill|dof|path_interval|do_[A-Z]+|log_message|send_error|handle_error|process_request\w*|_repr_html_"
+)
+
+
+def test_the_product_holds_nothing_that_only_tests_use() -> None:
+    """Every function and class is used by the product, or promised to the reader of a page."""
+    used: dict[str, int] = {}
+    for m in modules():
+        for n in ast.walk(tree(m)):
+            if isinstance(n, ast.Attribute) or (isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)):
+                name = n.attr if isinstance(n, ast.Attribute) else n.id
+                used[name] = used.get(name, 0) + 1
+    pages = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs").rglob("*.md") if p.name != "requirements.md")
+    promised = {w for code in re.findall(r"`([^`\n]+)`|^from stopset.* import (.*)$", pages, re.MULTILINE)
+                for w in re.findall(r"\w+", " ".join(code))}  # fmt: skip
+    alone = []
+    for m in modules():
+        for n in ast.walk(tree(m)):
+            if not isinstance(n, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or m.endswith("._binding"):
+                continue
+            own = sum(n.name in (getattr(x, "attr", ""), getattr(x, "id", "")) for x in ast.walk(n))
+            if used.get(n.name, 0) <= own and n.name not in promised and not n.name.startswith("__"):
+                alone.append(f"{m}.{n.name}")
+    assert not [x for x in alone if not CALLED_BY_OTHERS.fullmatch(x.rpartition(".")[2])], "move it to the tests, or delete it"
 
 
 # words of the code that are an effect's name and mean something else: module, words, why

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from float32 import outward
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
 from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
@@ -21,7 +22,7 @@ from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
-from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward, outward_all, unpack
+from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward_all, unpack
 from stopset.monitor.packer import Packer, pack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.sample import Quantum, Sample

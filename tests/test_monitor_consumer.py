@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from float32 import outward
 from monitor_process import compiled
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
 from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Doubt, Expected
-from stopset.monitor.layout import LENGTH, State, outward, unpack
+from stopset.monitor.layout import LENGTH, State, unpack
 from stopset.monitor.packer import pack
 
 KEY = Key(3, bytes(range(32)))

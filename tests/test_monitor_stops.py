@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from stop_sampling import sample_stops
+from stop_tubes import tube_of
 from stopset.artifact import save_model
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.stopworker import answer_for
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box, tube_of
+from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box
 from stopset.sets import Box
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))

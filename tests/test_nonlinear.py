@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from plain_sets import leak
 from set_problems import binary_search, fit_nonlinear, problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
@@ -26,7 +27,7 @@ from stopset.offline.conform import nonlinear, nonlinear_sets
 from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.conform.nonlinear import coarser, leak
+from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.problem import SetProblem
 from stopset.offline.conform.reading_error import ReadingError

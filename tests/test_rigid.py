@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core_calls import point_jacobian
 from stopset.errors import StopsetError
 from stopset.offline.description import load_robot
 from stopset.robot import Robot
@@ -17,7 +18,6 @@ from stopset.robot.rigid import (
     link_frames,
     mass_matrices,
     mass_matrix,
-    point_jacobian,
     regressor,
     regressors,
     torque,

@@ -21,6 +21,7 @@ from stopset.simulation.hidden import Hidden, healthy, parse_hidden
 from stopset.simulation.plant import healthy_plant
 from stopset.simulation.scenario import complete_robot
 from stopset.simulation.sizing import RATIOS, closed_loop, inject, residual_rms, size_effect
+from synthetic import with_payload
 
 URDF = """<robot name="two"><link name="base"/>
 <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>
@@ -150,7 +151,7 @@ def test_instruments_report_what_they_should(sound: Cell) -> None:
     loaded, said = inject(sound, [Hidden("payload", None, 1.5)])
     tau, q = mean_static(loaded)
     com = np.array([said[0][f"com_{a}_m"] for a in "xyz"], float)
-    heavy = robot.with_payload(1.5, com)
+    heavy = with_payload(robot, 1.5, com)
     want = np.array([gravity_torque(heavy.chain, heavy.pi, x) for x in q])
     # friction differs by 2 % between the two sides of a pose, and up to 5 % of it may not be in hold
     tolerance = 0.08 * sound.truth.plant.fc.max()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core_calls import mass_and_bias, solve_inclusion
 from stopset.offline.description import robot_from_text
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 from stopset.simulation import StoppingArm, simulate_stop
-from stopset.simulation.dynamics import mass_and_bias
-from stopset.simulation.inclusion import solve_inclusion
 from stopset.types import Array
 
 # both sides sum some 10^3 products of order 10^2 in double precision

@@ -11,6 +11,7 @@ import pytest
 
 from stop_certificate import certify
 from stop_sampling import sample_stops, tightness, tube_at
+from stop_tubes import tube_of
 from stopset.artifact import Brakes
 from stopset.effects import Fitted
 from stopset.errors import NotCovered
@@ -20,7 +21,7 @@ from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.parts import Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import tube_of, tubes_of
+from stopset.reach.stops.tubes import tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop

@@ -17,6 +17,7 @@ import stopset.effects.registry as registry
 from acting_reference import Sight
 from acting_reference import acting as reference
 from slopes import Slope
+from stop_tubes import tube_of
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.effects import Effect, Signals, Term, catalogue, check, get
@@ -34,7 +35,7 @@ from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import acted, torques_of
 from stopset.reach.stops.laws import acting_law
-from stopset.reach.stops.tubes import fastest, tube_of
+from stopset.reach.stops.tubes import fastest
 from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
 from test_hidden_effects import ARM

@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core_calls import largest_energy
 from stop_sampling import sample_stops, tightness
+from stop_tubes import tube_of
 from stopset.core.library import lib, view
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
-from stopset.reach.stops.tube import OK, Plant, largest_energy, march
-from stopset.reach.stops.tubes import march_box, tube_of, tubes_of
+from stopset.reach.stops.tube import OK, Plant, march
+from stopset.reach.stops.tubes import march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
 

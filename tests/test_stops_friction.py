@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stop_sampling import ANGLE_ERROR, SPEED_ERROR, tube_at
+from stop_tubes import tube_of
 from stopset.artifact import Brakes, Model
 from stopset.effects.base import Fitted
 from stopset.effects.bound import SIGMAS
@@ -17,7 +18,6 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, torques_of
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.tube import OK, Tube
-from stopset.reach.stops.tubes import tube_of
 from stopset.robot.rigid import torque
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from core_calls import inertia_box
+from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS, Parts
-from stopset.reach.stops.tube import OK, Plant, inertia_box
-from stopset.reach.stops.tubes import tube_of
+from stopset.reach.stops.tube import OK, Plant
 from stopset.robot.rigid import Chain
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))

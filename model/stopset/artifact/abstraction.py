@@ -11,9 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from stopset.artifact.polynomial import Polynomial, Program, compiled, evaluate, jacobian
-from stopset.ring import Interval
-from stopset.sets import Box
+from stopset.artifact.polynomial import Polynomial, Program, compiled, evaluate
 from stopset.types import Array
 
 __all__ = ["Abstraction", "Polynomial"]
@@ -84,46 +82,6 @@ class Abstraction:
         if self.coriolis:
             friction = friction + evaluate(self.program, np.hstack([dq, np.sin(q), np.cos(q)]))
         return (u - friction) @ self.Minv.T
-
-    def enclosure(self, q: Box, dq: Box, u: Box) -> Box:
-        """All accelerations over boxes of ``q, dq, u`` (n,): bounds (n,) [rad/s^2].
-
-        Sine and cosine are those of the interval of q, so they stay together on the unit circle's arc (trap P20).
-        """
-        angle = Interval(q.lo, q.hi)
-        s, c = angle.sin(), angle.cos()
-        z = [(dq.lo, dq.hi), (s.lo, s.hi), (c.lo, c.hi)]
-        if self.kind == 3:
-            z.append((u.lo, u.hi))
-        box = Box(np.concatenate([lo for lo, _ in z]), np.concatenate([hi for _, hi in z]))
-        if self.kind == 3:
-            bounds = [p.enclosure(box) for p in self.acceleration]
-            return Box.of([lo for lo, _ in bounds], [hi for _, hi in bounds])
-        powers = np.arange(1, self.viscous.shape[1] + 1, dtype=np.int64)[:, None]
-        drag = [Polynomial(powers, self.viscous[j]).enclosure(dq.take([j])) for j in range(self.n)]
-        drive = u + Box.of([-hi for _, hi in drag], [-lo for lo, _ in drag])
-        if self.coriolis:
-            bounds = [p.enclosure(box) for p in self.coriolis]
-            drive = drive + Box.of([-hi for _, hi in bounds], [-lo for lo, _ in bounds])
-        return drive.mapped(self.Minv)
-
-    def linearised(self, q: Array, dq: Array, u: Array) -> tuple[Array, Array]:
-        """``d ddq / d(q, dq)`` (N, n, 2n) and ``d ddq / du`` (N, n, n) at rows of ``q, dq, u`` (N, n)."""
-        n, s, c = self.n, np.sin(q), np.cos(q)
-        if self.kind == 3:
-            J = jacobian(self.program, np.hstack([dq, s, c, u]))
-            J_u = J[:, :, 3 * n :]
-        else:
-            J = np.zeros((q.shape[0], n, 3 * n))
-            J_u = np.broadcast_to(self.Minv, (q.shape[0], n, n))
-            slope = sum((k + 1) * self.viscous[:, k] * dq**k for k in range(self.viscous.shape[1]))
-            J[:, np.arange(n), np.arange(n)] = slope
-            if self.coriolis:
-                J += jacobian(self.program, np.hstack([dq, s, c]))
-            J = -self.Minv @ J
-        # the angle moves its sine and cosine: d sin = c dq, d cos = -s dq
-        J_q = J[:, :, n : 2 * n] * c[:, None, :] - J[:, :, 2 * n : 3 * n] * s[:, None, :]
-        return np.concatenate([J_q, J[:, :, :n]], axis=2), np.array(J_u)
 
 
 # a frozen, slotted value has no room for a cache of its own; entries go when the abstraction goes

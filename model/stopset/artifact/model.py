@@ -6,7 +6,7 @@ Nothing in it is ever executed; `stopset.artifact.store` reads and writes it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -97,11 +97,6 @@ class UncertaintySets:
     active: tuple[ActiveBound, ...] = ()
     temp: TemperatureBand | None = None  # None: at every temperature of the domain
     zonotope: TorqueZonotope | None = None
-
-    @property
-    def boxed(self) -> UncertaintySets:
-        """The same with the box around the torque set: coarser, never narrower."""
-        return self if self.zonotope is None else replace(self, zonotope=None)
 
 
 @dataclass(frozen=True, slots=True)

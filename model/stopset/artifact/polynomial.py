@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.core.library import ffi, given, integers, lib, view
-from stopset.sets import Box
 from stopset.types import Array
 
 Integers = NDArray[np.int64]
@@ -54,33 +53,6 @@ class Polynomial:
             new_e = e[rows].copy()
             new_e[:, i] = kept
             e, c = collected(new_e, new_c)
-        return Polynomial(e, c)
-
-    def enclosure(self, box: Box) -> tuple[float, float]:
-        """Bounds of the values over a box (d,), true for every point in it.
-
-        Written about the box's centre, where a monomial's range is that of its powers; rounding of the re-expansion is
-        added. Source: Moore, Kearfott & Cloud (2009), ch. 6 (centred forms).
-        """
-        local = self.recentred(box.centre)
-        size = np.prod(np.nextafter(box.radius, np.inf) ** local.exponent, axis=1) * np.abs(local.coefficient)
-        fixed = ~np.any(local.exponent, axis=1)
-        even = ~np.any(local.exponent % 2, axis=1) & ~fixed
-        up, down = ~even | (local.coefficient > 0), ~even | (local.coefficient < 0)
-        middle = float(local.coefficient[fixed].sum())
-        # every original monomial is split into at most prod(e + 1) parts, of about 2 (degree + 1) operations each
-        reach = np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(box.centre)
-        parts = np.prod(self.exponent + 1.0, axis=1)
-        scale = np.prod(np.maximum(reach, 1e-300) ** self.exponent, axis=1) * np.abs(self.coefficient) * parts
-        slack = 2.0**-52 * (2 * self.degree + 2 + np.log2(max(2, self.coefficient.size))) * float(scale.sum())
-        vary = ~fixed
-        return middle - float(size[vary & down].sum()) - slack, middle + float(size[vary & up].sum()) + slack
-
-    def derivative(self, i: int) -> Polynomial:
-        """Partial derivative in variable ``i``."""
-        keep = self.exponent[:, i] > 0
-        e, c = self.exponent[keep].copy(), self.coefficient[keep] * self.exponent[keep, i]
-        e[:, i] -= 1
         return Polynomial(e, c)
 
 

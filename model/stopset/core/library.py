@@ -60,12 +60,3 @@ def check(code: int) -> None:
     """Raise `StopsetError` for a code that is not 0."""
     if code:
         raise StopsetError(REASONS[code])
-
-
-def maths(name: str, x: Array) -> Array:
-    """``sin``, ``cos``, ``exp``, ``expm1``, ``tanh`` or ``log`` of ``x``, with the core's bits."""
-    x = given(x)
-    out = np.empty_like(x)
-    which = ("sin", "cos", "exp", "expm1", "tanh", "log").index(name)
-    check(lib.stopset_maths(which, x.size, view(x), view(out)))
-    return out

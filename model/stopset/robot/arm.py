@@ -85,15 +85,6 @@ class Robot:
         R, o = link_frames(self.chain, np.ascontiguousarray(q, dtype=float))
         return np.vstack([np.zeros(3), o, o[-1] + R[-1] @ self.tip])
 
-    def with_payload(self, mass: float, com: Array, inertia: Array | None = None) -> Robot:
-        """The same arm with a rigid load in the last link: ``mass`` [kg], ``com`` (3,) [m] in the last link frame.
-
-        ``inertia``: (3, 3) about the load's centre of mass [kg m^2], zero if left out (a point mass).
-        """
-        pi = self.pi.copy()
-        pi[-1] += standard_parameters(mass, np.asarray(com, float), np.zeros((3, 3)) if inertia is None else inertia)
-        return replace(self, pi=pi)
-
     def with_parameters(self, pi: Array) -> Robot:
         """The same arm with other standard parameters ``pi`` (n, 10)."""
         return replace(self, pi=np.array(pi, float).reshape(self.n, 10))

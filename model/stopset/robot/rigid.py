@@ -155,17 +155,6 @@ def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     return R, o
 
 
-def point_jacobian(chain: Chain, q: Array, link: int, point: Array) -> tuple[Array, Array]:
-    """Position (3,) [m] and Jacobian (3, n) [m/rad] of a ``point`` (3,) of ``link`` at ``q`` (n,); zero for joints beyond it."""
-    (q,), N = _rows(chain, q)
-    if N != 1 or point.shape != (3,) or not 0 <= link < len(q):
-        raise ValueError(f"point {point.shape} of link {link} at poses {q.shape}; expected three numbers, a link, one pose")
-    arm = arm_struct(chain, None)
-    p, J = np.empty(3), np.empty((3, len(q)))
-    check(lib.stopset_point(arm, view(q), link, view(given(point)), view(p), view(J)))
-    return p, J
-
-
 def levers(chain: Chain, pi: Array, q: Array) -> tuple[Array, Array]:
     """Joint axes, and axis x first moment of all beyond [kg m], (N, n, 3) each, in the base frame, of poses ``q`` (N, n)."""
     (q,), N = _rows(chain, q)

@@ -60,11 +60,6 @@ class Box:
     def radius(self) -> Array:
         return 0.5 * (self.hi - self.lo)
 
-    def contains(self, x: ArrayLike) -> bool:
-        """Whether every row of ``x`` (d,) or (N, d) lies inside."""
-        y = np.asarray(x, float)
-        return bool(np.all((self.lo <= y) & (y <= self.hi)))
-
     def encloses(self, other: Box) -> bool:
         return bool(np.all(self.lo <= other.lo) and np.all(other.hi <= self.hi))
 

@@ -8,9 +8,7 @@ Source: Kuehn (1998), Rigorously computed orbits of dynamical systems without th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,11 +32,6 @@ class Zonotope:
         if not (np.all(np.isfinite(self.centre)) and np.all(np.isfinite(self.generators))):
             raise ValueError("zonotope with a centre or generator that is not finite; expected numbers")
 
-    @classmethod
-    def of_box(cls, box: Box) -> Zonotope:
-        """A box as a zonotope, one generator per axis."""
-        return cls(box.centre, np.diag(box.radius))
-
     @property
     def dim(self) -> int:
         return int(self.centre.shape[0])
@@ -60,12 +53,6 @@ class Zonotope:
         """Smallest box around it, rounded outward."""
         axes = np.eye(self.dim)
         return Box(-self.support(-axes), self.support(axes))
-
-    @property
-    def volume(self) -> float:
-        """Volume; one determinant per choice of d generators. Source: Shephard (1974), eq. (57)."""
-        d, m = self.generators.shape
-        return float(2.0**d * sum(abs(np.linalg.det(self.generators[:, k])) for k in map(list, combinations(range(m), d))))
 
     def mapped(self, E: Array) -> Zonotope:
         """``{E x}`` for a matrix ``E`` (k, d)."""
@@ -92,28 +79,3 @@ class Zonotope:
         few, kept = rank[: m - (order - 1) * d], rank[m - (order - 1) * d :]
         hull = np.nextafter(np.abs(self.generators[:, few]).sum(axis=1) * (1.0 + m * 2.0**-52), np.inf)
         return Zonotope(self.centre, np.hstack([self.generators[:, kept], np.diag(hull)]))
-
-    def facets(self) -> Iterator[Array]:
-        """Unit normals (d,) of all facets (both signs follow by symmetry); d - 1 generators span each."""
-        d, m = self.generators.shape
-        if d == 1:
-            yield np.ones(1)
-            return
-        for k in combinations(range(m), d - 1):
-            spanned = self.generators[:, k]
-            normal = np.array([(-1.0) ** i * np.linalg.det(np.delete(spanned, i, axis=0)) for i in range(d)])
-            length = float(np.linalg.norm(normal))
-            if length > 1e-12 * float(np.prod(np.linalg.norm(spanned, axis=0))) and length > 0.0:
-                yield normal / length
-
-    def contains(self, x: ArrayLike) -> bool:
-        """Whether every row of ``x`` (d,) or (N, d) lies inside, by all facets (for few dimensions and generators).
-
-        A set without interior (fewer than d independent generators) holds nothing but by chance; then the answer is
-        False.
-        """
-        y = np.atleast_2d(np.asarray(x, float)) - self.centre
-        if np.linalg.matrix_rank(self.generators) < self.dim:
-            return False
-        normals = np.array(list(self.facets()))
-        return bool(np.all(np.abs(y @ normals.T) <= self.width(normals) / 2.0 + 2.0**-45 * np.abs(self.generators).sum()))

@@ -14,19 +14,6 @@ from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
 
 
-def mass_and_bias(chain: Chain, pi: Array, q: Array, dq: Array) -> tuple[Array, Array]:
-    """``M`` (n, n) [kg m^2] (links only, no rotor) and ``bias`` (n,) = c(q, dq) + g(q) [N m] at ``q, dq`` (n,).
-
-    ``pi`` (n, 10) standard parameters.
-    """
-    n = len(pi)
-    M, bias = np.empty((n, n)), np.empty(n)
-    if q.shape != (n,) or dq.shape != (n,):
-        raise ValueError(f"a state of {q.shape} and {dq.shape} for {n} joints")
-    check(lib.stopset_sim_mass_and_bias(arm_struct(chain, pi), view(given(q)), view(given(dq)), view(M), view(bias)))
-    return M, bias
-
-
 def motor_torques(chain: Chain, pi: Array, rotor: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """(K, n) torque [N m] of rigid body and rotors for every row of ``q, dq, ddq`` (K, n)."""
     if not q.shape == dq.shape == ddq.shape == (len(q), len(pi)) or rotor.shape != (len(pi),):

@@ -8,7 +8,6 @@ Version 2 adds its fields behind those of version 1, whose offsets stay; a reade
 
 from __future__ import annotations
 
-import math
 import struct
 import zlib
 from dataclasses import dataclass
@@ -143,22 +142,6 @@ def offsets() -> dict[str, int]:
 def crc32c(data: bytes | bytearray | memoryview) -> int:
     """CRC-32C (Castagnoli) of ``data``."""
     return int(lib.stopset_crc32c(len(data), ffi.from_buffer("uint8_t[]", data)))
-
-
-def outward(x: float, rounds: str) -> float:
-    """``x`` as a float32 number that is not below (``up``) or not above (``down``) it; not a number becomes +Inf or -Inf."""
-    sign = 1.0 if rounds == "up" else -1.0
-    x *= sign  # a bound from below is one from above of the negative
-    if x != x:
-        return sign * math.inf
-    try:
-        y: float = _F32.unpack(_F32.pack(x))[0]
-    except OverflowError:  # beyond float32
-        return sign * (math.inf if x > 0 else -LARGEST_F32)
-    if y < x:
-        bits: int = _U32.unpack(_F32.pack(y))[0]
-        y = _F32.unpack(_U32.pack(1 if y == 0.0 else bits + 1 if y > 0 else bits - 1))[0]
-    return sign * y
 
 
 def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -45,10 +45,6 @@ class Publisher:
             for name in ("time", "angle_forward", "angle_back", "time_max", "tcp"):
                 self._nothing[f"{PREFIX[c]}_{name}"] = inf if name in ("time", "angle_forward", "angle_back") else np.inf
 
-    def sign_with(self, signer: Signer | None) -> None:
-        """Another key from the next message on."""
-        self._packer.signer = signer
-
     def state(self, values: Mapping[str, Any] | None, block: Mapping[str, Any] | None = None) -> None:
         """The next state message; None, or values that cannot be packed, go out as FAULT without numbers.
 

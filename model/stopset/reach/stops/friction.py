@@ -1,6 +1,6 @@
 """What the effects of a model do to its joints in a stop: every one by its own law, over all that the stop may reach.
 
-Lemma (what is put back).  The powered arm obeys ``rigid + effects = tau``; ``U`` encloses what is left of the measured torque
+Lemma 1 of docs/stops.md (what is put back).  The powered arm obeys ``rigid + effects = tau``; ``U`` encloses what is left of the measured torque
 once the compensation has taken its effects off and the abstraction its own.  So what either took is not in ``U`` and acts on
 the unpowered arm by its law; what neither took is in ``U`` and is not added again.  By what an effect ``enters``:
 
@@ -226,11 +226,6 @@ def misreadings(model: Model, fastest: Array) -> Box:
             lo[[i, n + i]] += np.concatenate([position.lo, speed.lo])
             hi[[i, n + i]] += np.concatenate([position.hi, speed.hi])
     return Box(lo, hi)
-
-
-def misreading(model: Model) -> tuple[str, ...]:
-    """Labels of the effects by which positions are misread."""
-    return tuple(f.label for f in model.effects if effect_of(f).role == "reading")
 
 
 def described(model: Model) -> tuple[str, ...]:

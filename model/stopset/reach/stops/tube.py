@@ -144,20 +144,3 @@ def march(
     d_lo, d_hi, v_lo, v_hi, way = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
     return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, way)  # type: ignore[call-arg]
-
-
-def inertia_box(plant: Plant, q: Array, x_lo: Array, x_hi: Array, parts: Parts) -> tuple[Array, Array, Array]:
-    """For angles in ``q + [x_lo, x_hi]`` (n,) the inertia is within the first (n, n) +- the second, rotor_half apart; its slopes
-    (n, n, n) differ from those at ``q``, of the same payload, by no more than the third."""
-    n = len(q)
-    struct, _held = plant_struct(plant)
-    out = [np.empty(shape) for shape in ((n, n), (n, n), (n, n, n))]
-    box = [view(given(x)) for x in (q, x_lo, x_hi)]
-    check(lib.stopset_inertia_box(struct, *box, ffi.new("StopsetParts *", tuple(parts)), *(view(x) for x in out)))
-    return out[0], out[1], out[2]
-
-
-def largest_energy(plant: Plant, q: Array, x_lo: Array, x_hi: Array, v_lo: Array, v_hi: Array) -> float:
-    """Largest ``sqrt(v' M v)`` for speeds in a box and angles in ``q + [x_lo, x_hi]``: convex in v, so at a corner."""
-    struct, _held = plant_struct(plant)
-    return float(lib.stopset_largest_energy(struct, *(view(given(x)) for x in (q, x_lo, x_hi, v_lo, v_hi))))

@@ -43,8 +43,8 @@ class Region:
     """Angles, ``way`` (n,) [rad] beyond a box, and speeds (n,) [rad/s] that a stop is taken not to leave, until shown.
 
     A continuous motion that stays inside while it has not left cannot leave: so a tube counts once it lies inside the region that
-    its effects were taken over.  Stops from one box share it, as what held one mostly holds the next; ``known``: it has been found
-    by a tube and not guessed.
+    its effects were taken over (Lemma 3 of docs/stops.md).  Stops from one box share it, as what held one mostly holds the
+    next; ``known``: it has been found by a tube and not guessed.
     """
 
     way: Array
@@ -111,13 +111,6 @@ def fastest(tube: Tube) -> Array:
     knots = np.maximum(np.abs(tube.v_lo), np.abs(tube.v_hi)).max(axis=0)
     out: Array = np.maximum(knots, np.maximum(np.abs(tube.e_lo), np.abs(tube.e_hi)).max(axis=0))
     return out
-
-
-def tube_of(
-    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS, knots: int = KNOTS,
-) -> Tube:  # fmt: skip
-    """The STOP 0 tube from a box, as tight as one tube gets; it may not come to rest."""
-    return march_box(setting, setting.plant, q, dq, q_radius, dq_radius, False, parts, knots)
 
 
 def tubes_of(

@@ -24,7 +24,7 @@ TINY = 1e-12  # [s] an interval is not empty for rounding alone
 def windows(plant: Plant, apart: float | None, lag: Array | None = None, most: int | None = None) -> list[Plant]:
     """The plant once for every window of the common delay, ``most`` at most; the plant itself where delays are independent.
 
-    ``apart`` [s], ``lag`` (n,) [s], none where None: see `stopset.artifact.Brakes`.
+    ``apart`` [s], ``lag`` (n,) [s], none where None: see `stopset.artifact.Brakes`, and Lemma 0 of docs/stops.md.
     """
     if apart is None:
         return [plant]

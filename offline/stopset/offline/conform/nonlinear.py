@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.artifact import Abstraction, ActiveBound, UncertaintySets
+from stopset.artifact import ActiveBound
 from stopset.errors import NotConformant
 from stopset.offline.conform.corners import RUNAWAY, Trial
 from stopset.offline.conform.linear_program import FittedSets
@@ -174,26 +174,3 @@ def fit_windows(seen: Sequence[DeviationWindow], asked: SetProblem, labels: Sequ
         raise NotConformant("no common scaling of the sets encloses the readings; expected noise above 0 in every state")
     # the last rounding of the division, outward
     return (fit.inflated(factor * (1.0 + 1e-9)), factor) if factor > 1.0 else (fit, 1.0)
-
-
-def leak(abstraction: Abstraction, sets: UncertaintySets, x0: Array, u: Array, samples: int = 64, seed: int = 0) -> float:
-    """How far solutions of the *nonlinear* model leave the linearised hull, relative to its half-width: 0 if none does.
-
-    Solutions start at corners of ``x0 + X0`` and are driven by ``u + U`` at random corners of U, held for random times;
-    ``u``: (N, n).  What the linearisation neglects, in numbers; a lower bound of the worst case, as all sampling.
-    """
-    n = abstraction.n
-    rng = np.random.default_rng(seed)
-    path = nominal(abstraction, x0[None], u[None], sets.dt)[0]
-    lo, hi = along(abstraction, path, u, sets.dt).hull(sets.X0.lo, sets.X0.hi, sets.U.lo, sets.U.hi)
-    pick = rng.integers(0, 2, (samples, 2 * n))
-    begin = x0 + np.where(pick, sets.X0.hi, sets.X0.lo)
-    hold = rng.integers(1, len(u) + 1, samples)
-    torque = np.empty((samples, len(u), n))
-    for k in range(samples):
-        corners = rng.integers(0, 2, (len(u) // hold[k] + 1, n))
-        torque[k] = u + np.where(corners, sets.U.hi, sets.U.lo).repeat(hold[k], axis=0)[: len(u)]
-    d = nominal(abstraction, begin, torque, sets.dt) - path
-    half = np.maximum(0.5 * (hi - lo), 1e-12)[1:]
-    beyond = np.maximum(d[:, 1:] - hi[1:], lo[1:] - d[:, 1:]) / half
-    return float(max(0.0, beyond.max()))

@@ -6,7 +6,7 @@ model is that of all recordings read together, to the last bit, its history asid
 *Sums* have a constant size (`adaptive_file`), for campaigns without end.  For a given nominal model the envelopes by motion,
 the figures by trial and the survey's counts are all that the sets, margin and guarantee are made from.  They are maxima,
 minima and rows summed in campaign order, so these equal those of all recordings read together with this nominal model
-(`from_scratch`) to the last bit.  Recorded stops are kept whole, and brakes and ramps identified from old and new ones.
+to the last bit.  Recorded stops are kept whole, and brakes and ramps identified from old and new ones.
 The nominal model stays as it is, and so do the settings (trap P18); motions it was fitted to are never held out to judge it.
 `staleness` says when it is time for a new one.
 """
@@ -24,7 +24,7 @@ from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.map_reduce import Progress
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
-from stopset.offline.campaign.source import campaign_of, continued, joined, numbered_on
+from stopset.offline.campaign.source import continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
 from stopset.offline.conform.gather import RetainedSums, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
@@ -37,7 +37,7 @@ from stopset.offline.update.sums_file import load_sums, save_sums
 from stopset.progress import Tell, silent
 from stopset.recording import Recording, suite_label
 
-__all__ = ["from_scratch", "load_state", "save_state", "update"]
+__all__ = ["load_state", "save_state", "update"]
 
 
 def save_state(path: str | Path, kept: RetainedSums | RetainedSignals, model: Model) -> None:
@@ -139,28 +139,6 @@ def _folded(model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell:
         note += f"; {len(stops) - len(kept.stops)} stops added to {len(kept.stops)}"
     fresh = stopped(replace(fresh, kept=replace(fresh.kept, fitted_files=kept.fitted_files)), stops, tell)
     return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
-
-
-def from_scratch(
-    model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
-) -> Identification:
-    """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
-
-    ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
-    """
-    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
-    meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
-    tell("reading the recordings")
-    tally = Tally(kept.tally.phase)
-    stops = []
-    for r in source():
-        tally.add(r)
-        if r.phase in STOPS:
-            stops.append(r)
-    found = tally.survey(kept.learnt, kept.session, kept.dt)
-    run = Run(robot, meta, source, found, settings)
-    sums = sums_of(run, kept.nominal, kept.form, keep=True, scheduler=scheduler)
-    return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
 
 
 def _check_phases(phases: Counter[str], tally: Tally, kept: RetainedSums) -> None:

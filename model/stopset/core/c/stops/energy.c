@@ -4,7 +4,7 @@
  * dy/dt <= -min_i |w_i| / sqrt(M_ii), else dy/dt <= sqrt(w+' |W| w+) with W >= M^-1; |v_i| <= sqrt(W_ii) y caps every speed.
  * W comes from M >= M_c - diag(r), r_i = M_ii sum_j d_ij / sqrt(M_ii M_jj) (weighted Gershgorin).
  *
- * Source: Spong et al. (2006), ch. 7, for the skew symmetry of M' - 2 C.
+ * How far the brakes still let it go with that energy: Lemma 5 of docs/stops.md. Source: Spong et al. (2006), ch. 7, for the skew symmetry of M' - 2 C.
  */
 #include <math.h>
 #include <string.h>

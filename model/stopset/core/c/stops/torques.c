@@ -1,6 +1,6 @@
 /* What the effects of a model do to its joints in a region of angles and speeds: every one by its own law, and their sum.
  *
- * The lemma which of them act at all stands in stopset.reach.stops.friction. What laws see of the rigid body is an expansion at the middle
+ * Which of them act at all: Lemma 1 of docs/stops.md; a lower end below zero of what only opposes: Lemma 2. What laws see of the rigid body is an expansion at the middle
  * of the region and a bound of what lies beyond.
  */
 #include <string.h>

@@ -23,8 +23,8 @@ def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
     for s in scored:
         if len(contenders) < limit.CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
             contenders.setdefault(s.candidate.key, s)
-    refined = [refine(now, s, hyper) for s in contenders.values()]
-    return sorted((s for s in refined if possible(now.engine, s)), key=lambda s: -s.score)
+    finer = [refine(now, s, hyper) for s in contenders.values()]
+    return sorted((s for s in finer if possible(now.engine, s)), key=lambda s: -s.score)
 
 
 def possible(engine: Engine, s: Scored) -> bool:

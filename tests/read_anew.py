@@ -1,0 +1,38 @@
+"""An update's sets from all recordings read again: what folding new ones into kept sums must equal to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from stopset.artifact import Model
+from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.source import campaign_of
+from stopset.offline.campaign.survey import STOPS, Tally
+from stopset.offline.conform.gather import RetainedSums, sums_of
+from stopset.offline.identify.model_file import Identification, concluded, stopped
+from stopset.offline.revise.revise import settings_of
+from stopset.progress import Tell, silent
+
+
+def from_scratch(
+    model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
+) -> Identification:
+    """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
+
+    ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
+    """
+    settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
+    meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
+    tell("reading the recordings")
+    tally = Tally(kept.tally.phase)
+    stops = []
+    for r in source():
+        tally.add(r)
+        if r.phase in STOPS:
+            stops.append(r)
+    found = tally.survey(kept.learnt, kept.session, kept.dt)
+    run = Run(robot, meta, source, found, settings)
+    sums = sums_of(run, kept.nominal, kept.form, keep=True, scheduler=scheduler)
+    return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
