@@ -26,7 +26,7 @@ from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.search import predicts
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
-from stopset.offline.diagnose.thresholds import QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
+from stopset.offline.diagnose.thresholds import BEGINNINGS, QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.simulation import prepare
 
@@ -400,7 +400,7 @@ def test_a_swing_at_the_start_is_told_from_the_trials_own_torque(engine: Engine)
     d.tau[:, j] = source.drive[j, 0] * d.ddq[:, j] + 2.0 * d.direction[:, j] - K * (x + x_rest) - D * (dx + dx_rest)
     got = swing._begun(dataclasses.replace(source, data=d), j, filtered, driving, rest)
     known = [
-        t.rows.start for t in d.trials if t.rows.stop > t.rows.start and d.ok[t.rows, j].sum() > 3 * swing.ROWS_TO_BEGIN
+        t.rows.start for t in d.trials if t.rows.stop > t.rows.start and d.ok[t.rows, j].sum() > 3 * BEGINNINGS
     ]  # of which enough is seen
     assert len(known) > 5
     for found, at_rest, true in zip(got, rest, (x0, dx0), strict=True):

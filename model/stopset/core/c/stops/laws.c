@@ -377,7 +377,7 @@ static void split(int role, Ends plus, Ends back, Ends *odd, Ends *even) {
     *even = of(pushes - (radius - unsure + slack), pushes + (radius - unsure + slack));
 }
 
-static int finite(Ends x) { return (x.lo - x.lo == 0.0) & (x.hi - x.hi == 0.0); }
+static int ends_finite(Ends x) { return (x.lo - x.lo == 0.0) & (x.hi - x.hi == 0.0); }
 
 int stopset_act(const StopsetActing *law, const StopsetSight *s, double *out) {
     Slope signals[STOPSET_SIGNALS];
@@ -395,7 +395,7 @@ int stopset_act(const StopsetActing *law, const StopsetSight *s, double *out) {
     Ends parts[3] = {dry, viscous, push};
     for (int k = 0; k < 3; k++) {
         if (law->role == STOPSET_ARM_OR_DRIVE) parts[k] = of(least(parts[k].lo, 0.0), most(parts[k].hi, 0.0));
-        if (!finite(parts[k])) return STOPSET_NO_BOUND;
+        if (!ends_finite(parts[k])) return STOPSET_NO_BOUND;
         out[2 * k] = parts[k].lo;
         out[2 * k + 1] = parts[k].hi;
     }

@@ -5,7 +5,7 @@
  * A box of h and one of M forget that the same delta_l, nu_k and s enter every row. Here each subset of moving joints carries the slopes of its
  * inverse along, so that columns of h and slopes of M meet the inverse before their sizes are added: most of what they say then cancels.
  *
- * The lemma and its proof are in docs/stops.md. Source: Goodnight (1979) for the sweep operator.
+ * The proof is that of Lemma 7 in docs/stops.md. Source: Goodnight (1979) for the sweep operator.
  */
 #include <string.h>
 

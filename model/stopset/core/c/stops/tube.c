@@ -39,13 +39,13 @@ static double ramp(double t, double delay, double rise) {
     return (t - delay) / rise;
 }
 
-static int finite(double x) { return x - x == 0.0; }
+static int is_finite(double x) { return x - x == 0.0; }
 
 /* Claims for step k: the last step's rates, carried on as they changed, and a little more. */
 static void guess_claims(March *m, int64_t k) {
     for (int i = 0; i < m->n; i++) {
         for (int row = 0; row < 4; row++) {
-            const double guess = k > 0 && finite(m->out[row][i]) ? m->out[row][i] : 0.0, step = k > 1 ? guess - m->last[row][i] : 0.0;
+            const double guess = k > 0 && is_finite(m->out[row][i]) ? m->out[row][i] : 0.0, step = k > 1 ? guess - m->last[row][i] : 0.0;
             const double grow = 0.02 * size_of(guess) + 1e-3 + size_of(step);
             m->claim[row][i] = row == 0 || row == 2 ? guess + least(step, 0.0) - grow : guess + most(step, 0.0) + grow;
             m->last[row][i] = guess;
