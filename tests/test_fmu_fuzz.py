@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,16 @@ import pytest
 from stopset.artifact import Model
 from stopset.fmu import Contents, archive
 from stopset.fmu.variables import KINDS, variables
+from stopset.offline.abstraction import build
 from test_fmu import EFFECTS, friction
 from test_fmu_stops import braked, braking
+
+
+def whole() -> Model:
+    """Model 3 of two joints, with a law of the pose."""
+    model = braked(8.0, 2, effects=[friction("spring", "axis_2", k=2.0, c=0.1)])
+    return replace(model, abstraction=build(3, 2, model.robot, model.rotor, model.abstraction.viscous))
+
 
 CALLS = 100  # runs of 60 calls each
 
@@ -24,6 +33,7 @@ CALLS = 100  # runs of 60 calls each
         ("linear", braking()),
         ("effects", braked(8.0, 3, effort="motor_torque", effects=(*EFFECTS[:2], friction("hysteresis", "axis_1", F_h=2.0, delta=0.01)))),
         ("cubic", braked(8.0, 2, cubic=0.2)),
+        ("model 3", whole()),
     ],
 )  # fmt: skip
 def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, model: Model) -> None:
