@@ -59,6 +59,10 @@ def cluster(tmp_path: Path) -> object:
     address = json.loads(file.read_text())["address"]
     options = ("--host", LOOPBACK, "--nthreads", "1", "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path))
     workers = [start("dask_worker", address, *options) for _ in range(2)]
+    from distributed import Client
+
+    with Client(address) as client:  # a busy machine is slow to start them
+        client.wait_for_workers(2, timeout=60)
     yield address, workers
     for p in (*workers, scheduler):
         if p.poll() is None:

@@ -64,7 +64,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     thorough = StopBounds.of(ur5_like(), (4.75, 5.0))
     rng, spent, layers = np.random.default_rng(77), {True: [], False: []}, []
     for _ in range(8):
-        q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.0, 2.0, 6)
+        q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.3, 2.3, 6)
         for prepared in (strong, thorough):
             begin = time.process_time()
             bound = prepared.bound(q, dq, "0", *BOX)

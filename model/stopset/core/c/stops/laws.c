@@ -305,7 +305,7 @@ static int seen(const StopsetActing *law, const StopsetSight *s, Slope *signals)
     for (int k = 0; k < 2; k++) signals[S_TILT + k] = constant(pair_of(s->tilt[k]));
     for (int k = 0; k < law->states; k++) signals[S_MEMORY + k] = constant(pair_of(law->state + 2 * k));
     if (law->flow.length && s->speed > s->past) { /* `state` is of the fastest speeds seen */
-        Ends z;
+        Ends z = of(0.0, 0.0);
         if (!remembered(law, s->speed, &z)) return 0;
         signals[S_MEMORY] = constant(z);
     }
