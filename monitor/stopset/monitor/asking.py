@@ -18,7 +18,7 @@ LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
 KEPT_WIDE = 256  # certificates of wide boxes, per category
 PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
 SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
-FULL = 0.25  # [s] of processor time that is saved at most: a start, or a motion never seen, is bounded as tightly as it can be
+FULL = 3.0  # [s] of processor time that is saved at most: a start, or a motion never seen, is bounded as tightly as it can be
 RECENT = 0.2  # part that the newest answer has in what a box is said to cost
 FARTHEST = 0.4  # [s] a long box reaches ahead at most: a longer one hardly says more than a wide one
 
