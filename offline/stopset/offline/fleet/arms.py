@@ -74,7 +74,7 @@ def examined(arm: ArmFolder) -> ArmAnswer:
 
 
 def _examined(arm: ArmFolder) -> ArmAnswer:
-    found = identify(load_robot(arm.robot), list(arm.data), Settings())
+    found = identify(load_robot(arm.robot), list(arm.data), Settings(ladder=True))
     text = model_text(found.model)
     model = model_of(text.encode(), arm.robot)
     diagnosis, _ = diagnose_model(model, read_recordings(list(arm.later or arm.data), model.robot))
