@@ -79,10 +79,10 @@ def live(browser: Any, demo: Path, out: Path, name: str) -> None:
     """The live view while a recording is replayed, and after the monitor was killed."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        for file in (f"{name}.parquet", "second.model.json"):
-            shutil.copy(demo / file, here / file)
+        shutil.copy(demo / f"{name}.parquet", here / f"{name}.parquet")
+        shutil.copy(demo / "first.model.json", here / "arm.model.json")
         hub, port, page = free_port(), free_port(), free_port()
-        text = (demo / f"{name}.toml").read_text()
+        text = (demo / "arm.toml").read_text().partition("[signed]")[0]
         text = re.sub(r'"hub:\d+"', f'"hub:{hub}"', re.sub(r"127\.0\.0\.1:\d+", f"127.0.0.1:{port}", text))
         (here / "c.toml").write_text(text)
         with (
@@ -101,7 +101,7 @@ def live(browser: Any, demo: Path, out: Path, name: str) -> None:
 def workbench(browser: Any, demo: Path, out: Path) -> None:
     """Compared, diagnosed, and with the first effect added."""
     with tempfile.TemporaryDirectory() as folder:
-        loop = Loop(demo / "first.model.json", [demo / "recording.parquet"], folder)
+        loop = Loop(demo / "first.model.json", [demo / "changed" / "recording.parquet"], folder)
         server = Server(loop, "127.0.0.1", 0)
         server.start()
         for action in ("compare", "diagnose"):
@@ -126,7 +126,7 @@ def main() -> None:
             if (demo / f"{name}.html").exists():
                 picture(browser, (demo / f"{name}.html").absolute().as_uri(), out / name)
         live(browser, demo, out, "healthy")
-        live(browser, demo, out, "altered")
+        live(browser, demo, out, "changed")
         workbench(browser, demo, out)
 
 
