@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,7 +30,7 @@ from stopset.offline.stops.shown import (
     up,
     worst,
 )  # fmt: skip
-from stopset.offline.stops.table import StopRow, holding
+from stopset.offline.stops.table import StopRow, farthest, holding
 from stopset.reach.stops import Category
 
 DASHES = ("solid", "dash", "dot", "dashdot")  # of categories
@@ -44,16 +45,17 @@ def build_page(
     page = Page(f"Stops of {model.robot.name}", model)
     proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
     page.verdict(answered(rows), "good" if proved == len(rows) else "")
-    page.next(_next(proved, len(rows), beyond))
-    _overview(page, rows)
+    page.next(_next(rows, beyond))
+    with page.beside():
+        _overview(page, rows)
+        _worst_pose(page, model, rows)
+    page.heading("Worst stops")
+    page.table(("category", "axis", "time s", "angle rad", "TCP m", "proved"), list(worst(rows)))
+    page.text("Upper bounds from the stop request to rest, over all rows, rounded up. No number where a row is not proved.")
     number = refusals(rows)
     if number:
         page.heading("What the rows say")
         page.points([f"[{index}] {why}" for why, index in number.items()])
-    page.heading("Worst stops")
-    page.table(("category", "axis", "time s", "angle rad", "TCP m", "proved"), list(worst(rows)))
-    page.text("Upper bounds from the stop request to rest, over all rows, rounded up. No number where a row is not proved.")
-    _worst_pose(page, model, rows)
     for sentence in holding(model, rows):
         page.text(sentence[0].upper() + sentence[1:] + ".")
     for standard, head, table in terms(separations):
@@ -66,18 +68,28 @@ def build_page(
     for category in dict.fromkeys(r.category for r in rows):
         _pictures(page, model, rows, measured, category)
         with page.fold(f"{NAMES[category]}: every row"):
-            page.table(HEAD, [_cells(r, number) for r in of_category(rows, category)])
+            _rows(page, of_category(rows, category), number)
     with page.fold("Test poses"):
         page.table(*poses(rows, model))
     return page
 
 
-def _next(proved: int, total: int, beyond: str) -> str:
+def _next(rows: Sequence[StopRow], beyond: str) -> str:
     if beyond:
         return "do not certify from the extrapolated rows; record motions at those speeds and payloads and identify again."
-    if proved < total:
-        return "see below why some rows have no number; what is missing is named there."
+    refused = Counter(r.why for r in rows if not r.certified)
+    if refused:
+        why, count = refused.most_common(1)[0]
+        return f"{count} of {len(rows)} rows have no number: {why.rstrip('.')}."
     return "measure stops at these poses (ISO 10218-1, annex B) and hold them against the bounds with `stopset stops --data`."
+
+
+def _rows(page: Page, rows: Sequence[StopRow], number: Mapping[str, int]) -> None:
+    """Every row of a category; a refusal that all of them share, once."""
+    if len({r.why for r in rows}) == 1 and not any(r.answered for r in rows):
+        page.text(f"All {len(rows)} rows without a number: {rows[0].why.rstrip('.')}.")
+    else:
+        page.table(HEAD, [_cells(r, number) for r in rows])
 
 
 def _cells(r: StopRow, number: Mapping[str, int]) -> list[object]:
@@ -117,17 +129,19 @@ def _beyond(rows: Sequence[StopRow]) -> str:
 
 
 def _worst_pose(page: Page, model: Model, rows: Sequence[StopRow]) -> None:
-    """The pose of the longest way of the flange, drawn from the side and from above."""
-    told = [r for r in rows if r.tcp_m is not None and r.pose]
-    if not told:
+    """The pose of the longest way of the flange, and what the links sweep from there."""
+    r = farthest(rows)
+    if r is None:
         return
-    r = max(told, key=lambda r: r.tcp_m or 0.0)
+    sweeps = (
+        "the links" if not model.robot.arm.bare else f"the links (of {', '.join(model.robot.arm.bare)} the axes: add their size)"
+    )
     page.picture(
-        drawn_arm(model, np.asarray(r.pose), r.tcp_m or 0.0),
-        f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg: "
-        f"within {up(r.tcp_m or 0.0, 3)} m (circle) of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. From the side and from "
-        "above; the axes of the links are drawn.",
-    )  # fmt: skip
+        drawn_arm(model, np.asarray(r.pose), swept=r.swept, within=r.tcp_m or 0.0),
+        f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg, "
+        f"within {up(r.tcp_m or 0.0, 3)} m of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. Yellow: all that "
+        f"{sweeps} can sweep from the stop request to rest.",
+    )
 
 
 def _pictures(page: Page, model: Model, rows: Sequence[StopRow], measured: Sequence[Measured], category: Category) -> None:
