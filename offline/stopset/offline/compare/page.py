@@ -15,7 +15,7 @@ from stopset.offline.compare.dependence import SAME, Explained, explained, parti
 from stopset.offline.compare.tubes import chosen, left, tubes
 from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure, in_full, verdict
 from stopset.offline.conform.bands import narrower
-from stopset.offline.report.arm import WIDE, drawn_arm
+from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.report.thin import spread
@@ -66,7 +66,7 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
     with out.beside():
         out.figure(figure, least_width=420)
         out.picture(
-            drawn_arm(model, model.domain.q.centre, views=WIDE[:1], marked=fails),
+            drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=fails),
             f"Where the model fails most: {fails[0]}."
             if fails
             else "No joint errs more than its repetitions differ, as far as they tell.",

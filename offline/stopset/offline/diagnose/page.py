@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis
-from stopset.offline.report.arm import WIDE, drawn_arm
+from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import COLOURS, Page, number
 from stopset.types import Array
 
@@ -37,7 +37,7 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
                 420,
             )
             out.picture(
-                drawn_arm(model, model.domain.q.centre, views=WIDE[:1], marked=joints),
+                drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=joints),
                 f"Where something is missing: {', '.join(joints)}."
                 if joints
                 else "What is missing belongs to no joint, but to the whole arm.",

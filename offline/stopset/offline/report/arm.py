@@ -12,6 +12,7 @@ from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
 SIZE = 320.0  # [px] of each view
+POSES = 64  # looked at for one that tells most
 EDGE = 26.0  # [px] around what is drawn, with the words below
 WIDE = ("from the side", "from above")
 Flat = Callable[[Array], Array]  # places in space [m] -> in the picture [px]
@@ -52,6 +53,18 @@ def drawn_arm(
     label = escape(f"{model.robot.name}{what}")
     width = len(views) * SIZE
     return f'<svg viewBox="0 0 {width:.0f} {SIZE:.0f}" width="{width:.0f}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def telling_pose(model: Model) -> Array:
+    """(n,) [rad] of the poses of the model's domain one in which the arm is neither folded nor stretched, to be looked at."""
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(model.domain.q.lo, model.domain.q.hi, (POSES, model.n))
+
+    def spread(q: Array) -> float:
+        points = model.robot.outline(q)
+        return float(np.ptp(points @ _seen(points, WIDE[0]).T, axis=0).min())
+
+    return max(poses, key=spread)
 
 
 def _seen(points: Array, view: str) -> Array:

@@ -109,6 +109,10 @@ def of_category(rows: Sequence[StopRow], category: Category) -> list[StopRow]:
 def worst(rows: Sequence[StopRow]) -> Iterator[tuple[str, ...]]:
     """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved or extrapolated."""
     for category in dict.fromkeys(r.category for r in rows):
+        every = [r for r in rows if r.category == category]
+        if not any(r.answered for r in every):
+            yield category, "all axes", "-", "-", "-", f"0 of {len(every)}"
+            continue
         for joint in joints_of(rows, category):
             mine = [r for r in rows if r.category == category and r.joint == joint]
             good = [r for r in mine if r.answered]
