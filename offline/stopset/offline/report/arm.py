@@ -100,10 +100,9 @@ def _bodies(model: Model, q: Array) -> Array:
 
 def _capsules(capsules: Array, at: Flat, scale: float, colour: str, opacity: str) -> str:
     """Thick lines with round ends, which is what capsules look like; laid on together, so they are one volume."""
+    ends = zip(at(capsules[:, :3]), at(capsules[:, 3:6]), np.ceil(2 * scale * capsules[:, 6]) + 1, strict=True)
     lines = dict.fromkeys(
-        f'<path d="M{a[0]:.0f} {a[1]:.0f}L{b[0]:.0f} {b[1]:.0f}" stroke-width="{np.ceil(2 * scale * c[6]) + 1:.0f}"/>'
-        for c in capsules
-        for a, b in [(at(c[:3]), at(c[3:6]))]
+        f'<path d="M{x:.0f} {y:.0f}L{u:.0f} {v:.0f}" stroke-width="{wide:.0f}"/>' for (x, y), (u, v), wide in ends
     )
     return f'<g fill="none" stroke="{colour}" stroke-linecap="round" opacity="{opacity}">{"".join(lines)}</g>'
 
