@@ -145,7 +145,7 @@ def _turns(c: Case, rows: tuple[int, int], j: int) -> bool:
     (a, b), tau = rows, c.w.tau[:, j]
     steps = np.abs(np.diff(tau))
     around = abs(tau[a] - tau[max(0, 2 * a - b)]), abs(tau[min(len(tau) - 1, 2 * b - a)] - tau[b])
-    return max(around) <= TURN * float(steps[steps > 0].min(initial=np.inf))
+    return bool(max(around) <= TURN * steps[steps > 0].min(initial=np.inf))
 
 
 def _moved(c: Case, rows: tuple[int, int], joints: range | list[int]) -> bool:
