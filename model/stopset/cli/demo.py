@@ -246,7 +246,7 @@ def _session(out: Path, name: str, model: str) -> dict[str, Any]:
             time.sleep(0.05)
         time.sleep(1.0)  # for the last state to arrive
         link.close()
-    return _told(twin, counts)
+    return _outcome(twin, counts)
 
 
 def latched(twin: dict[str, Any]) -> bool:
@@ -254,7 +254,7 @@ def latched(twin: dict[str, Any]) -> bool:
     return bool(twin.get("violation_latched"))
 
 
-def _told(twin: dict[str, Any], counts: list[dict[str, int]]) -> dict[str, Any]:
+def _outcome(twin: dict[str, Any], counts: list[dict[str, int]]) -> dict[str, Any]:
     """What the other process saw, in words: the state that held longest the second time round, and what came between."""
     if latched(twin):
         text = f"a zenoh subscriber sees the violation, at {', '.join(twin['violating_joints'])}; stop numbers are withdrawn"

@@ -118,10 +118,10 @@ def _beyond(rows: Sequence[StopRow]) -> str:
 
 def _worst_pose(page: Page, model: Model, rows: Sequence[StopRow]) -> None:
     """The pose of the longest way of the flange, drawn from the side and from above."""
-    told = [r for r in rows if r.tcp_m is not None and r.pose]
-    if not told:
+    provable = [r for r in rows if r.tcp_m is not None and r.pose]
+    if not provable:
         return
-    r = max(told, key=lambda r: r.tcp_m or 0.0)
+    r = max(provable, key=lambda r: r.tcp_m or 0.0)
     page.picture(
         drawn_arm(model, np.asarray(r.pose), r.tcp_m or 0.0),
         f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg: "
