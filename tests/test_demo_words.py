@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from stopset.cli.demo import Asides, _told
+from stopset.cli.demo import Asides, _outcome
 from stopset.errors import StopsetError
 
 
@@ -16,16 +16,16 @@ def twin(**more: Any) -> dict[str, Any]:
 
 def test_the_state_that_held_longest_the_second_time_round_is_told_with_what_came_between() -> None:
     counts = [{}, {"UNKNOWN": 20, "DEGRADED": 80}, {"UNKNOWN": 40, "DEGRADED": 160}, {"UNKNOWN": 60, "DEGRADED": 170, "OK": 170}]
-    told = _told(twin(), counts)
-    assert told["word"] == "OK" and "170 OK, 20 UNKNOWN, 10 DEGRADED" in told["text"]
+    reported = _outcome(twin(), counts)
+    assert reported["word"] == "OK" and "170 OK, 20 UNKNOWN, 10 DEGRADED" in reported["text"]
     worse = [*counts[:3], {"UNKNOWN": 300, "DEGRADED": 160, "OK": 10}]
-    assert _told(twin(), worse)["word"] == "UNKNOWN", "a good last moment does not make a good round"
+    assert _outcome(twin(), worse)["word"] == "UNKNOWN", "a good last moment does not make a good round"
 
 
 def test_a_violation_and_silence_are_told_as_such() -> None:
     latched = twin(state="VIOLATION", violation_latched=True, violating_joints=["j3"])
-    assert _told(latched, [{"OK": 10}])["word"] == "VIOLATION" and "at j3" in _told(latched, [])["text"]
-    assert _told({}, [])["word"] == "no state" == _told(twin(), [{}])["word"]
+    assert _outcome(latched, [{"OK": 10}])["word"] == "VIOLATION" and "at j3" in _outcome(latched, [])["text"]
+    assert _outcome({}, [])["word"] == "no state" == _outcome(twin(), [{}])["word"]
 
 
 def test_what_runs_beside_the_story_is_told_when_it_failed(capsys: pytest.CaptureFixture[str]) -> None:

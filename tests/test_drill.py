@@ -22,12 +22,12 @@ def test_the_drill(tmp_path: Path) -> None:
     sys.modules["drill"] = drill
     spec.loader.exec_module(drill)
     (tmp_path / "three.urdf").write_text(ARM)
-    told = drill.drill(tmp_path / "out", str(tmp_path / "three.urdf"), "spring:turn")
-    kinds = [e["kind"] for e in told]
+    reported = drill.drill(tmp_path / "out", str(tmp_path / "three.urdf"), "spring:turn")
+    kinds = [e["kind"] for e in reported]
     expected = ["started", "started", "reload_refused", "reloaded", "reset"]
     assert [k for k in kinds if k in expected] == expected
     assert kinds.index("started") < kinds.index("violation") < kinds.index("bundle") < kinds.index("reload_refused")
-    steps = " | ".join(e["why"] for e in told if e["kind"] == "step")
+    steps = " | ".join(e["why"] for e in reported if e["kind"] == "step")
     for step in (
         "identified and signed",
         "healthy arm is OK",
@@ -38,6 +38,6 @@ def test_the_drill(tmp_path: Path) -> None:
         "OK again",
     ):
         assert step in steps, steps
-    assert [json.loads(line) for line in (tmp_path / "out/events.jsonl").read_text().splitlines()] == told
-    reset = next(e for e in told if e["kind"] == "reset")
+    assert [json.loads(line) for line in (tmp_path / "out/events.jsonl").read_text().splitlines()] == reported
+    reset = next(e for e in reported if e["kind"] == "reset")
     assert reset["name"] == "A. Smith" and reset["reason"]

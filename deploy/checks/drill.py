@@ -109,11 +109,11 @@ class Ear:
         return False
 
     def _state(self, key: str, data: bytes) -> None:
-        told = unpack(data)
-        self.states.append((time.monotonic(), State(told["state"]), told["boot_id"], told["seq"]))
+        reported = unpack(data)
+        self.states.append((time.monotonic(), State(reported["state"]), reported["boot_id"], reported["seq"]))
         self.view.take_state(key, data)
 
-    def tell(self, text: str) -> None:
+    def progress(self, text: str) -> None:
         """A step of the drill, among the monitor's own events."""
         self.events.append({"kind": "step", "t_ns": time.time_ns(), "why": text})
 
@@ -190,15 +190,15 @@ def asked(name: str, out: Path, *words: str) -> Any:
     return json.loads(file.read_text())
 
 
-def drill(out: Path, robot: str, hide: str, tell: Callable[[str], None] = print) -> list[dict[str, Any]]:
+def drill(out: Path, robot: str, hide: str, progress: Callable[[str], None] = print) -> list[dict[str, Any]]:
     """The whole story; the drill's steps and the monitor's events in their order."""
     out.mkdir(parents=True, exist_ok=True)
     recorded(out, robot, hide)
     ear = Ear(configured(out))
 
     def step(text: str) -> None:
-        ear.tell(text)
-        tell(text)
+        ear.progress(text)
+        progress(text)
 
     try:
         first = identified(out, step)
@@ -211,7 +211,7 @@ def drill(out: Path, robot: str, hide: str, tell: Callable[[str], None] = print)
     return ear.events
 
 
-def identified(out: Path, tell: Callable[[str], None]) -> Path:
+def identified(out: Path, progress: Callable[[str], None]) -> Path:
     """The healthy arm's model, in place and signed; its promise on new motions means something."""
     first = out / "first.model.json"
     words = ("--robot", str(out / "healthy" / "robot.urdf"), "--data", str(out / "healthy" / "recording.parquet"))
@@ -222,13 +222,13 @@ def identified(out: Path, tell: Callable[[str], None]) -> Path:
     run("sign", "--new-key", str(out / "release"))
     run("sign", str(first), "--key", str(out / "release"))
     put_in_place(out, first)
-    tell(
+    progress(
         f"identified and signed: of {promise['motions']} motions held out none leaves the sets, a new one with at most {most:.1f} %"
     )
     return first
 
 
-def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, first: Path) -> None:
+def _lived(out: Path, ear: Ear, progress: Callable[[str], None], hide: str, first: Path) -> None:
     config, to = str(out / "arm.toml"), f"zenoh:tcp/127.0.0.1:{ear.port}"
 
     def replayed(name: str) -> Any:
@@ -238,13 +238,13 @@ def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, first: P
         ear.listen()
         with replayed("healthy"):
             until(lambda: ear.says("OK"), "the healthy arm is OK")
-            tell("the healthy arm is OK")
+            progress("the healthy arm is OK")
         with replayed("altered"):  # the first replay was killed: the arm stood still, then moves as another one
             until(lambda: "violation" in ear.kinds(), "the changed arm is a VIOLATION")
             until(lambda: "bundle" in ear.kinds(), "the violation is classed")
             found = ear.of("bundle")["cause"]["kind"]
             bundle = until(lambda: sorted((out / "arm.record").glob("violation-*.mcap")), "evidence is on the disk")[0]
-            tell(f"VIOLATION, class {found}, evidence {bundle.name}")
+            progress(f"VIOLATION, class {found}, evidence {bundle.name}")
         life = ear.states[-1][2]
         hold(State.OK not in ear.said(life, ear.of("violation")["seq"]), "nothing is OK after the violation")
     with contextlib.ExitStack() as stack:
@@ -252,13 +252,13 @@ def _lived(out: Path, ear: Ear, tell: Callable[[str], None], hide: str, first: P
         ear.listen()
         stack.enter_context(replayed("altered"))
         until(lambda: ear.says("VIOLATION"), "the violation outlives the killed monitor")
-        tell("still VIOLATION after kill -9")
-        second, plain = _explained(out, bundle, hide, first, tell)
-        _rolled_out(out, ear, monitor.pid, tell, (first, second, plain))
-        _cleared(ear, tell)
+        progress("still VIOLATION after kill -9")
+        second, plain = _explained(out, bundle, hide, first, progress)
+        _rolled_out(out, ear, monitor.pid, progress, (first, second, plain))
+        _cleared(ear, progress)
 
 
-def _explained(out: Path, bundle: Path, hide: str, first: Path, tell: Callable[[str], None]) -> tuple[Path, Path]:
+def _explained(out: Path, bundle: Path, hide: str, first: Path, progress: Callable[[str], None]) -> tuple[Path, Path]:
     """From the evidence to a revision whose errors, sets and stop are smaller than what the effect would cost unexplained."""
     altered, joint = str(out / "altered" / "recording.parquet"), hide.partition(":")[2]
     second, plain = out / "second.model.json", out / "unexplained.model.json"
@@ -268,19 +268,19 @@ def _explained(out: Path, bundle: Path, hide: str, first: Path, tell: Callable[[
     hold(named[:1] == [hide], f"the diagnosis names {hide} first, it said {', '.join(named) or 'nothing'}")
     run("add", str(first), hide, "--data", altered, "--out", str(second), "--quiet")
     before, after = (asked(m.name, out, "compare", str(m), "--data", altered)["joints"][joint] for m in (first, second))
-    told = []
+    values = []
     for name, what, unit in (("torque_rmse", "torque error", "N m"), ("position_rmse", "open-loop error", "rad")):
         a, b = before[name], after[name]
         hold(b <= 0.5 * a, f"the {what} of {joint} is at least halved: {a:.3g} -> {b:.3g} {unit}")
-        told.append(f"{what} {a:.3g} -> {b:.3g} {unit}")
+        values.append(f"{what} {a:.3g} -> {b:.3g} {unit}")
     robot = str(out / "healthy" / "robot.urdf")
     run("identify", "--robot", robot, "--data", altered, "--out", str(plain), "--friction", "plain", "--accept-wide", "--quiet")
     a, b = widths(plain), widths(second)
     hold(b < 0.7 * a, f"the sets shrink: U {b:.3g} N m with the effect, {a:.3g} N m without")
-    told.append(f"U without the effect {a:.3g}, with it {b:.3g} N m")
+    values.append(f"U without the effect {a:.3g}, with it {b:.3g} N m")
     a, b = (farthest(m, out, joint) for m in (plain, second))
     hold(b < 0.9 * a, f"the stop bound of {joint} shrinks: {b:.3g} rad with the effect, {a:.3g} rad without")
-    tell(f"{hide} named and added: {', '.join(told)}, STOP 0 {a:.3g} and {b:.3g} rad")
+    progress(f"{hide} named and added: {', '.join(values)}, STOP 0 {a:.3g} and {b:.3g} rad")
     return second, plain
 
 
@@ -291,7 +291,7 @@ def farthest(model: Path, out: Path, joint: str) -> float:
     return float(next(r["angle_rad"] for r in rows if r["joint"] == joint))
 
 
-def _rolled_out(out: Path, ear: Ear, monitor: int, tell: Callable[[str], None], models: tuple[Path, Path, Path]) -> None:
+def _rolled_out(out: Path, ear: Ear, monitor: int, progress: Callable[[str], None], models: tuple[Path, Path, Path]) -> None:
     """A model that nobody signed is refused, the signed one taken; the messages go on, none says OK."""
     first, second, plain = models
     put_in_place(out, plain)  # under another's signature
@@ -306,10 +306,10 @@ def _rolled_out(out: Path, ear: Ear, monitor: int, tell: Callable[[str], None], 
     time.sleep(0.5)
     gap = max(b - a for a, b in pairwise([t for t, *_ in ear.states[begin - 1 :]]))
     hold(gap < 1.0, f"the messages go on while a model is rolled out, the longest gap was {gap:.2f} s")
-    tell(f"rolled out without a gap (longest {1000 * gap:.0f} ms), still not OK")
+    progress(f"rolled out without a gap (longest {1000 * gap:.0f} ms), still not OK")
 
 
-def _cleared(ear: Ear, tell: Callable[[str], None]) -> None:
+def _cleared(ear: Ear, progress: Callable[[str], None]) -> None:
     """A person clears it; from then on it is OK and stays so, before it never was; no event was lost."""
     words = ("--name", "A. Smith", "--reason", "a hose was laid, the model knows it now")
     run("reset", *words, "--connect", f"tcp/127.0.0.1:{ear.port}")
@@ -317,7 +317,7 @@ def _cleared(ear: Ear, tell: Callable[[str], None]) -> None:
     life = ear.states[-1][2]
     hold(State.OK not in ear.said(life, -1, cleared), "nothing is OK before a person has looked")
     until(lambda: ear.says("OK"), "the arm with its new model is OK", 60.0)
-    tell("OK again")
+    progress("OK again")
     time.sleep(HOLDS)
     after = ear.said(life, cleared)
     hold(State.VIOLATION not in after[1:], "no VIOLATION comes back with the new model")
@@ -326,7 +326,7 @@ def _cleared(ear: Ear, tell: Callable[[str], None]) -> None:
     heard = {(e["kind"], e["t_ns"]) for e in ear.events}
     lost = [e for e in ear.remembered() if (e["kind"], e["t_ns"]) not in heard]
     hold(not lost, f"every event the monitor remembers was heard, not heard: {lost[:2]}")
-    tell(f"no VIOLATION within {HOLDS:g} s, {good:.0%} of the messages OK, no event lost")
+    progress(f"no VIOLATION within {HOLDS:g} s, {good:.0%} of the messages OK, no event lost")
 
 
 def main() -> int:
@@ -337,11 +337,11 @@ def main() -> int:
     args = parser.parse_args()
     start = time.monotonic()
 
-    def tell(text: str) -> None:
+    def progress(text: str) -> None:
         print(f"[{time.monotonic() - start:5.1f} s] {text}", flush=True)
 
     try:
-        drill(args.out, args.robot, args.hide, tell)
+        drill(args.out, args.robot, args.hide, progress)
     except Failed as e:
         print(f"the drill failed: it did not hold that {e}", file=sys.stderr)
         return 1

@@ -137,7 +137,9 @@ def laws_of(model: Model) -> Laws:
 
     for c in carried(model):
         count = len(c.symbols)
-        direction = direction or any(what == SIGNAL and k == SIGNALS.index("given_direction") for what, k, _ in c.torque.steps.tolist())
+        direction = direction or any(
+            what == SIGNAL and k == SIGNALS.index("given_direction") for what, k, _ in c.torque.steps.tolist()
+        )
         for name in c.effect.needs:
             needs |= RIGID.get(name, 0)
         first, torque = len(laws), tape(c.torque, count)

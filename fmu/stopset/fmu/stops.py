@@ -153,7 +153,7 @@ def _torques(setting: Setting, lines: list[str]) -> str:
         if tape is None:
             return "{0}"
         lines.append(f"static const int32_t {name}_steps[] = {{{', '.join(map(str, tape.steps.ravel().tolist()))}}};")
-        return f"{{{len(tape.steps)}, {name}_steps, {kept(f'{name}_numbers', tape.numbers)}}}"
+        return f"{{{len(tape.steps)}, {name}_steps, {stored(f'{name}_numbers', tape.numbers)}}}"
 
     rows = []
     for k, e in enumerate(x.laws):

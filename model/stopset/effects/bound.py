@@ -85,7 +85,7 @@ def straight(effect: Effect) -> bool:
     )  # fmt: skip
 
     def values(direction: float) -> Array:
-        return np.array([c + np.zeros(20) for c in effect.columns(replace(drawn, given_direction=np.full(20, given_direction)))])
+        return np.array([c + np.zeros(20) for c in effect.columns(replace(drawn, given_direction=np.full(20, direction)))])
 
     ends = values(-1.0), values(1.0)
     return all(

@@ -58,7 +58,11 @@ class PointSets:
         """
         d = place - self.start
         distance = float(np.linalg.norm(d))
-        far = np.linalg.norm(self.travel[:, :, 0], axis=1) + np.linalg.norm(self.travel[:, :, 1:], axis=1).sum(axis=1) + self.travel_ball
+        far = (
+            np.linalg.norm(self.travel[:, :, 0], axis=1)
+            + np.linalg.norm(self.travel[:, :, 1:], axis=1).sum(axis=1)
+            + self.travel_ball
+        )
         fast = (
             np.linalg.norm(self.pace[:, :, 0], axis=1) + np.linalg.norm(self.pace[:, :, 1:], axis=1).sum(axis=1) + self.pace_ball
         )

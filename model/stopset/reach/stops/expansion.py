@@ -2,9 +2,9 @@
 
 Every entry of ``M(q)`` is a trigonometric polynomial of degree <= 2 in each angle, of ``g(q)`` of degree <= 1.  Its slope is
 exact, from the composite body behind joint k turning about axis k.  So are the second slopes of M that the tube uses; its third
-ones are bounded near the pose by the levers of what moves (Lemma 4 of docs/stops.md).  Over all poses Bernstein's inequality
+ones are bounded near the pose by the roots of inertia of what moves (Lemma 4 of docs/stops.md).  Over all poses Bernstein's inequality
 bounds second derivatives by the size of the part that moves: with ``m = max(i, j, k, l)`` only the composite body behind joint ``m``
-enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the levers to joints i and j.  The sizes
+enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the distances to joints i and j.  The sizes
 are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.  Gravity's derivatives
 are those of the potential ``-g . sum m r``: turning about joint m moves only what lies beside its axis, and turning the
 whole arm about its first axis turns gravity, of which nothing happens to the part along that axis.

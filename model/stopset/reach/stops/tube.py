@@ -93,7 +93,7 @@ class Tube(NamedTuple):
     backward_hi: Array
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
     energetic: bool  # whether the kinetic energy had to help
-    travel_left: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of all of the way / this <= 1; inf where that is not known
+    travel_left: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of travel / this <= 1; inf where that is not known
 
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:

@@ -19,7 +19,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.artifact.store import model_of
 from stopset.errors import ModelFileError
-from stopset.monitor.consumer import MS, SAYS, Consumer, Fault, Expected
+from stopset.monitor.consumer import MS, SAYS, Consumer, Expected, Fault
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
 

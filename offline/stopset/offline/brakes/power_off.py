@@ -56,10 +56,16 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
     torque, out = brakes.torque.centre, []
     for r in stops:
         curves = impulses(setting, r, noise.radius[n:] / SIGMAS)
-        estimates = tuple(None if c is None else brake_estimate(c, float(torque[i]), float(spread[i])) for i, c in enumerate(curves))
-        momentum = np.array([0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, estimates, strict=True)])
+        estimates = tuple(
+            None if c is None else brake_estimate(c, float(torque[i]), float(spread[i])) for i, c in enumerate(curves)
+        )
+        momentum = np.array(
+            [0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, estimates, strict=True)]
+        )
         signs = [0.0 if c is None else c.sign for c in curves]
-        estimates = tuple(None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(estimates, signs, strict=True))
+        estimates = tuple(
+            None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(estimates, signs, strict=True)
+        )
         out.append(Seen(r.suite_key, estimates, speed_error(setting, r, momentum)))
     return out
 

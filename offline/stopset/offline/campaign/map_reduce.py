@@ -82,7 +82,9 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, progress: Progress = silent) -> tuple[A, B]:
+def in_parts(
+    work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, progress: Progress = silent
+) -> tuple[A, B]:
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is

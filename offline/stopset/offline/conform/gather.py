@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Abstraction
-from stopset.offline.campaign.map_reduce import TrialCounter, Range, in_parts, within
+from stopset.offline.campaign.map_reduce import Range, TrialCounter, in_parts, within
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
@@ -19,7 +19,7 @@ from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
 from stopset.offline.conform.problem import Options, SetProblem
 from stopset.offline.conform.zonotopes import Template, template
 from stopset.offline.nominal.model import NominalPart, pairs_of, roller
-from stopset.counter import silent
+from stopset.progress import silent
 from stopset.recording import Meta, Recording, SuiteKey
 from stopset.types import Array
 
@@ -76,7 +76,13 @@ def set_problem(run: Run, abstraction: Abstraction, template: Template | None = 
 
 
 def sums_of(
-    run: Run, nominal: NominalPart, form: SetForm, *, keep: bool, scheduler: str | None = None, counter: TrialCounter | None = None
+    run: Run,
+    nominal: NominalPart,
+    form: SetForm,
+    *,
+    keep: bool,
+    scheduler: str | None = None,
+    counter: TrialCounter | None = None,
 ) -> Sums:
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     problem = set_problem(run, nominal.abstraction, form.template)

@@ -122,7 +122,9 @@ def diagnose_model(
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    filtered = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    filtered = (
+        (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    )
     found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *filtered, *found.notes))
     found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())) if base.known is None else taken_out)
     if base.known is None or names is not None:

@@ -40,7 +40,7 @@ from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effect
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.update.signals_file import RetainedSignals
-from stopset.counter import Progress, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
 

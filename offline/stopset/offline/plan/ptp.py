@@ -71,7 +71,11 @@ def ptp(robot: Robot, e: MotionLimits, start: Array, goal: Array, rate: float) -
     ds = derivative(s, h)
     dds = derivative(ds, h)
     displacement = goal - start
-    return fitted(robot, e, PlannedMotion(h * np.arange(len(s), dtype=np.float64), start + s * displacement, ds * displacement, dds * displacement))
+    return fitted(
+        robot,
+        e,
+        PlannedMotion(h * np.arange(len(s), dtype=np.float64), start + s * displacement, ds * displacement, dds * displacement),
+    )
 
 
 def _fastest(robot: Robot, e: MotionLimits, start: Array, goal: Array) -> tuple[Array, Array]:

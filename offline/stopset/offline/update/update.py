@@ -34,7 +34,7 @@ from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
-from stopset.counter import Progress, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording, suite_label
 
 __all__ = ["load_state", "save_state", "update"]
@@ -80,7 +80,9 @@ def update(
     return _folded(model, retained, paths, progress, scheduler)
 
 
-def _again(model: Model, retained: RetainedSignals, paths: Sequence[str | Path], progress: Progress, scheduler: str | None) -> Identification:
+def _again(
+    model: Model, retained: RetainedSignals, paths: Sequence[str | Path], progress: Progress, scheduler: str | None
+) -> Identification:
     """Everything identified anew from the kept signals and the new recordings."""
     robot, old = model.robot.as_described, retained.campaign.meta
     campaign = continued(retained.campaign, robot, paths, retained.places)
@@ -93,7 +95,9 @@ def _again(model: Model, retained: RetainedSignals, paths: Sequence[str | Path],
     return replace(fresh, model=_next_revision(model, fresh.model, f"recordings {names}", note))
 
 
-def _folded(model: Model, retained: RetainedSums, paths: Sequence[str | Path], progress: Progress, scheduler: str | None) -> Identification:
+def _folded(
+    model: Model, retained: RetainedSums, paths: Sequence[str | Path], progress: Progress, scheduler: str | None
+) -> Identification:
     """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
     settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, files = joined(retained.meta, paths), len(retained.meta.sources)
@@ -120,7 +124,7 @@ def _folded(model: Model, retained: RetainedSums, paths: Sequence[str | Path], p
     if nominal.data is not None:
         nominal = replace(nominal, data=staleness.folded(nominal.data, robot, model, source(), found))
         assert nominal.data is not None
-        difference = staleness.parameter_difference(nominal.data, robot, model)
+        difference = staleness.torque_difference(nominal.data, robot, model)
     counter = TrialCounter(trials, progress)
     run = Run(robot, meta, source, found, settings)
     later = sums_of(run, nominal, retained.form, keep=True, scheduler=scheduler, counter=counter)

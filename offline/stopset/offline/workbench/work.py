@@ -168,7 +168,13 @@ def _plan(order: Order, model: Model, send: Send) -> None:
     if decides:
         write_text(folder / "decides.txt", decides + "\n")
     minutes = sum(p.seconds for p in plan.parts) / 60.0
-    content = {"folder": str(folder), "files": len(files), "minutes": minutes, "decides": decides, "warnings": list(plan.warnings)}
+    content = {
+        "folder": str(folder),
+        "files": len(files),
+        "minutes": minutes,
+        "decides": decides,
+        "warnings": list(plan.warnings),
+    }
     send(Answered("plan", content, plan_page(plan).html()))
 
 

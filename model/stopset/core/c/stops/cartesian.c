@@ -68,7 +68,7 @@ typedef struct {
     Point start;
 } Asked;
 
-/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of ways / left_i <= 1 (left 0: not at all): the
+/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the
  * point moves by no more than max_i reach_i left_i. `here`, `reach`: at the middle, and from everywhere. Returns the ball's radius. */
 static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Point *here, double *wide, double *reach,
                         double *travel) {
@@ -183,7 +183,7 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
     return STOPSET_OK;
 }
 
-/* The knot up to `last` from which what is left of the ways adds least, joints nearer to the base counted more; -1 if none knows. */
+/* The knot up to `last` from which what is left of the travel adds least, joints nearer to the base counted more; -1 if none knows. */
 static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_hi, const double *travel) {
     int64_t best = -1;
     double least_so_far = STOPS_INF;

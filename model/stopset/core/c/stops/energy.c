@@ -141,9 +141,9 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
 
 /* How far [rad] each joint can still go from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known. Brakes only gain torque:
  * once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than y^2 / 2 |w_i|.
- * That decides where gravity is asked for: ways are claimed first, and claimed again while too short. */
+ * That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                   const StopsetParts *parts, Local *at, double *travel) {
+                      const StopsetParts *parts, Local *at, double *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
     double x_lo[SN], x_hi[SN], w[SN];

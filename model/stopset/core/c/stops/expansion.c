@@ -1,5 +1,5 @@
 /* Inertia, gravity and Christoffel symbols near a pose: value, exact slope and the inertia's exact second slope, by turning
- * composite bodies about each axis; and the levers that bound its third slopes.
+ * composite bodies about each axis; and the roots of inertia L_ab that bound its third slopes.
  *
  * Source: Featherstone (2008), ch. 2; Wensing et al. (2018) for the pseudo-inertia. The bounds of what lies beyond are told in
  * stopset.reach.stops.expansion.
@@ -143,7 +143,7 @@ static int is_body(const double *P) {
     return 1;
 }
 
-/* Squares of the levers, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
+/* Squares of L_ab, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
  * is a body, and what was put on it is one too: eight times `thin`; the rest is for rounding. */
 static void inertia_roots(const Bodies *b, const double *pi, Expansion *E) {
     const int n = b->n;

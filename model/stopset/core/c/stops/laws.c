@@ -1,4 +1,4 @@
-/* What an effect can do to an arm whose drives are off: its own law over intervals, told apart into what opposes the motion and what
+/* What an effect can do to an arm whose drives are off: its own law over intervals, separated into what opposes the motion and what
  * pushes. What is asked of a law, and why this encloses it, stands in stopset.effects.bound.
  *
  * Numbers are slopes: a function f(x) with 0 <= x <= X and all else in intervals has its values in `all`, f(0) in `start` and f(x) - f(0)
@@ -129,7 +129,7 @@ static Slope constant(Ends x) {
     return out;
 }
 
-/* way * x, 0 <= x <= largest */
+/* side * x, 0 <= x <= largest */
 static Slope speed(double largest, double side) {
     const double end = side * largest;
     const Slope out = {{least(end, 0.0), most(end, 0.0)}, {0.0, 0.0}, {side, side}, RATE};
@@ -361,7 +361,7 @@ static int at_rest(const StopsetActing *law, Slope *signals, Ends *out) {
     return 1;
 }
 
-/* Torques forward and backward as way * odd + even: what opposes the motion, and what does not. */
+/* Torques forward and backward as direction * odd + even: what opposes the motion, and what does not. */
 static void split(int role, Ends plus, Ends back, Ends *odd, Ends *even) {
     if (role == STOPSET_RUBS) {
         *odd = of(least(plus.lo, -back.hi), most(plus.hi, -back.lo));

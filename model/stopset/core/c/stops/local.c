@@ -3,7 +3,7 @@
 
 #include "stops.h"
 
-/* The levers anywhere within `far` of the pose: lever (a, b) changes with q_c, c > a, by no more than lever (c, max(b, c)). */
+/* L anywhere within `far` of the pose: L_ab changes with q_c, c > a, by no more than L_c,max(b, c). */
 static void far_roots(const Expansion *E, const double *far, double *root) {
     const int n = E->n;
     for (int a = n - 1; a >= 0; a--)

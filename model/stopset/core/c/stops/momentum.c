@@ -108,9 +108,9 @@ static double left(int i, double sign, const Local *at, const Local *start, cons
     return sign > 0.0 ? lo : -hi;
 }
 
-/* kept (n,): least brake impulse that can end a first excursion during this step; inf where none can end. */
+/* retained (n,): least brake impulse that can end a first excursion during this step; inf where none can end. */
 void stops_retained_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
-                        const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained) {
+                            const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained) {
     for (int i = 0; i < at->n; i++) {
         retained[i] = STOPS_INF;
         if (!before->alive[i] || !after->rested[i]) continue;

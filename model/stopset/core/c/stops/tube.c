@@ -221,7 +221,7 @@ static void caps_alone(March *m, int64_t k) {
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
 
-/* Bands, lines and kept impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
+/* Bands, lines and retained impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
  * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
 static int take_step(March *m, int64_t k) {
     const int n = m->n;
