@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class Progress(Protocol):
-    """Is told each step of long work; ``share``: how much of this step is done, 0 to 1, None where nobody can say."""
+    """Is given each step of long work; ``share``: how much of this step is done, 0 to 1, None where nobody can say."""
 
     def __call__(self, text: str, share: float | None = None) -> None: ...
 
@@ -19,7 +19,7 @@ def silent(text: str, share: float | None = None) -> None:
 
 
 def counted(items: Iterable[T], total: int | None, what: str, progress: Progress) -> Iterator[T]:
-    """Yield the items, telling before each how many are done; ``total``: how many there will be, None where nobody knows."""
+    """Yield the items, reporting before each how many are done; ``total``: how many there will be, None where nobody knows."""
     progress(what)
     for k, item in enumerate(items):
         progress(f"{what}: {k}" + (f" of {total}" if total else ""), min(1.0, k / total) if total else 0.0)

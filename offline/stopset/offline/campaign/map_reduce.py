@@ -35,7 +35,7 @@ B = TypeVar("B", bound=Mergeable)
 
 
 class TrialCounter:
-    """Tells every tenth of the trials as they are done, by however many threads."""
+    """Reports every tenth of the trials as they are done, by however many threads."""
 
     def __init__(self, trials: int, progress: Progress) -> None:
         self._trials, self.progress, self._done = max(trials, 1), progress, 0
@@ -88,7 +88,7 @@ def in_parts(
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
-    given to another one; ``progress`` is told the cluster's parts as they come in.
+    given to another one; ``progress`` is given the cluster's parts as they come in.
 
     Raises `StopsetError` if there is no such scheduler or no worker left.
     """

@@ -108,7 +108,7 @@ def _on_grid(paths: Sequence[str | Path], model: Model, found: Survey, dt: float
 def compare(model: Model, paths: Sequence[str | Path], progress: Progress = silent) -> Comparison:
     """Hold the recordings against the model over all window starts and ages; one trial in memory at a time.
 
-    ``progress`` is told every trial, and how many leave the sets so far.
+    ``progress`` is given every trial, and how many leave the sets so far.
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """

@@ -85,7 +85,7 @@ class Algorithm:
 
 
 def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, progress: Progress = silent) -> ConformedSets:
-    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``progress`` is told how long it takes.
+    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``progress`` is given how long it takes.
 
     The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
     """

@@ -97,7 +97,7 @@ def diagnose_model(
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
-    ``progress`` is told each step.
+    ``progress`` is given each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """

@@ -59,7 +59,7 @@ def examine(
 ) -> Examination:  # fmt: skip
     """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
 
-    ``progress`` is told each step.
+    ``progress`` is given each step.
     """
     progress(f"{len(recordings)} recordings; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)

@@ -57,7 +57,7 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
-    ``progress`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
+    ``progress`` is given each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
     later recordings can be added to (`stopset.offline.update.update`), the signals themselves or sums of constant size;
     ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 

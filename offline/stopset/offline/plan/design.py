@@ -90,7 +90,7 @@ def design(
     recordings: Iterable[Recording] | None = None,
     progress: Progress = silent,
 ) -> Plan:
-    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined; ``progress`` is told each step.
+    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined; ``progress`` is given each step.
 
     Raises `RobotError` for a robot without speed limits or whose torque limits cannot hold it.
     """

@@ -129,7 +129,7 @@ def excitations(
     """The trajectories asked for, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
-    Each next trajectory is optimised for what those before it tell together with it; ``progress`` is told how far the search is.
+    Each next trajectory is optimised for what those before it tell together with it; ``progress`` is given how far the search is.
     """
     n, count, period, evaluations = robot.n, asked.count, asked.period, asked.evaluations
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)

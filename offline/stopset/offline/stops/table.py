@@ -163,7 +163,7 @@ def _tip(model: Model, q: Array, tip: Array) -> Array:
 
 
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
-    """The whole table; ``progress`` is told how far it is."""
+    """The whole table; ``progress`` is given how far it is."""
     tip = model.robot.tip if question.payload_com is None else question.payload_com
     poses = Poses.of(model.robot, tip, model.domain.q)
     speed = top_speed(model)

@@ -32,7 +32,7 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """How far it is, as `Progress` is told."""
+    """How far it is, as `Progress` is given it."""
 
     text: str
     share: float | None

@@ -53,7 +53,7 @@ class Found:
 def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Progress = silent) -> Found:
     """Claim effects beside ``start`` one after another, refit all after each, and drop a claim that later ones made needless.
 
-    ``progress`` is told each claim as it is made.
+    ``progress`` is given each claim as it is made.
     """
     engine = start.engine
     candidates = engine.add_all(wanted(engine, names))
