@@ -194,7 +194,8 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         speed = draw(0.0, 1.3)
         s = Signals(
             **{k: draw(*r) for k, r in ranges.items()}, dq=direction * speed, given_direction=direction, warm=draw(0.0, 1.0),
-            dq_other=draw(-0.8, 0.8), tilt=(draw(-4.0, 9.0), draw(-2.0, 3.0)), memory=tuple(draw(max(x.lo, -1.0), min(x.hi, 1.3)) for x in effect.states),
+            dq_other=draw(-0.8, 0.8), tilt=(draw(-4.0, 9.0), draw(-2.0, 3.0)),
+            memory=tuple(draw(max(x.lo, -1.0), min(x.hi, 1.3)) for x in effect.states),
         )  # fmt: skip
         drawn = {k: v + SIGMAS * f.std.get(k, 0.0) * draw(-1.0, 1.0) for k, v in values.items()}
         for t in effect.terms:
