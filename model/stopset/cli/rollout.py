@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact.signature import signature_path
     from stopset.errors import BusError, ModelFileError
     from stopset.monitor.fleet import Fleet
-    from stopset.monitor.fleet.rollout import Patience, Refusals, Rollout, delivery
+    from stopset.monitor.fleet.rollout import Patience, Reloads, Rollout, delivery
     from stopset.monitor.links.zenoh_link import ZenohLink
 
     check_outputs(args.json, args.report)
@@ -64,17 +64,17 @@ def run(args: argparse.Namespace) -> int:
         if not signature_path(path).is_file():
             raise ModelFileError(f"{path} is not signed; expected {signature_path(path).name} beside it: `stopset sign` makes it")
     link = ZenohLink(mode="client", connect=[] if args.zenoh else [args.connect], file=args.zenoh)
-    fleet, refusals = Fleet(), Refusals()
+    fleet, reloads = Fleet(), Reloads()
     try:
         for arms in {args.canary, args.arms or args.canary}:
             link.watch_alive(f"{arms}/stopset/alive", fleet.take_alive)
             link.subscribe(f"{arms}/stopset/state/json", fleet.take_json)
-            link.subscribe(f"{arms}/stopset/event", refusals.take)
+            link.subscribe(f"{arms}/stopset/event", reloads.take)
         time.sleep(FOUND)
         found = sorted(r["arm"] for r in fleet.rows())
         patience = Patience(canary=args.watch_s, each=args.each_s)
         progress = (lambda _: None) if args.quiet else say
-        roll = Rollout(fleet, refusals, args.model, models[args.model].sha256, args.deliver, patience, progress)
+        roll = Rollout(fleet, reloads, args.model, models[args.model].sha256, args.deliver, patience, progress)
         done = roll.run(found, args.canary)
         back = []
         if done[-1].why and args.back:

@@ -45,19 +45,28 @@ class Taken:
 
 
 @dataclass(slots=True)
-class Refusals:
-    """Why monitors did not take a model, by arm; fed from zenoh's threads with every ``event``."""
+class Reloads:
+    """What monitors say of reading a model anew, by arm; fed from zenoh's threads with every ``event``."""
 
-    said: dict[str, str] = field(default_factory=dict)
+    taken: set[str] = field(default_factory=set)
+    refused: dict[str, str] = field(default_factory=dict)
 
     def take(self, key: str, data: bytes) -> None:
-        """Of all events the refusals."""
+        """Of all events those that a model came with; a monitor that was begun anew has read it too."""
         try:
             event = json.loads(data)
         except (ValueError, RecursionError):
             return
-        if isinstance(event, dict) and event.get("kind") == "reload_refused":
-            self.said[plain(key.partition("/stopset/")[0])] = plain(str(event.get("why", "")))[:300]
+        arm, kind = plain(key.partition("/stopset/")[0]), event.get("kind") if isinstance(event, dict) else None
+        if kind == "reload_refused":
+            self.refused[arm] = plain(str(event.get("why", "")))[:300]
+        elif kind in ("reloaded", "started"):
+            self.taken.add(arm)
+
+    def forget(self, arm: str) -> None:
+        """What was said before."""
+        self.taken.discard(arm)
+        self.refused.pop(arm, None)
 
 
 def delivery(template: str, model: Path, arm: str) -> list[str]:
@@ -77,7 +86,7 @@ class Rollout:
     """``sha256``: of the model; ``deliver``: template of a command; ``say``: progress in words."""
 
     fleet: Fleet
-    refusals: Refusals
+    reloads: Reloads
     model: Path
     sha256: str
     deliver: str
@@ -100,13 +109,13 @@ class Rollout:
             return Taken(
                 arm, {}, f"it says nothing ({before['why']}); expected an arm that can be watched: start its monitor first"
             )
-        self.refusals.said.pop(arm, None)
+        self.reloads.forget(arm)
         self.say(f"{arm}: {before['word']} with {before['model']}; the model is delivered")
         if why := self._delivered(arm):
             return Taken(arm, {}, why)
         end = time.monotonic() + self.patience.take
-        while self._row(arm)["model"] != self.sha256[:16]:
-            if refused := self.refusals.said.get(arm):
+        while arm not in self.reloads.taken or self._row(arm)["model"] != self.sha256[:16]:
+            if refused := self.reloads.refused.get(arm):
                 return Taken(arm, {}, f"the monitor refuses the model: {refused}")
             if time.monotonic() > end:
                 return Taken(
