@@ -42,7 +42,9 @@ def test_arrays_are_the_scalars(exported: Any) -> None:  # noqa: F811
         with pytest.raises(Exception, match="fmi3GetFloat64"):
             a.slave.getFloat64([a.variables["q"].valueReference], 2)
         seeds = [0.0, 1.0, 0.0]
-        by_array = a.slave.getDirectionalDerivative([a.variables["q_lo"].valueReference], [a.variables["q"].valueReference], seeds, 3)
+        by_array = a.slave.getDirectionalDerivative(
+            [a.variables["q_lo"].valueReference], [a.variables["q"].valueReference], seeds, 3
+        )
         one, lows = b.variables["q_axis_2"].valueReference, [b.variables[f"q_lo_{j}"].valueReference for j in J]
         assert by_array == b.slave.getDirectionalDerivative(lows, [one], [1.0], 3)
 

@@ -66,7 +66,12 @@ def _capabilities(identifier: str, fmi: int, cs: bool) -> dict[str, str]:
     if cs:
         out["canHandleVariableCommunicationStepSize"] = "true"
     if cs and fmi == 3:
-        early = ("hasEventMode", "mightReturnEarlyFromDoStep", "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate")
+        early = (
+            "hasEventMode",
+            "mightReturnEarlyFromDoStep",
+            "canReturnEarlyAfterIntermediateUpdate",
+            "providesIntermediateUpdate",
+        )
         out |= dict.fromkeys(early, "true")
     return out
 

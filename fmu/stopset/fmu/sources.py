@@ -24,7 +24,19 @@ from stopset.reach.flowpipe import torque_set
 from stopset.reach.nonlinear import FAR, FASTEST, MARGIN, NEAR, STEP, ages_of, dynamics, parts
 from stopset.reach.stops.ramp import ramp_of
 
-OWN_UNITS = ("arrays.c", "core.c", "prepare.c", "sample.c", "motion.c", "nonlinear.c", "ramp.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = (
+    "arrays.c",
+    "core.c",
+    "prepare.c",
+    "sample.c",
+    "motion.c",
+    "nonlinear.c",
+    "ramp.c",
+    "stops.c",
+    "fmi.c",
+    "fmi2.c",
+    "fmi3.c",
+)
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"

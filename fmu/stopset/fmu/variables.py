@@ -53,7 +53,9 @@ class JointArray:
     starts: tuple[float | None, ...]
 
 
-CLOCKS = {f"request_stop_{k}": f"a tick asks for a STOP {k} that begins at once" for k in range(3)}  # of FMI 3, in the order of their values
+CLOCKS = {
+    f"request_stop_{k}": f"a tick asks for a STOP {k} that begins at once" for k in range(3)
+}  # of FMI 3, in the order of their values
 
 
 @dataclass(frozen=True, slots=True)
