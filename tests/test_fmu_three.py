@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from fmu_models import arm_model
 from fmu_unit import Unit, unit
+from stopset.errors import OutputError
+from stopset.fmu import Contents, archive, export
 from stopset.fmu.build import native
 from stopset.fmu.stops import bounds_of
 from test_fmu import EFFECTS, exported  # noqa: F401
@@ -49,12 +52,17 @@ def test_arrays_are_the_scalars(exported: Any) -> None:  # noqa: F811
         assert by_array == b.slave.getDirectionalDerivative(lows, [one], [1.0], 3)
 
 
+@pytest.fixture(scope="module")
+def clocked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(braking(), tmp_path_factory.mktemp("clocks") / "F.fmu", Contents(3, (str(native()),), clocks=True))
+
+
 @pytest.mark.parametrize("category", [0, 1, 2])
-def test_a_clock_asks_for_a_stop_as_the_input_does(exported: Any, category: int) -> None:  # noqa: F811
+def test_a_clock_asks_for_a_stop_as_the_input_does(clocked: Path, category: int) -> None:
     model = braking()
     runs = []
     for by_clock in (True, False):
-        with unit(exported(model, "ramp"), eventModeUsed=by_clock) as u:
+        with unit(clocked, eventModeUsed=by_clock) as u:
             u.set({f"dq_start_{j}": x for j, x in zip(model.joints, DQ.tolist(), strict=True)})
             u.begin()
             if by_clock:
@@ -72,8 +80,10 @@ def test_a_clock_asks_for_a_stop_as_the_input_does(exported: Any, category: int)
     assert np.array_equal(runs[0], runs[1]) and np.all(np.isfinite(runs[0]))
 
 
-def test_a_clock_ticks_in_event_mode_alone(exported: Any) -> None:  # noqa: F811
-    with unit(exported(braked(8.0, 3), "braked")) as u:
+def test_a_clock_ticks_in_event_mode_alone_and_is_there_where_it_was_asked_for(clocked: Path) -> None:
+    with pytest.raises(OutputError, match="expected FMI 3"):
+        archive(braking(), Contents(2, source_only=True, clocks=True))
+    with unit(clocked) as u:
         u.begin()
         with pytest.raises(Exception, match="fmi3SetClock"):
             u.slave.setClock([u.variables["request_stop_0"].valueReference], [True])

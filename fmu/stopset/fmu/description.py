@@ -170,7 +170,7 @@ def _fmi3(root: ET.Element, variables: Variables) -> None:
     for k, a in arrays.items():
         array = ET.SubElement(box, "Float64", _array_attributes(a, k))
         ET.SubElement(array, "Dimension", start=str(len(a.starts)))
-    for k, (name, what) in enumerate(CLOCKS.items(), count + len(arrays)):
+    for k, (name, what) in enumerate(CLOCKS.items() if variables.clocks else (), count + len(arrays)):
         clock = {"name": name, "valueReference": str(k), "description": what, "causality": "input", "variability": "discrete"}
         ET.SubElement(box, "Clock", {**clock, "intervalVariability": "triggered"})
     structure = ET.SubElement(root, "ModelStructure")

@@ -66,6 +66,7 @@ class Variables:
     effects: tuple[EffectParameter, ...]
     viscous_orders: int
     arrays: tuple[JointArray, ...]
+    clocks: bool
 
     def __iter__(self) -> Iterator[Variable]:
         return iter(self.all)
@@ -279,12 +280,12 @@ def _switches(m: Model) -> list[Variable]:
     return out
 
 
-def variables(model: Model) -> Variables:
-    """The variables of a model's FMU."""
+def variables(model: Model, clocks: bool = False) -> Variables:
+    """The variables of a model's FMU; ``clocks``: whether those of FMI 3 are said to be there."""
     effects = effect_parameters(model)
     real = [Variable("time", "TIME", "Real", "independent", "s", "time")]
     real += [*_inputs(model), *_outputs(model), *_conditions(model), *_physics(model, effects)]
-    return Variables((*real, *_switches(model)), effects, viscous_orders(model), _arrays(model, real))
+    return Variables((*real, *_switches(model)), effects, viscous_orders(model), _arrays(model, real), clocks)
 
 
 def _arrays(m: Model, scalars: Sequence[Variable]) -> tuple[JointArray, ...]:
