@@ -13,13 +13,11 @@ import numpy as np
 
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
+from stopset.offline.diagnose.question import Question
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
 from stopset.progress import Tell, silent
-from stopset.recording import Recordings
-from stopset.robot import Robot
 from stopset.types import Array
 
 
@@ -46,28 +44,18 @@ class Estimates:
     words: str
 
 
-def estimates(
-    robot: Robot,
-    recordings: Recordings,
-    names: Sequence[str],
-    fitted: Sequence[Fitted] = (),
-    known: Known | None = None,
-    tell: Tell = silent,
-) -> Estimates:
-    """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
-
-    ``fitted``: effects the model has already; ``known``: a model from other recordings, as for `examine`.
-    """
-    if not any(map(moves, recordings)):
+def estimates(q: Question, names: Sequence[str], tell: Tell = silent) -> Estimates:
+    """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
+    if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(robot, recordings, fitted, known=known, tell=tell)
+    x = examine(q.robot, q.asked, q.fitted, known=q.known, tell=tell)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     named = {e.name for e in out}
     for name in names:
         if name in named:
             continue
-        beside = (*fitted, *(e.fitted for e in out))
-        alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known, tell=tell)
+        beside = (*q.fitted, *(e.fitted for e in out))
+        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, tell=tell)
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
 

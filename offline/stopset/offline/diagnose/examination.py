@@ -115,7 +115,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(objections) if not why][: limit.HANDFUL]
+    sound = [k for k, why in enumerate(objections) if not why]
+    sound = [k for place, k in enumerate(sound) if place < limit.HANDFUL]
     errors = dict(zip([-1, *sound], _errors(found, already, [found.claims[k] for k in sound]), strict=True))
     out, before = [], errors[-1]
     for k, claim in enumerate(found.claims):

@@ -21,7 +21,8 @@ from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
-from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.baseline import settled
+from stopset.offline.diagnose.question import question
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.progress import Tell
@@ -97,10 +98,9 @@ def by_evidence(
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.tell("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
-    base = baseline(judge.model, recordings)
-    had = settled(judge.model)
-    kept = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known, judge.tell)
+    q = question(judge.model, recordings)
+    kept = tuple(f for f in settled(judge.model) if not get(f.effect).base)
+    answer = estimates(q, names, judge.tell)
     found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")

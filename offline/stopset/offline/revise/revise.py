@@ -112,7 +112,11 @@ def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[st
     """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
     names = tuple(effects)
     for k, name in enumerate(names):
-        parse_effect(name, robot)
+        if parse_effect(name, robot)[0].base:
+            raise EffectError(
+                f"{name}: every model has it, and its level is found at each identification; identify again from recordings of today "
+                "(`stopset identify`)"
+            )
         if name in settings.effects:
             raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
         if name in names[:k]:

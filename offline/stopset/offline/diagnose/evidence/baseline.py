@@ -17,6 +17,7 @@ from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
 from stopset.sets import Box
 
+DESCRIBED = "robot description and data sheet"
 POSES = 500  # at which gravity torques are compared
 
 
@@ -39,7 +40,7 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     described = model.robot.as_described
     own = set(dict(model.provenance.get("data", {})).values())
     if own & {digest for _, digest in recordings.meta.sources}:
-        return Baseline(described, None, "robot description and data sheet")
+        return Baseline(described, None, DESCRIBED)
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction = np.zeros((model.n, 2))
     for f in model.effects:
