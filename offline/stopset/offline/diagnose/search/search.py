@@ -67,7 +67,9 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, tell: Tell = s
     left: list[Scored] = []
     first = before = held_out(now, hyper)
     refused = set[tuple[str, tuple[int, ...]]]()
-    while len(claims) + len(refused) < limit.MAX_CLAIMS:
+    turn = 0
+    while turn < limit.MAX_CLAIMS:
+        turn += 1
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
