@@ -52,9 +52,9 @@ def contradictions(robot: Robot, model: Model, data: Recordings, own: bool) -> d
     found = diagnose_model(model, data)[0]
     named = [r for r in found.ranked if r.change is None]
     said: list[tuple[str, str]] = []
-    taken = [r for r in named if _added(model, data, [r], said)]
+    taken = [r for r in named if _added(model, data, [r], said, errors=r is named[0])]
     if len(named) > 1:
-        _added(model, data, named, said)
+        _added(model, data, named, said, errors=True)
     for r in taken:
         _identified(robot, data, r, own, said)
     if named:
@@ -65,8 +65,8 @@ def contradictions(robot: Robot, model: Model, data: Recordings, own: bool) -> d
     }  # fmt: skip
 
 
-def _added(model: Model, data: Recordings, named: Sequence[Ranked], said: list[tuple[str, str]]) -> bool:
-    """Add effects in order: whether all were taken."""
+def _added(model: Model, data: Recordings, named: Sequence[Ranked], said: list[tuple[str, str]], errors: bool) -> bool:
+    """Add effects in order: whether all were taken; ``errors``: these are the errors that the diagnosis told, each beside those before it."""
     labels = " ".join(r.label for r in named)
     try:
         done: Revised = add(model, [r.label for r in named], campaign(data))
@@ -80,7 +80,7 @@ def _added(model: Model, data: Recordings, named: Sequence[Ranked], said: list[t
     for r, j in zip(named, done.judged, strict=True):
         if differs(r.fitted.values, values.get(r.label, {})):
             said.append(("numbers", f"{r.label}: {dict(r.fitted.values)} named, {values.get(r.label)} added"))
-        if (len(named) > 1 or r is named[0]) and not _same_errors(r, j.before, j.after):
+        if errors and not _same_errors(r, j.before, j.after):
             said.append(("errors", f"{r.label}: {r.error_before:.6g} -> {r.error_after:.6g} named, not so when added"))
     return True
 

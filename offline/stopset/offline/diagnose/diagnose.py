@@ -145,7 +145,7 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
 def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
     """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding."""
     sound = [k for k, r in enumerate(x.ranked) if not r.objection]
-    error = x.errors(sound)[-1]
+    error = x.steps(sound)[-1].after if sound else x.found.before
     out = []
     for j, joint in enumerate(x.engine.data.joints):
         refuted = tuple(

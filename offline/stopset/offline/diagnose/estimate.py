@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.examination import Examination, examine
@@ -67,6 +65,5 @@ def _claims(x: Examination, name: str) -> tuple[int, ...]:
 
 def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:
     order = list(dict.fromkeys(k for _, claims in wanted for k in claims))
-    errors = x.errors(order)
     by = {k: name for name, claims in reversed(wanted) for k in claims}
-    return [Estimate(by[k], x.ranked[k], np.asarray(errors[at]), np.asarray(errors[at + 1])) for at, k in enumerate(order)]
+    return [Estimate(by[k], x.ranked[k], s.before, s.after) for k, s in zip(order, x.steps(order), strict=True)]

@@ -92,6 +92,11 @@ def by_simulation(
     return Judgement(tuple(judged), start, settings, (), judge.division.words)
 
 
+def kept(model: Model) -> tuple[Fitted, ...]:
+    """Effects beyond plain friction that a revision of a model keeps, with their numbers."""
+    return tuple(f for f in settled(model) if not get(f.effect).base)
+
+
 def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
 ) -> Judgement:
@@ -99,15 +104,15 @@ def by_evidence(
     judge.tell("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
     q = question(judge.model, recordings)
-    kept = tuple(f for f in settled(judge.model) if not get(f.effect).base)
     answer = estimates(q, names, judge.tell)
     found = answer.found
     joints = judge.model.joints
     judge.tell("simulating without and with it")
     wanted = [n for n in names if any(e.name == n for e in found)]
     more = replace(settings, effects=(*settings.effects, *wanted))
-    taken = (*kept, *(e.fitted for e in found))
-    simulated = [dict(first)] if first else [judge.simulated(settings, kept)]
+    had = kept(judge.model)
+    taken = (*had, *(e.fitted for e in found))
+    simulated = [dict(first)] if first else [judge.simulated(settings, had)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
     rows = [found[0].before if found else answer.before, *(e.after for e in found)]
     errors = [_with_torque(simulated[min(k, 1)], joints, row) for k, row in enumerate(rows)]
