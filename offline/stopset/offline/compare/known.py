@@ -22,7 +22,7 @@ from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class TorqueModel:
     """What a model says of motor torque, before there are sets to make a model of it."""
 
     robot: Robot
@@ -37,7 +37,7 @@ class Body:
 
 
 def left_over(
-    model: Model | Body, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None
+    model: Model | TorqueModel, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None
 ) -> Array:
     """(W, n) [N m] torque without explanation, averaged over windows of `AVERAGING`; ``u`` (N, n): the model's input.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.examination import Examination, examine
-from stopset.offline.diagnose.question import Question
+from stopset.offline.diagnose.question import Inquiry
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
 from stopset.progress import Tell, silent
@@ -42,7 +42,7 @@ class Estimates:
     words: str
 
 
-def estimates(q: Question, names: Sequence[str], tell: Tell = silent) -> Estimates:
+def estimates(q: Inquiry, names: Sequence[str], tell: Tell = silent) -> Estimates:
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
     if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")

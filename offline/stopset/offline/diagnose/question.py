@@ -14,8 +14,9 @@ from typing import Any
 
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
+from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.survey import survey
-from stopset.offline.compare.known import Body
+from stopset.offline.compare.known import TorqueModel
 from stopset.offline.compare.restored import restored
 from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, settled
 from stopset.offline.diagnose.evidence.priors import Known
@@ -27,7 +28,7 @@ from stopset.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class Inquiry:
     """``recordings`` as they are asked, against ``robot`` and, of other recordings than the model's own, what is ``known`` of it.
 
     ``held``: suites that are not asked, because a model's sets are judged on them; ``fitted``: effects that stand beside every
@@ -49,7 +50,7 @@ class Question:
         return replace(self.recordings, trials=tuple(r for r in self.recordings if r.suite_key not in self.held))
 
 
-def question(model: Model, recordings: Recordings) -> Question:
+def question(model: Model, recordings: Recordings) -> Inquiry:
     """What ``recordings`` are asked against a model.
 
     What `identify` chose itself stays in question on its own recordings; against others the model stands as it is.
@@ -57,12 +58,12 @@ def question(model: Model, recordings: Recordings) -> Question:
     base = baseline(model, recordings)
     own = base.known is None
     taken_out = tuple(model.provenance.get("taken_out", ()))
-    moving = any(map(moves, recordings))
-    held = survey(lambda: recordings.trials).held_out if moving else frozenset()
+    powered = any(moves(r) and r.phase in POWERED for r in recordings)
+    held = survey(lambda: recordings.trials).held_out if powered else frozenset()
     learnt = [r for r in recordings if moves(r) and r.suite_key not in held]
     cutoff = recorded_low_pass(model.robot.as_described, learnt)
     told = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
-    return Question(
+    return Inquiry(
         base.robot, in_time(recordings, model, cutoff, taken_out), held, settled(model) if own else model.effects, base.known,
         base.against, (*base.notes, *told), taken_out if own else common_lags(taken_out),
     )  # fmt: skip
@@ -71,17 +72,19 @@ def question(model: Model, recordings: Recordings) -> Question:
 def first_question(
     robot: Robot,
     recordings: Recordings,
-    body: Body,
+    body: TorqueModel,
     cutoff: float,
     fitted: Sequence[Fitted],
     taken_out: Sequence[Mapping[str, Any]],
-) -> Question:
+) -> Inquiry:
     """What an identification asks its ``recordings``, of which none judges, before there is a model of them."""
     prepared = in_time(recordings, body, cutoff, taken_out)
-    return Question(robot, prepared, frozenset(), tuple(fitted), None, DESCRIBED, (), tuple(taken_out))
+    return Inquiry(robot, prepared, frozenset(), tuple(fitted), None, DESCRIBED, (), tuple(taken_out))
 
 
-def in_time(recordings: Recordings, body: Model | Body, cutoff: float, taken_out: Sequence[Mapping[str, Any]]) -> Recordings:
+def in_time(
+    recordings: Recordings, body: Model | TorqueModel, cutoff: float, taken_out: Sequence[Mapping[str, Any]]
+) -> Recordings:
     """Recordings with what a low-pass of ``cutoff`` [Hz] took off put back, and without the lag of all joints' torque.
 
     That lag was taken out by identification, which is told: nothing is asked of it again.

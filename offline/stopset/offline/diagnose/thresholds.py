@@ -144,7 +144,7 @@ SETTLED = (
               "what the imperfect law of a first claim leaves: a needless cubic term after Stribeck friction lowered it by 3 %; true second "
               "causes by 12 % and more"),
     Threshold("LOWERED_SWING", "the same of an elastic gear, which readings of the motor's side alone show", "%",
-              "true ones lowered it by 30 to 77 %; on a real UR10e three that nobody confirms by 2 to 4 %"),
+              "true ones of labelled and generated sets lowered it by 30 to 77 %"),
     Threshold("MAX_CLAIMS", "most claims", "", "chosen: a bound on the search"),
     Threshold("CONTENDERS", "best distinct effects and joints whose shapes are refined before one is claimed", "",
               "chosen: a bound on the search"),

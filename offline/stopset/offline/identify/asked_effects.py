@@ -10,7 +10,7 @@ from stopset.effects.registry import get
 from stopset.effects.selection import matches, parse_effect
 from stopset.errors import EffectError
 from stopset.offline.campaign.run import Run
-from stopset.offline.compare.known import Body
+from stopset.offline.compare.known import TorqueModel
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.question import first_question
 from stopset.offline.nominal.model import NO_TRACE, fit_nominal, regressed
@@ -36,9 +36,9 @@ def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] 
     settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
     part = fit_nominal(run.robot, run.meta, run.trials, run.survey, settings, tuple(known))
     trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
-    body = Body(part.robot, part.rotor, part.effects, part.abstraction)
+    plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
     beside = [f for f in known if not get(f.effect).base]
-    found = estimates(first_question(run.robot, trials, body, run.survey.low_pass, beside, part.taken_out), wanted).found
+    found = estimates(first_question(run.robot, trials, plain, run.survey.low_pass, beside, part.taken_out), wanted).found
     for name in wanted:
         if name not in chosen and not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
