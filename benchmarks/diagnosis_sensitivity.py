@@ -20,6 +20,7 @@ import json
 import operator
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -185,13 +186,14 @@ def open_to(watched: Mapping[str, Any], name: str, way: str) -> bool:
 
 
 def work(folders: list[Path], out: Path, first: set[str]) -> list[tuple[str, str, str]]:
-    """(set, threshold, factor) to ask; what is only compared with before what enters computations, the sets of ``first`` before others."""
-    jobs = [
-        (key, t.name, way) for key, w in read(folders, out).items() for t in limit.TABLE for way in FACTORS
-        if open_to(w, t.name, way) and not (out / f"{key}.{t.name}.{way}.json").exists()
+    """(set, threshold, factor) to ask: where a decision is near before what is open to most sets, the sets of ``first`` before others."""
+    watched = read(folders, out)
+    openings = [
+        (key, t.name, way) for key, w in watched.items() for t in limit.TABLE for way in FACTORS if open_to(w, t.name, way)
     ]  # fmt: skip
-    leaked = {n for w in read(folders, out).values() for n in w["leaked"]}
-    return sorted(jobs, key=lambda j: (j[1] in leaked, bool(first) and j[0] not in first))
+    count = Counter(name for _, name, _ in openings)
+    jobs = [(key, name, way) for key, name, way in openings if not (out / f"{key}.{name}.{way}.json").exists()]
+    return sorted(jobs, key=lambda j: (count[j[1]] > len(watched), bool(first) and j[0] not in first))
 
 
 def table(folders: list[Path], out: Path) -> str:
