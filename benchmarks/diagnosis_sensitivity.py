@@ -53,7 +53,7 @@ class Watched:
 
     @staticmethod
     def of(name: str, value: Any) -> Watched:
-        return Watched(value, {(name, way): varied(value, f) for way, f in FACTORS.items()})
+        return Watched(value, {(name, change): varied(value, f) for change, f in FACTORS.items()})
 
     def _leak(self) -> Any:
         LEAKED.update(name for name, _ in self.other)
@@ -103,9 +103,9 @@ def applied(op: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
     others = {key: op(at(a, key), at(b, key)) for key in keys}
     if op not in COMPARE:
         return Watched(result, others)
-    for (name, way), other in others.items():
+    for (name, change), other in others.items():
         if np.any(other != result):
-            FLIPPED.setdefault(name, set()).add(way)
+            FLIPPED.setdefault(name, set()).add(change)
     return result
 
 
@@ -160,18 +160,18 @@ def watch(todo: dict[str, Path], out: Path, until: float) -> None:
 
 def again(todo: list[tuple[str, str, str]], known: dict[str, Path], out: Path, until: float) -> None:
     """Ask sets again with one threshold another: (set, threshold, factor)."""
-    for k, (key, name, way) in enumerate(todo):
+    for k, (key, name, change) in enumerate(todo):
         if time.monotonic() > until:
             print(f"{len(todo) - k} still to be asked", flush=True)
             return
         settled = getattr(limit, name)
-        setattr(limit, name, varied(settled, FACTORS[way]))
+        setattr(limit, name, varied(settled, FACTORS[change]))
         try:
             answer = asked(known[key])
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # a value that the code cannot work with
             answer = [f"no answer: {error}"]
         setattr(limit, name, settled)
-        (out / f"{key}.{name}.{way}.json").write_text(json.dumps(answer))
+        (out / f"{key}.{name}.{change}.json").write_text(json.dumps(answer))
 
 
 def read(folders: list[Path], out: Path) -> dict[str, Any]:
@@ -180,19 +180,19 @@ def read(folders: list[Path], out: Path) -> dict[str, Any]:
     return {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
 
 
-def open_to(watched: Mapping[str, Any], name: str, way: str) -> bool:
+def open_to(watched: Mapping[str, Any], name: str, change: str) -> bool:
     """Whether a set's answer may change with a threshold: one that entered a computation, or turned a comparison round."""
-    return name in watched["leaked"] or way in watched["flipped"].get(name, ())
+    return name in watched["leaked"] or change in watched["flipped"].get(name, ())
 
 
 def work(folders: list[Path], out: Path, first: set[str]) -> list[tuple[str, str, str]]:
     """(set, threshold, factor) to ask: where a decision is near before what is open to most sets, the sets of ``first`` before others."""
     watched = read(folders, out)
     openings = [
-        (key, t.name, way) for key, w in watched.items() for t in limit.TABLE for way in FACTORS if open_to(w, t.name, way)
+        (key, t.name, change) for key, w in watched.items() for t in limit.TABLE for change in FACTORS if open_to(w, t.name, change)
     ]  # fmt: skip
     count = Counter(name for _, name, _ in openings)
-    jobs = [(key, name, way) for key, name, way in openings if not (out / f"{key}.{name}.{way}.json").exists()]
+    jobs = [(key, name, change) for key, name, change in openings if not (out / f"{key}.{name}.{change}.json").exists()]
     return sorted(jobs, key=lambda j: (count[j[1]] > len(watched), bool(first) and j[0] not in first))
 
 
@@ -202,10 +202,10 @@ def table(folders: list[Path], out: Path) -> str:
     rows, still, later = [], [], []
     for t in limit.TABLE:
         cells, fewest, changes = [], len(watched), 0
-        for way in FACTORS:
-            files = {key: out / f"{key}.{t.name}.{way}.json" for key in watched}
+        for change in FACTORS:
+            files = {key: out / f"{key}.{t.name}.{change}.json" for key in watched}
             new = {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
-            known = set(new) | {key for key, w in watched.items() if not open_to(w, t.name, way)}
+            known = set(new) | {key for key, w in watched.items() if not open_to(w, t.name, change)}
             changed = [f"{key.partition('.')[2]} {_words(watched[key]['answer'])} → {_words(a)}"
                        for key, a in new.items() if a != watched[key]["answer"]]  # fmt: skip
             fewest, changes = min(fewest, len(known)), changes + len(changed)

@@ -22,7 +22,7 @@ from stopset.offline.diagnose.remainder import verdict_of
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -89,22 +89,22 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 
 def diagnose_model(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = silent
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
-    ``tell`` is told each step.
+    ``progress`` is given each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
-        return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
+        return diagnose_open_loop(model, recordings, names, progress), "open-loop simulation from each trial's start"
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=q.notes), q.against
-    found = answered(examine(q.robot, q.asked, q.fitted, known=q.known, tell=tell), names)
+    found = answered(examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress), names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
@@ -114,7 +114,7 @@ def diagnose_model(
     found = replace(found, taken_out=q.taken_out)
     if q.known is None:
         return found, q.against
-    tell("what changed since identification")
+    progress("what changed since identification")
     changed = changes(model, [r for r in q.recordings if moves(r)])
     return _with_changes(found, [c for c in changed if names is None or c.effect in names]), q.against
 

@@ -15,7 +15,7 @@ from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.question import Inquiry
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.types import Array
 
 
@@ -42,18 +42,18 @@ class Estimates:
     words: str
 
 
-def estimates(q: Inquiry, names: Sequence[str], tell: Tell = silent) -> Estimates:
+def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> Estimates:
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
     if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(q.robot, q.asked, q.fitted, known=q.known, tell=tell)
+    x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     named = {e.name for e in out}
     for name in names:
         if name in named:
             continue
         beside = (*q.fitted, *(e.fitted for e in out))
-        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, tell=tell)
+        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, progress=progress)
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
 

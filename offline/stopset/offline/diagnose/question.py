@@ -62,10 +62,12 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
     held = survey(lambda: recordings.trials).held_out if powered else frozenset()
     learnt = [r for r in recordings if moves(r) and r.suite_key not in held]
     cutoff = recorded_low_pass(model.robot.as_described, learnt)
-    told = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    filtered = (
+        (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    )
     return Inquiry(
         base.robot, in_time(recordings, model, cutoff, taken_out), held, settled(model) if own else model.effects, base.known,
-        base.against, (*base.notes, *told), taken_out if own else common_lags(taken_out),
+        base.against, (*base.notes, *filtered), taken_out if own else common_lags(taken_out),
     )  # fmt: skip
 
 
