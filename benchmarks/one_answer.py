@@ -12,8 +12,8 @@ identification, and of a diagnosis of these names only.  What contradicts what t
     python benchmarks/one_answer.py real FOLDERS... --out OUT        (robot.urdf, identification.parquet, others *.parquet)
     python benchmarks/one_answer.py count --out OUT
 
-Of other recordings than the model's own an identification knows no model to measure against: its numbers are compared on a model's own
-recordings only.  Levels that have changed since identification (friction, scale) are no effects to add: they are not asked.
+Of other recordings than the model's own an identification is not asked: it has no model to measure them against.
+Levels that have changed since identification (friction, scale) are no effects to add: they are not asked.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def contradictions(robot: Robot, model: Model, data: Recordings, own: bool) -> d
     taken = [r for r in named if _added(model, data, [r], said, errors=r is named[0])]
     if len(named) > 1:
         _added(model, data, named, said, errors=True)
-    for r in taken:
-        _identified(robot, data, r, own, said)
+    for r in taken if own else ():
+        _identified(robot, data, r, said)
     if named:
         _asked_alone(model, data, named, found, said)
     return {
@@ -92,14 +92,14 @@ def _same_errors(r: Ranked, before: Mapping[str, float], after: Mapping[str, flo
     return any(not differs({"b": b, "a": a}, {"b": r.error_before, "a": r.error_after}) for b, a in pairs)
 
 
-def _identified(robot: Robot, data: Recordings, r: Ranked, own: bool, said: list[tuple[str, str]]) -> None:
+def _identified(robot: Robot, data: Recordings, r: Ranked, said: list[tuple[str, str]]) -> None:
     try:
         model = identified(robot, campaign(data), Settings(effects=(r.label,))).model
     except StopsetError as error:
         said.append(("refused at identification", f"{r.label}: {error}"))
         return
     values = {f.label: dict(f.values) for f in model.effects}
-    if own and differs(r.fitted.values, values.get(r.label, {})):
+    if differs(r.fitted.values, values.get(r.label, {})):
         said.append(("numbers", f"{r.label}: {dict(r.fitted.values)} named, {values.get(r.label)} identified"))
 
 
