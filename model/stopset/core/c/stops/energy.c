@@ -178,14 +178,41 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
     return 0;
 }
 
-/* y after a step from y on which the speeds lie in [x_lo, x_hi]: the energy balance itself. */
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h) {
-    double power = 0.0;
+/* Largest sum_i w_i |v_i| where slow <= |v_i| <= fast and sum_i |v_i| P_i >= z: what has this much energy moves, and what moves is braked.
+ * Torques that push take all of their speed; of those that brake the joints that hold most energy for it come first. */
+static double power(int n, const double *w, const double *slow, const double *fast, const double *P, double z) {
+    int left[SN], count = 0;
+    double out = 0.0;
     for (int i = 0; i < n; i++) {
-        const double slow = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
-        power += w[i] * (w[i] > 0.0 ? most(size_of(x_lo[i]), size_of(x_hi[i])) : slow);
+        const double v = w[i] > 0.0 ? fast[i] : slow[i];
+        out += w[i] * v;
+        z -= P[i] * v;
+        if (w[i] <= 0.0 && fast[i] > slow[i] && P[i] > 0.0) left[count++] = i;
     }
-    return sqrt(most(y * y + 2.0 * h * power, 0.0)) * stopset_energy_rounding;
+    while (z > 0.0 && count > 0) {
+        int best = 0;
+        for (int k = 1; k < count; k++)
+            if (w[left[k]] * P[left[best]] > w[left[best]] * P[left[k]]) best = k;
+        const int i = left[best];
+        const double v = least(fast[i] - slow[i], z / P[i]);
+        out += w[i] * v;
+        z -= P[i] * v;
+        left[best] = left[--count];
+    }
+    return out;
+}
+
+/* y after a step from y on which the speeds lie in [x_lo, x_hi] and the momenta are no larger than P: the energy balance itself (Lemma 8). */
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h) {
+    const double z = y * y;
+    double slow[SN], fast[SN];
+    for (int i = 0; i < n; i++) {
+        slow[i] = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
+        fast[i] = most(size_of(x_lo[i]), size_of(x_hi[i]));
+    }
+    /* with no less than `least_z` at all times the first holds; else from the last time with that on the second */
+    const double least_z = most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), rate = power(n, w, slow, fast, P, least_z);
+    return sqrt(most(most(z + 2.0 * h * rate, least_z + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
 /* Speed bands cut to the caps; a joint that has rested may rest. */

@@ -277,8 +277,8 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
     }
 }
 
-/* Momenta after a step of h seconds on which `at` holds and speeds lie in w. */
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p) {
+/* Momenta after a step of h seconds on which `at` holds and speeds lie in w; `size`: cut to their largest on the step. */
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size) {
     const int n = at->n;
     Span any, on, step, raw, rest;
     speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
@@ -288,6 +288,7 @@ void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *a
         const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
         const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
         const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
+        size[i] = least(size[i], largest(step.lo[i], step.hi[i]) + slack);
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
         p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
     }

@@ -89,12 +89,12 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
                       double h, const StopsetParts *parts, Local *at);
 int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                    const StopsetParts *parts, Local *at, double *way);
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
                      const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p);
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size);
 double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v);
 #endif

@@ -6,6 +6,7 @@
  *
  * Source: Moreau (1988) for the inclusion; Goodnight (1979) for the sweep operator.
  */
+#include <math.h>
 #include <string.h>
 
 #include "stops.h"
@@ -323,12 +324,29 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
 }
 
 /* Momenta of all joints after a step, and what they and the energy know of the speeds at its end. */
+/* Largest momenta on the step, with no more than y of the energy: |p_i| <= sqrt(M_ii) y. */
+static void most_momenta(March *m, double y, double *P) {
+    Span p;
+    stops_start_pulls(&m->at, m->x_lo, m->x_hi, &p);
+    for (int i = 0; i < m->n; i++) {
+        const int own = i * (m->n + 1);
+        P[i] = least(most(size_of(p.lo[i]), size_of(p.hi[i])), sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding);
+    }
+    if (m->pulled) {
+        Span w, after = m->momenta;
+        memcpy(w.lo, m->x_lo, sizeof w.lo);
+        memcpy(w.hi, m->x_hi, sizeof w.hi);
+        stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &after, P);
+    }
+}
+
 static void pull(March *m, double *v_lo, double *v_hi) {
     const size_t row = (size_t)m->n * sizeof *v_lo;
     Span w, end;
+    double size[SN] = {0};
     memcpy(w.lo, m->x_lo, row);
     memcpy(w.hi, m->x_hi, row);
-    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta);
+    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta, size);
     memcpy(end.lo, v_lo, row);
     memcpy(end.hi, v_hi, row);
     m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
@@ -341,17 +359,16 @@ static void pull(March *m, double *v_lo, double *v_hi) {
 static void settle(March *m, int64_t k, double y, int verified) {
     const StopsetPlant *p = m->p;
     const int n = m->n;
-    double before[SN], excess[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
+    double before[SN], excess[SN], P[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
     stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->kept, m->x_lo, m->x_hi, m->h);
     for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
     memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
-        if (verified) {
-            stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
-            m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, m->h));
-        }
+        stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
+        most_momenta(m, most(y, m->energy.y), P);
+        m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, P, m->h));
         Span end;
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
