@@ -178,14 +178,15 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
     return 0;
 }
 
-/* Largest sum_i w_i |v_i| where slow <= |v_i| <= fast and sum_i |v_i| P_i >= z: what has this much energy moves, and what moves is braked.
- * Torques that push take all of their speed; of those that brake the joints that hold most energy for it come first. */
+/* Largest sum_i w_i |v_i| [W] where slow_i <= |v_i| <= fast_i and sum_i P_i |v_i| >= z: what has much energy moves, and what moves is braked.
+ * Where torques push all of a speed is taken, of the others as much as z asks for, those first that hold most of it for least power. */
 static double power(int n, const double *w, const double *slow, const double *fast, const double *P, double z) {
     int left[SN], count = 0;
-    double out = 0.0;
+    double out = 0.0, scale = 0.0;
     for (int i = 0; i < n; i++) {
         const double v = w[i] > 0.0 ? fast[i] : slow[i];
         out += w[i] * v;
+        scale += size_of(w[i]) * fast[i];
         z -= P[i] * v;
         if (w[i] <= 0.0 && fast[i] > slow[i] && P[i] > 0.0) left[count++] = i;
     }
@@ -199,10 +200,10 @@ static double power(int n, const double *w, const double *slow, const double *fa
         z -= P[i] * v;
         left[best] = left[--count];
     }
-    return out;
+    return out + 1e-12 * scale; /* for rounding */
 }
 
-/* y after a step from y on which the speeds lie in [x_lo, x_hi] and the momenta are no larger than P: the energy balance itself (Lemma 8). */
+/* y after a step from y on which the speeds lie in [x_lo, x_hi] and no momentum is larger than P: the energy balance, Lemma 8 of docs/stops.md. */
 double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h) {
     const double z = y * y;
     double slow[SN], fast[SN];
@@ -210,9 +211,8 @@ double stops_by_power(int n, double y, const double *w, const double *x_lo, cons
         slow[i] = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
         fast[i] = most(size_of(x_lo[i]), size_of(x_hi[i]));
     }
-    /* with no less than `least_z` at all times the first holds; else from the last time with that on the second */
-    const double least_z = most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), rate = power(n, w, slow, fast, P, least_z);
-    return sqrt(most(most(z + 2.0 * h * rate, least_z + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
+    const double low = most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), rate = power(n, w, slow, fast, P, low);
+    return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
 /* Speed bands cut to the caps; a joint that has rested may rest. */
@@ -248,6 +248,12 @@ double stopset_largest_energy(const StopsetPlant *plant, const double *q, const 
     stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
     stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &stops_whole, &at);
     return stops_largest(&at, v_lo, v_hi);
+}
+
+int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h, double *out) {
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    *out = stops_by_power(n, y, w, v_lo, v_hi, P, h);
+    return STOPSET_OK;
 }
 
 int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,

@@ -14,7 +14,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
 
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
@@ -323,30 +323,26 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
     return 1;
 }
 
-/* Momenta of all joints after a step, and what they and the energy know of the speeds at its end. */
-/* Largest momenta on the step, with no more than y of the energy: |p_i| <= sqrt(M_ii) y. */
-static void most_momenta(March *m, double y, double *P) {
-    Span p;
-    stops_start_pulls(&m->at, m->x_lo, m->x_hi, &p);
-    for (int i = 0; i < m->n; i++) {
-        const int own = i * (m->n + 1);
-        P[i] = least(most(size_of(p.lo[i]), size_of(p.hi[i])), sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding);
-    }
-    if (m->pulled) {
-        Span w, after = m->momenta;
-        memcpy(w.lo, m->x_lo, sizeof w.lo);
-        memcpy(w.hi, m->x_hi, sizeof w.hi);
-        stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &after, P);
-    }
-}
-
-static void pull(March *m, double *v_lo, double *v_hi) {
-    const size_t row = (size_t)m->n * sizeof *v_lo;
-    Span w, end;
-    double size[SN] = {0};
+/* P (n,): largest momenta on a step on which the energy is no more than y, as |p_i| <= sqrt(M_ii) y; those that are followed, at its end. */
+static void follow_momenta(March *m, double y, double *P) {
+    const size_t row = (size_t)m->n * sizeof *P;
+    Span w, any;
     memcpy(w.lo, m->x_lo, row);
     memcpy(w.hi, m->x_hi, row);
-    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta, size);
+    stops_start_pulls(&m->at, w.lo, w.hi, &any);
+    for (int i = 0; i < m->n; i++) {
+        const int own = i * (m->n + 1);
+        const double most_own = sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding;
+        P[i] = least(most(size_of(any.lo[i]), size_of(any.hi[i])), most_own);
+    }
+    if (m->pulled) stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta, P);
+    for (int i = 0; i < m->n; i++) P[i] *= m->parts->held;
+}
+
+/* What momenta and energy know of the speeds at the end of a step. */
+static void pull(March *m, double *v_lo, double *v_hi) {
+    const size_t row = (size_t)m->n * sizeof *v_lo;
+    Span end;
     memcpy(end.lo, v_lo, row);
     memcpy(end.hi, v_hi, row);
     m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
@@ -367,7 +363,7 @@ static void settle(March *m, int64_t k, double y, int verified) {
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
         stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
-        most_momenta(m, most(y, m->energy.y), P);
+        follow_momenta(m, most(y, m->energy.y), P);
         m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, P, m->h));
         Span end;
         for (int i = 0; i < n; i++) {
