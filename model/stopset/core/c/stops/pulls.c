@@ -15,9 +15,9 @@ enum { CLAIMS = STOPSET_PULL_CLAIMS };
 
 typedef struct {
     const Local *at;
-    const Span *v;
-    Span p, *out, *rest; /* p: of M_c v, what M is uncertain by included */
-    double loose[SN];    /* how far M v can be from M_c v */
+    const Span *v, *p;
+    Span *out, *rest;
+    double start[SN * SN * WIDE], loose[SN], beyond[SN], shared; /* M; how far M v can be from M_c v, all of it and beyond slopes */
     int inside[SN], open[SN], count;
 } Exchange;
 
@@ -30,32 +30,68 @@ static void add(double w, double lo, double hi, double *out_lo, double *out_hi, 
     *scale += size_of(w) * largest(lo, hi);
 }
 
+/* What one angle and the payload do to a row: to its middle, added; to what its numbers can be off the middle. */
+static double turned(int n, const double *slopes, double lo, double hi, double *turn) {
+    double sum = 0.0;
+    for (int l = 0; l < n + 1; l++) {
+        sum += size_of(slopes[l]);
+        turn[l] += 0.5 * slopes[l] * (lo + hi);
+    }
+    return 0.5 * sum * (hi - lo);
+}
+
+static double sum_of(int n, const double *turn) {
+    double sum = 0.0;
+    for (int l = 0; l < n + 1; l++) sum += size_of(turn[l]);
+    return sum;
+}
+
+/* The momentum of joint i, which is not inside, from those inside and all speeds, where its own lies in [lo, hi], into [*p_lo, *p_hi]. */
+static void pulled(const double *entry, int n, double lo, double hi, double given_lo, double given_hi, double slack, double loose, double spread,
+                   const double *turn, double *p_lo, double *p_hi) {
+    double all[WIDE];
+    memcpy(all, turn, sizeof all);
+    spread += turned(n, entry + 1, lo, hi, all);
+    spread = least(loose, spread + sum_of(n, all)) + slack + stopset_rate_rounding * size_of(entry[0]) * largest(lo, hi);
+    *p_hi = given_hi + most(entry[0] * lo, entry[0] * hi) + spread;
+    *p_lo = given_lo + least(entry[0] * lo, entry[0] * hi) - spread;
+}
+
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
 static void read_rows(const double *A, Exchange *x) {
-    const int n = x->at->n;
+    const int n = x->at->n, wide = n + 2;
     for (int i = 0; i < n; i++) {
-        double lo = 0.0, hi = 0.0, scale = 0.0;
+        double lo = 0.0, hi = 0.0, scale = 0.0, loose = 0.0, spread = 0.0, turn[WIDE] = {0}, p_lo, p_hi;
         const double sign = x->inside[i] ? -1.0 : 1.0;
         for (int j = 0; j < n; j++) {
-            if (x->inside[j])
-                add(sign * A[i * n + j], x->p.lo[j], x->p.hi[j], &lo, &hi, &scale);
-            else if (j != i)
-                add(sign * A[i * n + j], x->v->lo[j], x->v->hi[j], &lo, &hi, &scale);
+            const double *e = A + (i * n + j) * wide;
+            if (j == i && !x->inside[i]) continue;
+            const Span *of = x->inside[j] ? x->p : x->v;
+            add(sign * e[0], of->lo[j], of->hi[j], &lo, &hi, &scale);
+            spread += turned(n, e + 1, of->lo[j], of->hi[j], turn);
+            if (!x->inside[j]) continue;
+            double size = 0.0;
+            for (int l = 1; l < wide; l++) size += size_of(e[l]);
+            loose += size_of(e[0]) * x->loose[j];
+            spread += size * x->loose[j] + size_of(e[0]) * x->beyond[j];
         }
+        const double slack = stopset_rate_rounding * (scale + loose);
         if (x->inside[i]) {
-            const double slack = stopset_rate_rounding * scale;
-            x->out->lo[i] = most(x->out->lo[i], lo - slack);
-            x->out->hi[i] = least(x->out->hi[i], hi + slack);
+            const double away = least(loose, x->shared * (spread + sum_of(n, turn))) + slack;
+            x->out->lo[i] = most(x->out->lo[i], lo - away);
+            x->out->hi[i] = least(x->out->hi[i], hi + away);
             continue;
         }
-        const double own = A[i * n + i], slack = stopset_rate_rounding * (scale + size_of(own) * largest(x->v->lo[i], x->v->hi[i])) + x->loose[i];
+        const double *own = A + i * (n + 1) * wide;
+        loose += x->loose[i];
+        spread += x->beyond[i];
         if (x->v->lo[i] <= 0.0) {
-            const double a = own * x->v->lo[i], b = own * least(x->v->hi[i], 0.0);
-            x->rest->hi[i] = least(x->rest->hi[i], hi + most(a, b) + slack);
+            pulled(own, n, x->v->lo[i], least(x->v->hi[i], 0.0), lo, hi, slack, loose, spread, turn, &p_lo, &p_hi);
+            x->rest->hi[i] = least(x->rest->hi[i], p_hi);
         }
         if (x->v->hi[i] >= 0.0) {
-            const double a = own * x->v->hi[i], b = own * most(x->v->lo[i], 0.0);
-            x->rest->lo[i] = most(x->rest->lo[i], lo + least(a, b) - slack);
+            pulled(own, n, most(x->v->lo[i], 0.0), x->v->hi[i], lo, hi, slack, loose, spread, turn, &p_lo, &p_hi);
+            x->rest->lo[i] = most(x->rest->lo[i], p_lo);
         }
     }
 }
@@ -63,16 +99,16 @@ static void read_rows(const double *A, Exchange *x) {
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
 static void visit(const double *A, int k, Exchange *x) {
     const int n = x->at->n;
-    double B[SN * SN];
+    double B[SN * SN * WIDE];
     if (k == x->count) {
         read_rows(A, x);
         return;
     }
-    const int joint = x->open[k];
+    const int joint = x->open[k], at = joint * (n + 1) * (n + 2);
     visit(A, k + 1, x);
-    if (!(A[joint * n + joint] > 1e-6 * x->at->M[joint * n + joint])) return;
-    memcpy(B, A, (size_t)(n * n) * sizeof *B);
-    stops_pivot(n, B, joint, 1);
+    if (!(A[at] > 1e-6 * x->start[at])) return;
+    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
+    stops_pivot_along(n, B, joint);
     x->inside[joint] = 1;
     visit(B, k + 1, x);
     x->inside[joint] = 0;
@@ -132,20 +168,22 @@ static void looseness(const Expansion *E, const Local *at, const Inverse *invers
 
 /* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
  * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
-static void exchange(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
+static void exchange(const StopsetPlant *plant, const Expansion *E, const Local *at, const Inverse *inverse, const StopsetParts *parts, const Span *v,
+                     const Span *p, Span *out, Span *rest) {
     const int n = at->n;
-    Exchange x = {.at = at, .v = v, .out = out, .rest = rest};
+    double fast[SN], push[SN];
+    Exchange x = {.at = at, .v = v, .p = p, .out = out, .rest = rest, .shared = parts->shared};
+    for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
+    stops_slopes(plant, E, at, fast, x.start, push, x.beyond);
     looseness(E, at, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        x.p.lo[i] = p->lo[i] - x.loose[i];
-        x.p.hi[i] = p->hi[i] + x.loose[i];
         out->lo[i] = -STOPS_INF;
         out->hi[i] = STOPS_INF;
         rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
         rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
         if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
     }
-    visit(at->M, 0, &x);
+    visit(x.start, 0, &x);
 }
 
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
@@ -217,7 +255,7 @@ static void speak(const StopsetPlant *plant, const Expansion *E, const Local *at
         rates(plant, E, at, inverse, s, w, step, parts, any, on);
         during(at->n, p, any, h, step);
     }
-    exchange(E, at, inverse, w, step, raw, rest);
+    exchange(plant, E, at, inverse, parts, w, step, raw, rest);
 }
 
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p) {
@@ -295,7 +333,7 @@ void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *a
 }
 
 /* At a moment: speeds in v cut by momenta in p, and these by the speeds. Returns a bound of sqrt(v' M v). */
-double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
+double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v) {
     const int n = at->n;
     double power = 0.0;
     Span raw, rest, known;
@@ -305,7 +343,7 @@ double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(E, at, invert(E, at, &inverse) ? &inverse : 0, v, p, &raw, &rest);
+    exchange(plant, E, at, invert(E, at, &inverse) ? &inverse : 0, parts, v, p, &raw, &rest);
     for (int i = 0; i < n; i++) {
         v->lo[i] = most(v->lo[i], raw.lo[i]);
         v->hi[i] = least(v->hi[i], raw.hi[i]);

@@ -345,7 +345,7 @@ static void pull(March *m, double *v_lo, double *v_hi) {
     Span end;
     memcpy(end.lo, v_lo, row);
     memcpy(end.hi, v_hi, row);
-    m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
+    m->energy.y = least(m->energy.y, stops_pull_cut(m->p, &m->E, &m->at, m->parts, &m->momenta, &end));
     stops_cap_bands(m->n, &m->end, &end);
     stops_total(m->n, &m->end, v_lo, v_hi);
     m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
