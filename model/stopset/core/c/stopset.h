@@ -590,6 +590,10 @@ STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, 
 STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo,
                                       const double *w_hi, const double *B_lo, const double *B_hi, const double *claim, int related,
                                       const StopsetParts *parts, double *out);
+/* What momenta in [p_lo, p_hi] leave of speeds in [v_lo, v_hi], angles in q + [x_lo, x_hi], out (4, n): lo, hi; least momentum of a joint that
+ * does not move backward, largest of one that does not move forward. Infinite: nothing known, or no such motion. */
+STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
+                                     const double *v_hi, const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out);
 /* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);

@@ -30,68 +30,62 @@ static void add(double w, double lo, double hi, double *out_lo, double *out_hi, 
     *scale += size_of(w) * largest(lo, hi);
 }
 
-/* What one angle and the payload do to a row: to its middle, added; to what its numbers can be off the middle. */
-static double turned(int n, const double *slopes, double lo, double hi, double *turn) {
-    double sum = 0.0;
-    for (int l = 0; l < n + 1; l++) {
-        sum += size_of(slopes[l]);
-        turn[l] += 0.5 * slopes[l] * (lo + hi);
+/* A sum of entries times numbers in boxes: at the entries' middle, how far the rest is from that by the boxes alone (loose), or by their slopes:
+ * what one angle or the payload does to the middle of all of it (turn), and what is beyond (spread). */
+typedef struct {
+    double lo, hi, scale, loose, spread, turn[WIDE];
+} Row;
+
+/* w (slopes along) [lo, hi], added. */
+static void add_entry(int n, const double *entry, double sign, double lo, double hi, Row *row) {
+    double size = 0.0;
+    for (int l = 1; l < n + 2; l++) {
+        size += size_of(entry[l]);
+        row->turn[l] += 0.5 * entry[l] * (lo + hi);
     }
-    return 0.5 * sum * (hi - lo);
+    row->spread += 0.5 * size * (hi - lo);
+    add(sign * entry[0], lo, hi, &row->lo, &row->hi, &row->scale);
 }
 
-static double sum_of(int n, const double *turn) {
-    double sum = 0.0;
-    for (int l = 0; l < n + 1; l++) sum += size_of(turn[l]);
-    return sum;
-}
-
-/* The momentum of joint i, which is not inside, from those inside and all speeds, where its own lies in [lo, hi], into [*p_lo, *p_hi]. */
-static void pulled(const double *entry, int n, double lo, double hi, double given_lo, double given_hi, double slack, double loose, double spread,
-                   const double *turn, double *p_lo, double *p_hi) {
-    double all[WIDE];
-    memcpy(all, turn, sizeof all);
-    spread += turned(n, entry + 1, lo, hi, all);
-    spread = least(loose, spread + sum_of(n, all)) + slack + stopset_rate_rounding * size_of(entry[0]) * largest(lo, hi);
-    *p_hi = given_hi + most(entry[0] * lo, entry[0] * hi) + spread;
-    *p_lo = given_lo + least(entry[0] * lo, entry[0] * hi) - spread;
+static double away(int n, const Row *row, double shared) {
+    double spread = row->spread;
+    for (int l = 1; l < n + 2; l++) spread += size_of(row->turn[l]);
+    return least(row->loose, shared * spread) + stopset_rate_rounding * (row->scale + row->loose);
 }
 
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
 static void read_rows(const double *A, Exchange *x) {
     const int n = x->at->n, wide = n + 2;
     for (int i = 0; i < n; i++) {
-        double lo = 0.0, hi = 0.0, scale = 0.0, loose = 0.0, spread = 0.0, turn[WIDE] = {0}, p_lo, p_hi;
-        const double sign = x->inside[i] ? -1.0 : 1.0;
+        const double *own = A + i * (n + 1) * wide;
+        Row row = {0};
         for (int j = 0; j < n; j++) {
             const double *e = A + (i * n + j) * wide;
-            if (j == i && !x->inside[i]) continue;
             const Span *of = x->inside[j] ? x->p : x->v;
-            add(sign * e[0], of->lo[j], of->hi[j], &lo, &hi, &scale);
-            spread += turned(n, e + 1, of->lo[j], of->hi[j], turn);
+            if (j == i && !x->inside[i]) continue;
+            add_entry(n, e, x->inside[i] ? -1.0 : 1.0, of->lo[j], of->hi[j], &row);
             if (!x->inside[j]) continue;
             double size = 0.0;
             for (int l = 1; l < wide; l++) size += size_of(e[l]);
-            loose += size_of(e[0]) * x->loose[j];
-            spread += size * x->loose[j] + size_of(e[0]) * x->beyond[j];
+            row.loose += size_of(e[0]) * x->loose[j];
+            row.spread += size * x->loose[j] + size_of(e[0]) * x->beyond[j];
         }
-        const double slack = stopset_rate_rounding * (scale + loose);
         if (x->inside[i]) {
-            const double away = least(loose, x->shared * (spread + sum_of(n, turn))) + slack;
-            x->out->lo[i] = most(x->out->lo[i], lo - away);
-            x->out->hi[i] = least(x->out->hi[i], hi + away);
+            const double off = away(n, &row, x->shared);
+            x->out->lo[i] = most(x->out->lo[i], row.lo - off);
+            x->out->hi[i] = least(x->out->hi[i], row.hi + off);
             continue;
         }
-        const double *own = A + i * (n + 1) * wide;
-        loose += x->loose[i];
-        spread += x->beyond[i];
+        row.loose += x->loose[i];
+        row.spread += x->beyond[i];
         if (x->v->lo[i] <= 0.0) {
-            pulled(own, n, x->v->lo[i], least(x->v->hi[i], 0.0), lo, hi, slack, loose, spread, turn, &p_lo, &p_hi);
-            x->rest->hi[i] = least(x->rest->hi[i], p_hi);
+            Row up = row;
+            add_entry(n, own, 1.0, x->v->lo[i], least(x->v->hi[i], 0.0), &up);
+            x->rest->hi[i] = least(x->rest->hi[i], up.hi + away(n, &up, x->shared));
         }
         if (x->v->hi[i] >= 0.0) {
-            pulled(own, n, most(x->v->lo[i], 0.0), x->v->hi[i], lo, hi, slack, loose, spread, turn, &p_lo, &p_hi);
-            x->rest->lo[i] = most(x->rest->lo[i], p_lo);
+            add_entry(n, own, 1.0, most(x->v->lo[i], 0.0), x->v->hi[i], &row);
+            x->rest->lo[i] = most(x->rest->lo[i], row.lo - away(n, &row, x->shared));
         }
     }
 }
@@ -350,4 +344,28 @@ double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local
         power += most(most(v->lo[i] * p->lo[i], v->lo[i] * p->hi[i]), most(v->hi[i] * p->lo[i], v->hi[i] * p->hi[i]));
     }
     return sqrt(most(power, 0.0)) * stopset_energy_rounding;
+}
+
+int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo, const double *v_hi,
+                         const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out) {
+    const int n = plant->arm.n;
+    const size_t row = (size_t)n * sizeof *out;
+    Expansion E;
+    Local at;
+    Inverse inverse;
+    Span v, p, speeds, rest;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, v_lo, v_hi, parts, &at);
+    memcpy(v.lo, v_lo, row);
+    memcpy(v.hi, v_hi, row);
+    memcpy(p.lo, p_lo, row);
+    memcpy(p.hi, p_hi, row);
+    exchange(plant, &E, &at, invert(&E, &at, &inverse) ? &inverse : 0, parts, &v, &p, &speeds, &rest);
+    memcpy(out, speeds.lo, row);
+    memcpy(out + n, speeds.hi, row);
+    memcpy(out + 2 * n, rest.lo, row);
+    memcpy(out + 3 * n, rest.hi, row);
+    return STOPSET_OK;
 }
