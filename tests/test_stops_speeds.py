@@ -1,5 +1,5 @@
-"""Speeds that momenta in a box leave open, and momenta of joints that do not move on: a search over poses, payloads and rotors with the rigid body that
-identification uses finds none outside; what one angle does to all joints at once is counted once; bounds that count half of it are left."""
+"""Speeds that momenta in a box leave open, and momenta of joints that do not move on: a search over poses, payloads and rotors with the rigid
+body that identification uses finds none outside; what one angle does to all joints at once is counted once; bounds that count half of it are left."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_no_search_leaves_the_bounds(arm: str) -> None:
 
 
 def test_what_one_angle_does_to_all_is_counted_once() -> None:
-    """Ranges of speeds over those that are found: on two joints what angles and the payload do is met, on seven no more than twice that is counted."""
+    """Ranges of speeds over those that are found: on two joints what angles and the payload do is met, on seven at most twice that."""
     assert (
         np.median([searched(c, bounds(c), s, 60)[1] for s in range(4) for c in [case_of(random_arm(2, 0), s, 0.02, 0.0)]]) < 1.1
     )
