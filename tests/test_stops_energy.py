@@ -94,6 +94,12 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
     assert max(brief.d_hi.max(), -brief.d_lo.min()) <= 1.01e6 * far
 
 
+def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
+    plant, _ = one_joint(6.0, 1.0)
+    v, q = np.full(1, 1e200), np.zeros(1)
+    assert march(plant, q, q, v, v, 1e-3, 5, ALL_PARTS, True).end != OK
+
+
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:
     """UR10e-like with 12.5 kg, where a tube of joint speeds closes one stop in ten: the median of bound over worst sampled was 18, now 2.3."""
     model, ratios, helped = ur10e_like(), [], 0

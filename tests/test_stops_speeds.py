@@ -130,6 +130,13 @@ def test_what_one_angle_does_to_all_is_counted_once() -> None:
     assert np.median([searched(c, bounds(c), s, 60)[1] for s in range(4) for c in [case_of(cobot7_like(), s, 0.02, 0.0)]]) < 2.0
 
 
+def test_an_inertia_that_is_none_says_less_and_not_more() -> None:
+    c = case_of(ur10e_like(), 0, 0.003, 0.0)
+    assert np.all(np.isfinite(bounds(c)[:2]))
+    out = bounds(c, ALL_PARTS._replace(coupling=4.0))
+    assert not np.any(np.isnan(out))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_bounds_that_forget_what_is_shared_are_left(share: float) -> None:
     worst = -np.inf

@@ -4,7 +4,7 @@
  * joint that comes to rest, or goes backward, has no more momentum than the others pull at it, sup of p_i over v_i <= 0. So every p_i lies
  * between two lines, and M v = p between boxes of v and p is linear: solved for the speeds of every subset of joints.
  *
- * Lemma 6 of docs/stops.md. Source: Goodnight (1979) for the sweep operator.
+ * Lemmas 6 and 9 of docs/stops.md. Source: Goodnight (1979) for the sweep operator.
  */
 #include <math.h>
 #include <string.h>

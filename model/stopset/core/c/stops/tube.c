@@ -352,7 +352,7 @@ static void pull(March *m, double *v_lo, double *v_hi) {
 }
 
 /* Momenta, energy and bands at the knot after step k. */
-static void settle(March *m, int64_t k, double y, int verified) {
+static void settle(March *m, int64_t k, double y) {
     const StopsetPlant *p = m->p;
     const int n = m->n;
     double before[SN], excess[SN], P[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
@@ -463,7 +463,7 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         if (!verified && !energetic) return UNBOUNDED;
         m.related = m.related && verified; /* where it does not help it costs the most */
         displace(&m, k);
-        settle(&m, k, y, verified);
+        settle(&m, k, y);
         tube->t[k + 1] = now + h;
         *made = k + 1;
         for (int i = 0; i < n; i++) tube->way[(k + 1) * n + i] = STOPS_INF;
