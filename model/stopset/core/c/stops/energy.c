@@ -141,7 +141,7 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
 
 /* More (n,) [N m] that gravity can push per way than in angles E->q + [x_lo, x_hi], joints on from there by ways of which sum_i of
  * (all of joint i) / way_i <= 1: its work is what its potential differs by, so half of what it changes by. */
-static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_lo, const double *x_hi, const double *way, double *more) {
+static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_lo, const double *x_hi, const double *travel, double *more) {
     const int n = E->n;
     for (int i = 0; i < n; i++) {
         more[i] = 0.0;
@@ -150,18 +150,18 @@ static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_l
             double slope = size_of(E->dg[i * n + k]) + size_of(E->dgp[i * n + k]), on = 0.0;
             for (int o = 0; o < n; o++) {
                 slope += bend[o] * most(size_of(x_lo[o]), size_of(x_hi[o]));
-                on = most(on, bend[o] * way[o]);
+                on = most(on, bend[o] * travel[o]);
             }
-            more[i] = most(more[i], 0.5 * least(slope + on, bend[k]) * way[k]); /* of degree one in q_k: no slope is larger than a second one */
+            more[i] = most(more[i], 0.5 * least(slope + on, bend[k]) * travel[k]); /* of degree one in q_k: no slope is larger than a second one */
         }
     }
 }
 
 /* How far [rad] each joint can still go from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known. Brakes only gain torque:
  * once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than y^2 / 2 |w_i|.
- * That decides where gravity is asked for: ways are claimed first, and claimed again while too short. */
-int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                   const StopsetParts *parts, Local *at, double *way) {
+ * That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
+int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                      const StopsetParts *parts, Local *at, double *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
     double w[SN], more[SN], left[SN];
@@ -174,21 +174,21 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
     stops_power_excess(n, &here, p->u_lo, p->u_hi, B_lo, none, none, w);
     for (int i = 0; i < n; i++) {
         if (!(w[i] < 0.0)) return 0;
-        way[i] = 1.1 * work / -w[i] + 1e-9;
+        travel[i] = 1.1 * work / -w[i] + 1e-9;
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
-        heavier(p, E, q_lo, q_hi, way, more);
+        heavier(p, E, q_lo, q_hi, travel, more);
         for (int i = 0; i < n; i++) {
             left[i] = least(w[i] + more[i], p->curvature.load[i] + most(p->u_hi[i], -p->u_lo[i]) - B_lo[i]);
             if (!(left[i] < 0.0)) return 0;
-            if (!(work / -left[i] < way[i])) {
+            if (!(work / -left[i] < travel[i])) {
                 enough = 0;
-                way[i] = 1.1 * work / -left[i] + 1e-9;
+                travel[i] = 1.1 * work / -left[i] + 1e-9;
             }
         }
         if (!enough) continue;
-        for (int i = 0; i < n; i++) way[i] = work / -left[i] * stopset_energy_rounding;
+        for (int i = 0; i < n; i++) travel[i] = work / -left[i] * stopset_energy_rounding;
         return 1;
     }
     return 0;
