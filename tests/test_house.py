@@ -179,18 +179,6 @@ def test_modules_and_functions_stay_readable() -> None:
     assert set(long) <= {"stopset.reach.stops.tube"}, long
 
 
-# functions that take more than seven arguments still, and how many: none may join them, none may grow
-MANY_ARGUMENTS = {
-    "reach.stops.bounds.of": 8,
-    "reach.stops.failed.failed_stops": 8,
-    "reach.stops.ramp._ramp_torques": 9,
-    "reach.stops.ramp.stated": 8,
-    "reach.stops.tube.march": 9,
-    "reach.stops.tubes.march_box": 10,
-    "reach.stops.tubes.tubes_of": 9,
-}
-
-
 def functions(name: str) -> Iterator[tuple[str, int, int]]:
     """Every function of a module: its name, lines and arguments besides itself."""
     for f in ast.walk(tree(name)):
@@ -206,7 +194,7 @@ def functions(name: str) -> Iterator[tuple[str, int, int]]:
 def test_functions_fit_on_a_screen_and_take_few_arguments() -> None:
     found = [f for m in modules() if not m.endswith("._binding") for f in functions(m)]
     assert not {f: lines for f, lines, _ in found if lines > 70}
-    assert not {f: given for f, _, given in found if given > MANY_ARGUMENTS.get(f, 7)}, "let what travels together be one type"
+    assert not {f: given for f, _, given in found if given > 7}, "let what travels together be one type"
 
 
 def rows_by_index(name: str) -> Iterator[str]:

@@ -81,7 +81,7 @@ def test_cut_cells_cover_the_cell(together: bool) -> None:
     whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
     parts = [whole]
     for _ in range(5):
-        parts = [x for p in parts for x in p.halves(dq, together)]
+        parts = [x for p in parts for x in p.halves(dq, together=together)]
     for _ in range(300):
         a, s = (np.full(3, rng.random()), np.full(3, rng.random())) if together else (rng.random(3), rng.random(3))
         a = 0.3 * a
@@ -101,12 +101,17 @@ def covered(closes: Callable[[StatesAtCut, bool], bool], budget: int) -> tuple[C
     dq, tried = np.array([1.0, 0.5, 0.0]), []
     whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
 
-    def march(cell: StatesAtCut, plant: object, energetic: bool) -> Fake:
+    def march(cell: StatesAtCut, plant: object, *, energetic: bool) -> Fake:
         tried.append((cell, energetic))
         return Fake(OK if closes(cell, energetic) else 2)
 
     found = cover(
-        [whole], object(), lambda c, p: [(x, p) for x in c.halves(dq, False)], march, lambda c: c.width(dq), (budget, budget)
+        [whole],
+        object(),
+        lambda c, p: [(x, p) for x in c.halves(dq, together=False)],
+        march,
+        lambda c: c.width(dq),
+        (budget, budget),
     )  # type: ignore[arg-type]
     return found, tried
 
