@@ -100,7 +100,7 @@ class WatchAlong(Check):
         verdict = self._at_step(np.concatenate([s.q, s.dq]), beyond)
         self._since.append((u, du))
         if broken and before is not None:
-            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}")
+            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
         self._said = verdict
         return verdict
 
