@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from patience import wait
 from stopset.artifact import load_model
 from stopset.monitor.authentication import Keys
 from stopset.monitor.config import load_config
@@ -64,16 +65,6 @@ def running(*words: str, **more: str) -> Iterator[subprocess.Popen[str]]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-
-
-def wait(what: Callable[[], Any], seconds: float = 20.0) -> bool:
-    """Until ``what`` holds; whether it did in time."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if what():
-            return True
-        time.sleep(0.02)
-    return bool(what())
 
 
 def expected(config: Path, keys: Keys | None = None) -> Expected:
@@ -202,19 +193,20 @@ def compiled(folder: Path, *source: str | Path, words: tuple[str, ...] = ()) -> 
     return binary
 
 
+def listens(port: int) -> bool:
+    """Whether somebody does."""
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=1):
+            return True
+    except OSError:
+        return False
+
+
 class Ear:
     """A zenoh subscriber to everything a monitor publishes."""
 
     def __init__(self, port: int) -> None:
-        end = time.monotonic() + 20
-        while True:  # until the monitor listens
-            try:
-                with socket.create_connection(("127.0.0.1", port), timeout=1):
-                    break
-            except OSError:
-                if time.monotonic() > end:
-                    raise
-                time.sleep(0.05)
+        assert wait(lambda: listens(port)), "the monitor never listened"
         self.link = ZenohLink(PREFIX, mode="client", connect=[f"tcp/127.0.0.1:{port}"])
         self.raw: list[bytes] = []
         self.twins: list[dict[str, Any]] = []
@@ -229,7 +221,7 @@ class Ear:
     def states(self) -> list[State]:
         return [State(unpack(d)["state"]) for d in list(self.raw)]
 
-    def wait(self, what: Any, seconds: float = 20.0) -> bool:
+    def wait(self, what: Any, seconds: float = 60.0) -> bool:
         return wait(what, seconds)
 
     def __enter__(self) -> Ear:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from monitor_arm import known_model, meta, motion
-from monitor_process import PREFIX, Ear, environment, free_port, running, stopset, wait, write_config
+from monitor_process import PREFIX, Ear, environment, free_port, running, stopset, write_config
+from patience import wait
 from stopset.artifact import save_model
 from stopset.monitor.layout import State
 from stopset.recording import write_recordings

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, known_model, motion, with_torque_scaled
-from monitor_process import DATA_ID, Ear, free_port, running, wait
+from monitor_process import DATA_ID, Ear, free_port, running
+from patience import wait
 from rtde_server import Controller
 from stopset.artifact import save_model
 from stopset.errors import BusError
