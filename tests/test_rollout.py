@@ -99,7 +99,11 @@ def test_one_first_then_the_others_and_no_farther_than_the_first_that_gets_worse
     back = ("--back", str(hall.folder / "new.json"))
     assert main(hall.words("narrow", "--json", str(answer), *back)) == 1
     reported = json.loads(answer.read_text())
-    assert "VIOLATION with the new model" in reported["why"] and reported["not_asked"] == [ARMS[1]] and not reported["back"][0]["why"]
+    assert (
+        "VIOLATION with the new model" in reported["why"]
+        and reported["not_asked"] == [ARMS[1]]
+        and not reported["back"][0]["why"]
+    )
     assert hall.models() == [hall.sha256("new")] * 2, "the other arm was never asked, the first has its old model again"
     unsigned = hall.folder / "new.json"  # signed, and then another byte
     unsigned.write_text(unsigned.read_text() + " ")
