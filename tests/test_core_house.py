@@ -60,7 +60,7 @@ def silent(header: str) -> list[str]:
 def test_every_function_of_the_header_says_shapes_and_units() -> None:
     header = (build.SOURCES / "stopset.h").read_text(encoding="utf-8")
     found = list(explained(header))
-    assert len(found) == len(re.findall(r"^STOPSET_API (?!extern)", header, re.MULTILINE)) > 100
+    assert len(found) == len(re.findall(r"^STOPSET_API (?!extern)", header, re.MULTILINE)) > 90
     assert not silent(header)
     assert silent("STOPSET_API int stopset_a(double x);") == ["stopset_a says nothing"]
     assert silent("/* Of x. */\nSTOPSET_API int stopset_a(double x);") == [
