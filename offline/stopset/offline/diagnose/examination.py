@@ -93,7 +93,7 @@ def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
     return now
 
 
-def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], judge: bool) -> list[Step]:
+def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], *, judge: bool) -> list[Step]:
     """Each of ``claims`` beside those before it; ``judge``: those that take too little away are no cause for the next ones."""
     out, before, earlier = list[Step](), found.before, list[Candidate]()
     for claim in claims:
