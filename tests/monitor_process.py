@@ -221,7 +221,7 @@ class Ear:
     def states(self) -> list[State]:
         return [State(unpack(d)["state"]) for d in list(self.raw)]
 
-    def wait(self, what: Any, seconds: float = 60.0) -> bool:
+    def wait(self, what: Any, seconds: float = 60.0) -> Any:
         return wait(what, seconds)
 
     def __enter__(self) -> Ear:
