@@ -36,6 +36,11 @@ def wait(what: Callable[[], Any], seconds: float = 60.0) -> Any:
     return found
 
 
+def rest(seconds: float) -> None:
+    """Let the others go on for so many seconds of a machine that has nothing else to do."""
+    wait(lambda: False, seconds)
+
+
 class Granted:
     """Looks, while its block lasts, how much of the time was ours."""
 

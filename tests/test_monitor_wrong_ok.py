@@ -272,7 +272,7 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
     cell.config.write_text(text.replace("listen = [", f'mode = "client"\nconnect = ["tcp/127.0.0.1:{relay}"]\nlisten = ['))
     heard: list[tuple[int, dict[str, Any]]] = []
     router.subscribe("state", lambda _, d: heard.append((time.time_ns(), unpack(d))))
-    with cell.replay(), consumers(cell, reader, router) as both, Granted() as granted:
+    with contextlib.closing(router), cell.replay(), consumers(cell, reader, router) as both, Granted() as granted:
         with cell.daemon(**preload) as monitor:
             assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
             monitor.send_signal(signal.SIGSTOP)
@@ -287,8 +287,9 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             early = [s for c in both for t, s, _ in c.said if on <= t < on + RECOVER]
             assert not GOOD & set(early), "two seconds old data are not OK when it goes on"
             assert wait(all_in(both, GOOD), 10.0), [c.said[-3:] for c in both]
-            good = [(at, m) for at, m in list(heard) if at >= woken and State(m["state"]) in GOOD]
-            assert good and min(at for at, _ in good) >= woken + RECOVER * 1e9
+            # what was on its way when it was stopped may be heard now, by a machine that has much to do
+            good = [(at, m) for at, m in list(heard) if m["t_pub_ns"] >= woken and State(m["state"]) in GOOD]
+            assert good and min(m["t_pub_ns"] for _, m in good) >= woken + RECOVER * 1e9
             for at, m in good:
                 # the drives' side stamps the SYNC when it sends it: so old the data truly are
                 assert m["t_meas_ns"] >= woken, "nothing of what waited while it stood is OK"
@@ -313,7 +314,6 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             monitor.kill()
             assert wait(all_in(both, {State.FAULT}), 3.0)
             assert wait(lambda: all(Doubt.SILENT in c.doubts(at) for c in both), 3.0)
-    router.close()
 
 
 def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, reader: Path) -> None:

@@ -201,6 +201,7 @@ def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
     before = browser.find_element("id", "now").text
     browser.execute_script("const t = document.getElementById('time'); t.value = 50; t.dispatchEvent(new Event('input'))")
     assert browser.find_element("id", "now").text != before, "the arm goes through the recording"
+    assert patience.wait(lambda: browser.find_elements("css selector", ".heat tbody button")), "what it depends on comes later"
     browser.find_element("css selector", ".heat tbody button").click()
     assert patience.wait(lambda: browser.find_element("id", "cloudsays").text)
     for width in (390, 1250):
