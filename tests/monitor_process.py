@@ -23,7 +23,7 @@ from patience import wait
 from stopset.artifact import load_model
 from stopset.monitor.authentication import Keys
 from stopset.monitor.config import load_config
-from stopset.monitor.consumer import MS, Consumer, Doubt, Expected
+from stopset.monitor.consumer import MS, Consumer, Expected, Fault
 from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.zenoh_link import ZenohLink
 
@@ -77,7 +77,7 @@ class Reading:
     """A consumer at work: ``said`` holds (time, state, doubt) of every look, once per few milliseconds."""
 
     def __init__(self, ask: Callable[[bytes], None]) -> None:
-        self.said: list[tuple[float, State, int]] = [(time.monotonic(), State.FAULT, int(Doubt.NO_MESSAGE))]
+        self.said: list[tuple[float, State, int]] = [(time.monotonic(), State.FAULT, int(Fault.NO_MESSAGE))]
         self.ask = ask
         self.on = True
         self.thread = threading.Thread(target=self.work, daemon=True)
@@ -97,9 +97,9 @@ class Reading:
         before = [s for at, s, _ in self.said if at < t]
         return {*before[-1:], *(s for at, s, _ in self.said if at >= t)}
 
-    def doubts(self, t: float) -> set[Doubt]:
+    def faults(self, t: float) -> set[Fault]:
         """Doubts told after ``t``."""
-        return {Doubt(d) for at, _, d in self.said if at >= t and d}
+        return {Fault(d) for at, _, d in self.said if at >= t and d}
 
     def close(self) -> None:
         self.on = False
@@ -123,11 +123,11 @@ class PythonReading(Reading):
             with self.lock:
                 nonce = self.consumer.challenge(time.monotonic_ns(), secrets.randbits(64))
                 state = self.consumer.state(time.monotonic_ns())
-                doubt = int(self.consumer.why)
+                fault = int(self.consumer.why)
             if nonce:
                 self.ask(nonce)
-            if (state, doubt) != self.said[-1][1:]:
-                self.said.append((time.monotonic(), state, doubt))
+            if (state, fault) != self.said[-1][1:]:
+                self.said.append((time.monotonic(), state, fault))
             time.sleep(0.002)
 
     @property

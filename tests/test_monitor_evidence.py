@@ -55,7 +55,7 @@ def lived(arm: tuple[Path, Model], fault: Fault | None, seed: int) -> World:
     return World(seed, *arm, SECONDS, fault).live()
 
 
-def told(world: World) -> list[dict[str, Any]]:
+def reported(world: World) -> list[dict[str, Any]]:
     events = [json.loads(e) for e in world.slow.get("event", [])]
     return [e["cause"] for e in events if e["kind"] == "bundle"]
 
@@ -69,12 +69,12 @@ def test_every_fault_gets_its_class(arm: tuple[Path, Model], kind: Kind) -> None
     for seed in (1, 2):
         fault = Fault(kind, np.random.default_rng([seed, KINDS.index(kind)]), 100)
         world = lived(arm, fault, seed)
-        (cause, *_) = told(world)
+        (cause, *_) = reported(world)
         assert cause["kind"] == kind, (seed, cause)
         assert cause["joint"] in ("", arm[1].joints[fault.joint])
         onset = cause["t"] - EPOCH * 1e-9 - fault.at * DT
         assert abs(onset) < (0.8 if kind in (Kind.DRIFT, Kind.MISSING_EFFECT) else 0.03), onset
-        assert world.told[-1].m["violation_class"] == kind.code
+        assert world.published[-1].m["violation_class"] == kind.code
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_evidence_that_a_gap_has_broken_gives_no_wrong_class(
     world = World(seed, *arm, SECONDS, fault)
     world.frames = [f for f in world.frames if not lost[0] <= round(f[3] / DT) < lost[1]]
     heapq.heapify(world.frames)
-    (cause, *_) = told(world.live())
+    (cause, *_) = reported(world.live())
     assert cause["kind"] == Kind.UNCLASSED and "without a gap" in cause["says"], cause
 
 
@@ -158,8 +158,8 @@ def test_a_spike_counts_once(arm: tuple[Path, Model]) -> None:
 
 def test_a_good_arm_gets_no_class(arm: tuple[Path, Model]) -> None:
     world = World(3, *arm, SECONDS, Fault(Kind.NONE, np.random.default_rng(0), 0)).live()
-    assert not told(world) and {t.m["violation_class"] for t in world.told} == {0}
-    assert State.OK in {State(t.m["state"]) for t in world.told}
+    assert not reported(world) and {t.m["violation_class"] for t in world.published} == {0}
+    assert State.OK in {State(t.m["state"]) for t in world.published}
 
 
 def test_codes_of_the_classes_only_grow() -> None:

@@ -136,8 +136,8 @@ def _says_it_moves(c: Case, rows: tuple[int, int], j: int) -> bool:
     a, b = rows
     steps = np.abs(np.diff(c.w.q[:, j]))
     smallest = float(steps[steps > 0].min(initial=np.inf))
-    way = float(np.abs(c.w.dq[a : b + 1, j]).min()) * (b - a) * c.model.dt
-    return way > FEW * smallest
+    travel = float(np.abs(c.w.dq[a : b + 1, j]).min()) * (b - a) * c.model.dt
+    return travel > FEW * smallest
 
 
 def _turns(c: Case, rows: tuple[int, int], j: int) -> bool:

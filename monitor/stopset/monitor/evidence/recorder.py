@@ -162,7 +162,7 @@ class Recorder:
 
     def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
         """Where the arm is, against where it was left; kept for the next life."""
-        if not begun and (before := plausible.kept_position(self.folder)) is not None:
+        if not begun and (before := plausible.stored_position(self.folder)) is not None:
             self._position = before
             if words := plausible.moved_words(before, q, joints):
                 self.notes.append(words)
