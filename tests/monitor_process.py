@@ -98,7 +98,7 @@ class Reading:
         return {*before[-1:], *(s for at, s, _ in self.said if at >= t)}
 
     def faults(self, t: float) -> set[Fault]:
-        """Doubts told after ``t``."""
+        """Faults told after ``t``."""
         return {Fault(d) for at, _, d in self.said if at >= t and d}
 
     def close(self) -> None:
