@@ -54,7 +54,7 @@ class Budget:
         return min(max(NARROW.ahead, short * cost / self.share), FARTHEST)
 
 
-def _part(part: float, proven: bool) -> float:
+def _part(part: float, *, proven: bool) -> float:
     """What part of a box is asked for after an answer."""
     return min(1.0, GROWS * part) if proven else max(SHRINKS * part, LEAST)
 
@@ -114,9 +114,9 @@ class Counter:
         else:
             self.refused = answer
         if size is WIDE:
-            self.reach, self.only_narrow = _part(self.reach, proven), self.only_narrow if proven else PATIENCE
+            self.reach, self.only_narrow = _part(self.reach, proven=proven), self.only_narrow if proven else PATIENCE
         elif size is LONG:
-            self.stretch = _part(self.stretch, proven)
+            self.stretch = _part(self.stretch, proven=proven)
 
     def lacks(self, motion: Heading, slack: Array, period: float) -> tuple[float, Size] | None:
         """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
