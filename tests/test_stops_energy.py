@@ -163,6 +163,12 @@ def test_what_holds_much_energy_is_braked(seed: float) -> None:
     assert np.sqrt(z) - 1e-6 <= out[0] <= 1.02 * np.sqrt(z) + 0.05
 
 
+def test_torques_that_push_are_counted_once() -> None:
+    w, lo, hi, out = np.array([50.0, 20.0]), np.full(2, 1.0), np.full(2, 2.0), np.empty(1)
+    check(lib.stopset_energy_after(2, 3.0, *(view(given(x)) for x in (w, lo, hi, np.full(2, 1.0))), 0.01, view(out)))
+    assert out[0] == pytest.approx(np.sqrt(9.0 + 0.02 * 140.0), rel=1e-8)
+
+
 @pytest.mark.parametrize("weak", [0.2, 0.02])
 def test_no_holding_no_number_in_any_layer(weak: float) -> None:
     model = ur5_like()
