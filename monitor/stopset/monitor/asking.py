@@ -107,6 +107,7 @@ class Counter:
             self.took_wide = min(max(answer.took, 0.7 * self.took_wide), LONGEST)
         else:
             self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
+            self.took_wide = max(0.7 * self.took_wide, self.took)  # where one failed a smaller one, which takes less, is next
             self.cost += RECENT * (answer.cpu - self.cost) if self.cost else answer.cpu
         proven = answer.numbers.proven
         if proven:
