@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stopset.artifact.taped import MEMORY, SIGNALS, TILT
-from stopset.core.library import ffi, given as array, lib, view
+from stopset.core.library import ffi, lib, view
+from stopset.core.library import given as array
 from stopset.effects.base import Fitted
 from stopset.effects.registry import get
 from stopset.fmu.stops import bounds_of

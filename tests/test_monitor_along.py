@@ -12,6 +12,7 @@ import pytest
 from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model
 from stopset.artifact import Abstraction, Model, UncertaintySets, load_model, save_model
 from stopset.artifact.abstraction import Polynomial
+from stopset.core.library import lib
 from stopset.errors import NotCovered
 from stopset.monitor.along import WatchAlong, watch_for
 from stopset.monitor.config import Bus, Config, Publish, Records, Stops
@@ -19,7 +20,6 @@ from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.layout import State
-from stopset.monitor.predictions import Tubes, ages_of
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch, check_cycle
@@ -125,26 +125,18 @@ def test_the_tube_is_that_of_the_comparison(which: str) -> None:
     """What `predicted_tube` gives, which identification and compare use, from the states and mean torques of its grid."""
     model = MODELS[which]()
     x, tau = read(model, 3, 201)
-    seen: dict[int, tuple[Array, Array]] = {}
     watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
     assert isinstance(watch, WatchAlong)
-    every, real = watch.every, watch._predictions.tubes
-
-    def tubes() -> Tubes:
-        ages, foreign, lo, hi = real()
-        seen.update({int(a): (lo[k], hi[k]) for k, a in enumerate(ages)})
-        return ages, foreign, lo, hi
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(watch._predictions), "tubes", lambda self: tubes())
-        for k in range(len(x)):
-            watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
+    every = watch.every
+    for k in range(len(x)):
+        watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
     at = (len(x) - 1) // every * every
     for age in (1, 3, 8):
         u = tau[at - age * every : at].reshape(age, every, 6).mean(axis=1)
         lo, hi = predicted_tube(model.abstraction, model.powered, x[at - age * every], u)
-        assert np.all(seen[age][0] <= lo[-1] + 1e-12) and np.all(seen[age][1] >= hi[-1] - 1e-12), "coarser, if anything"
-        assert np.allclose(seen[age], (lo[-1], hi[-1]), rtol=0, atol=1e-7)
+        seen = watch._predictions.bounds(age)
+        assert np.all(seen[0] <= lo[-1] + 1e-12) and np.all(seen[1] >= hi[-1] - 1e-12), "coarser, if anything"
+        assert np.allclose(seen, (lo[-1], hi[-1]), rtol=0, atol=1e-7)
 
 
 def test_rounding_of_the_bus_never_flags_a_conformant_arm() -> None:
@@ -187,7 +179,11 @@ def test_the_grid_must_be_a_whole_number_of_cycles() -> None:
 
 
 def test_ages_reach_the_horizon() -> None:
-    assert ages_of(100) == [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 100] and ages_of(1) == [1]
+    def ages(oldest: int) -> list[int]:
+        return [k for k in range(-1, oldest + 3) if lib.stopset_looked_at(k, oldest)]
+
+    assert ages(100) == [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 100]
+    assert ages(1) == [1] and ages(2) == [1, 2] and ages(5) == [1, 2, 3, 4, 5]
 
 
 def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
