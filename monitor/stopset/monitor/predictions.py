@@ -20,7 +20,7 @@ from stopset.types import Array, Index, Mask
 
 
 @dataclass(slots=True)
-class Compared:
+class AgainstPredictions:
     """A sample against the predictions that were due.
 
     ``room``, ``lo``, ``hi`` (2n,): least distance to a bound over half the width, and what all predictions leave.  Above and below:
@@ -38,7 +38,7 @@ class Compared:
     oldest: Index
 
     @classmethod
-    def room_for(cls, states: int) -> Compared:
+    def room_for(cls, states: int) -> AgainstPredictions:
         m, sides = states, (2, states)
         return cls(
             np.ones(m), np.empty(m), np.empty(m), np.zeros(sides), np.zeros((*sides, 2)), np.zeros(sides, np.int64),
@@ -60,7 +60,7 @@ class Predictions:
     quantum: Quantum
     steps: int
     every: int
-    held: Compared = field(init=False)
+    held: AgainstPredictions = field(init=False)
     _along: Any = field(init=False)
     _held: Any = field(init=False)
     _kept: tuple[Any, ...] = field(init=False)  # what the core's view points at
@@ -83,7 +83,7 @@ class Predictions:
             struct, box, view(rounding), sets.dt, fastest, self.steps, int(corners), int(sets.windows == "sliding"), view(x), view(u),
             flags(starts), flags(outside), view(total), integers(count), view(work),
         ))  # fmt: skip
-        self.held = Compared.room_for(2 * n)
+        self.held = AgainstPredictions.room_for(2 * n)
         self._held = self.held.struct()
         self._kept = (struct, box, fixed, rounding, x, u, starts, outside, total, count, work)
 
