@@ -20,6 +20,7 @@ static const double ROUND = 0x1p-42, TINY = 1e-300, inf = 1.0 / 0.0; /* of a bou
 static int64_t place(const StopsetAlong *a, int64_t step) { return (int64_t)((uint64_t)step % (uint64_t)(a->oldest + 1)); }
 static int64_t passed(const StopsetAlong *a) { return a->count[STEPS] < a->oldest ? a->count[STEPS] : a->oldest; }
 static int starts(const StopsetAlong *a, int64_t age) { return a->starts[place(a, a->count[STEPS] - age)]; }
+static int due(const StopsetAlong *a, int64_t age) { return starts(a, age) && (a->corners || !a->sliding || stopset_looked_at(age, a->oldest)); }
 static double *corner(const StopsetAlong *a, int side, int64_t row) { return a->x + (side * (a->oldest + 1) + row) * 2 * a->dynamics->n; }
 static int64_t parts(const StopsetAlong *a) { return stopset_parts(a->dynamics, a->dt, a->fastest + MARGIN); }
 
@@ -139,15 +140,12 @@ static int64_t compare(const StopsetAlong *a, const double *x, const StopsetHeld
         out->hi[i] = inf;
     }
     for (int64_t age = STOPSET_NEAR + 1; age <= last; age++)
-        far += starts(a, age) && (a->sliding ? stopset_looked_at(age, a->oldest) : age == last);
+        far += due(a, age);
     a->count[TURN]++;
     for (int64_t age = 1; age <= last; age++) {
         foreign |= a->outside[place(a, a->count[STEPS] - age)];
-        if (!starts(a, age)) continue;
-        if (!a->corners) {
-            if (!(a->sliding ? stopset_looked_at(age, a->oldest) : age == last)) continue;
-            if (age > STOPSET_NEAR && seen++ != (int64_t)((uint64_t)a->count[TURN] % (uint64_t)far)) continue;
-        }
+        if (!due(a, age)) continue;
+        if (!a->corners && age > STOPSET_NEAR && seen++ != a->count[TURN] % far) continue;
         hold(a, x, age, foreign, out);
         *out->oldest = age;
         live++;
