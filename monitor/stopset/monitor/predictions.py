@@ -63,7 +63,7 @@ class Predictions:
     held: AgainstPredictions = field(init=False)
     _along: Any = field(init=False)
     _held: Any = field(init=False)
-    _kept: tuple[Any, ...] = field(init=False)  # what the core's view points at
+    _retained: tuple[Any, ...] = field(init=False)  # what the core's view points at
 
     def __post_init__(self) -> None:
         m, sets, rows = self.model, self.model.powered, self.steps + 1
@@ -85,7 +85,7 @@ class Predictions:
         ))  # fmt: skip
         self.held = AgainstPredictions.room_for(2 * n)
         self._held = self.held.struct()
-        self._kept = (struct, box, fixed, rounding, x, u, starts, outside, total, count, work)
+        self._retained = (struct, box, fixed, rounding, x, u, starts, outside, total, count, work)
 
     def forget(self) -> None:
         """The next sample belongs to no earlier one."""

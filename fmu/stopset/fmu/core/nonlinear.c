@@ -82,7 +82,7 @@ void stopset_own_bounds(const StopsetState *s, StopsetWork *w, double lo[NX], do
 }
 
 /* What the core keeps of past samples is in the unit's state. */
-static StopsetAlong kept(StopsetState *s, StopsetWork *w) {
+static StopsetAlong past_of(StopsetState *s, StopsetWork *w) {
     static const double rounding[NX] = {0};
     StopsetPast *c = &s->past;
     double fastest = 0.0;
@@ -118,17 +118,12 @@ int stopset_sample_along(StopsetState *s, StopsetWork *w, int32_t every, int32_t
     double x[NX], u[NJ], du[NJ], room[NX], lo[NX], hi[NX], worst[2 * NX], ends[4 * NX];
     int64_t age[2 * NX], oldest;
     uint8_t foreign[2 * NX];
+    int outside;
     if (c->every != every) stopset_forget(s);
     c->every = every;
-    memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
-    memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
-    if (stopset_unusable(s, x)) {
-        stopset_forget(s);
-        return VERDICT_NONE;
-    }
-    stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], c->ends[0], u, du);
-    const int outside = stopset_outside(s, x, u, du), known = c->count[STOPSET_ALONG_SAMPLES] > 0;
-    const StopsetAlong along = kept(s, w);
+    if (!stopset_take_sample(s, w, x, u, du, &outside)) return VERDICT_NONE;
+    const int known = c->count[STOPSET_ALONG_SAMPLES] > 0;
+    const StopsetAlong along = past_of(s, w);
     const StopsetHeld held = {room, lo, hi, worst, ends, age, foreign, &oldest};
     const int64_t live = stopset_along_sample(&along, every, x, u, du, outside, &held);
     if (live < 0) /* between two steps: that of the last one */
