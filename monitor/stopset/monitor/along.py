@@ -92,7 +92,7 @@ class WatchAlong(Check):
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         beyond = outside(self.model, self.quantum, s, u, du)
         x = np.concatenate([s.q, s.dq])
-        held = self._predictions.sample(x, u, du, bool(beyond))
+        held = self._predictions.sample(x, u, du, outside=bool(beyond))
         self._input = u, du
         if held < 0:
             assert self._said is not None
@@ -100,7 +100,7 @@ class WatchAlong(Check):
             return self._said if good else self._doubtful(beyond)
         verdict = self._at_step(x, held, beyond)
         if broken and before is not None:
-            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}")
+            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
         self._said = verdict
         return verdict
 

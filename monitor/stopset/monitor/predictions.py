@@ -91,7 +91,7 @@ class Predictions:
         """The next sample belongs to no earlier one."""
         lib.stopset_along_forget(self._along)
 
-    def sample(self, x: Array, u: Array, du: Array, outside: bool) -> int:
+    def sample(self, x: Array, u: Array, du: Array, *, outside: bool) -> int:
         """A state ``x`` (2n,) with its input ``u``, known to within ``du`` (n,): how many predictions it was held against, see `held`;
         -1 between two steps of the grid."""
         return int(
