@@ -57,6 +57,7 @@ def save_sums(path: str | Path, kept: RetainedSums, model: Model) -> None:
         "meta": asdict(kept.meta),
         "notes": list(kept.nominal.notes),
         "doubt": kept.nominal.uncertain_torque.tolist(),
+        "unseen": kept.nominal.unseen,
         "learnt": sorted(kept.learnt),
         "fitted_files": kept.fitted_files,
         "session": asdict(kept.session),
@@ -119,8 +120,9 @@ def load_sums(path: str | Path, model: Model) -> RetainedSums:
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> RetainedSums:
     data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
-        model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
-    )
+        model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float),
+        unseen=head["unseen"],
+    )  # fmt: skip
     meta = meta_of(head["meta"])
     dt = float(head["dt"])
     steps = round(settings_of(model).horizon / dt)
