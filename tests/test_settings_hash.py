@@ -50,7 +50,7 @@ LEFT_OUT = (
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
     ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
     ("stopset.offline.conform.corners", "Q_LO V_LO Q_HI V_HI NOISE_LO NOISE_HI U_LO U_HI", CODES),
-    ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS NO_REPETITION", WORDS),
+    ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS SAME_MOTION NO_REPETITION", WORDS),
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
