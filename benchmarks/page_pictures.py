@@ -1,12 +1,14 @@
-"""Pictures of every page, from the files of `stopset demo`: reports, workbench, and the live view of real processes on loopback.
+"""Pictures of every page, from the files of `stopset demo`: reports, workbench, and live view and fleet of real processes on loopback.
 
-    stopset demo --out DEMO ; python benchmarks/page_pictures.py DEMO OUT
+    stopset demo --out DEMO ; python benchmarks/page_pictures.py DEMO OUT [--only NAME...] [--docs docs/pictures]
 
-Needs Debian's chromium and chromium-driver and the package selenium. Writes OUT/<page>-<desktop|phone>.png.
+Writes OUT/<page>-<desktop|phone>.png, and OUT/<page>-print.pdf with its sheets as pictures where pdftoppm is installed;
+``--docs``: also the first screen of each, as the documentation shows it.  Needs Debian's chromium, chromium-driver and the package selenium.
 """
 
 from __future__ import annotations
 
+import argparse
 import base64
 import contextlib
 import re
@@ -16,17 +18,24 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fleet import arms as simulated_arms
+from fleet import router
 from selenium import webdriver
 
 from stopset.offline.workbench import Loop, Server
 
 WIDTHS = {"desktop": 1250, "phone": 390}
-TALLEST = 1700  # [px] of a picture; what is below the fold of a long report is not shown
-REPORTS = ("compare-first", "compare-second", "diagnosis", "history", "stops")
+TALLEST = 6000  # [px] of a picture
+SCREEN = 1000  # [px] of a page that the documentation shows
+PATIENCE = 90.0  # [s] for a page to show what it is pictured for, on a busy machine
+REPORTS = ("inspection", "identification", "compare-first", "compare-second", "diagnosis", "added", "history", "stops", "plan")
+DRAWN = "[...document.querySelectorAll('.plot')].every(d => d.classList.contains('js-plotly-plot'))"
+HALL = 14  # arms of the fleet
 
 
 @contextlib.contextmanager
@@ -43,20 +52,53 @@ def chrome() -> Iterator[Any]:
         browser.quit()
 
 
-def picture(browser: Any, url: str, where: Path, wait: float = 1.0) -> None:
-    """One page at every width."""
-    for name, width in WIDTHS.items():
+class Camera:
+    """Takes every page at every width and in print."""
+
+    def __init__(self, browser: Any, out: Path, docs: Path | None) -> None:
+        self.browser, self.out, self.docs = browser, out, docs
+
+    def take(self, url: str, name: str, shows: str = DRAWN) -> None:
+        """``shows``: an expression that holds once the page shows what it is pictured for."""
+        for size, width in WIDTHS.items():
+            self._look(url, width, shows)
+            tall = min(TALLEST, self.browser.execute_script("return document.documentElement.scrollHeight"))
+            (self.out / f"{name}-{size}.png").write_bytes(self._shot(width, tall, 0.8, "png"))
+            wide = self.browser.execute_script("return document.documentElement.scrollWidth")
+            print(f"{name}-{size}  {wide} x {tall}" + ("  WIDER THAN THE SCREEN" if wide > width else ""), flush=True)
+            if self.docs and size == "desktop":
+                (self.docs / f"{name}.webp").write_bytes(self._shot(width, min(tall, SCREEN), 1.0, "webp"))
+        self._look(url, WIDTHS["desktop"], shows)
+        self._print(self.out / f"{name}-print.pdf")
+        self.browser.get("about:blank")
+
+    def _look(self, url: str, width: int, shows: str) -> None:
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        browser.get(url)
-        time.sleep(wait)
-        tall = min(TALLEST, browser.execute_script("return document.documentElement.scrollHeight"))
-        clip = {"x": 0, "y": 0, "width": width, "height": tall, "scale": 0.8}
-        shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True, "clip": clip})
-        file = where.with_name(f"{where.name}-{name}.png")
-        file.write_bytes(base64.b64decode(shot["data"]))
-        print(f"{file}  {width} x {tall}")
-    browser.get("about:blank")
+        self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        self.browser.get(url)
+        until(lambda: self.browser.execute_script(f"return {shows}"), f"{url} shows {shows}")
+        self.browser.execute_async_script(
+            "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+        )
+
+    def _shot(self, width: int, tall: int, scale: float, kind: str) -> bytes:
+        clip = {"x": 0, "y": 0, "width": width, "height": tall, "scale": scale}
+        how = {"captureBeyondViewport": True, "clip": clip, "format": kind} | ({"quality": 80} if kind == "webp" else {})
+        return base64.b64decode(self.browser.execute_cdp_cmd("Page.captureScreenshot", how)["data"])
+
+    def _print(self, file: Path) -> None:
+        sheet = self.browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": False})
+        file.write_bytes(base64.b64decode(sheet["data"]))
+        if shutil.which("pdftoppm"):
+            subprocess.run(["pdftoppm", "-r", "50", "-png", str(file), str(file.with_suffix(""))], check=True)
+
+
+def until(holds: Callable[[], Any], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not holds():
+        if time.monotonic() > end:
+            raise SystemExit(f"not within {PATIENCE:.0f} s: {what}")
+        time.sleep(0.1)
 
 
 def free_port() -> int:
@@ -75,33 +117,43 @@ def running(*words: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait(timeout=20)
 
 
-def live(browser: Any, demo: Path, out: Path, name: str) -> None:
-    """The live view while a recording is replayed, and after the monitor was killed."""
+def reports(camera: Camera, demo: Path, name: str) -> None:
+    """A page that the demonstration wrote."""
+    if (demo / f"{name}.html").exists():
+        camera.take((demo / f"{name}.html").absolute().as_uri(), name)
+
+
+def live(camera: Camera, demo: Path, name: str, word: str) -> None:
+    """The live view while a recording is replayed, once the state is ``word``; and after the monitor was killed."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        for file in (f"{name}.parquet", "second.model.json"):
-            shutil.copy(demo / file, here / file)
+        shutil.copy(demo / f"{name}.parquet", here / f"{name}.parquet")
+        shutil.copy(demo / "first.model.json", here / "arm.model.json")
         hub, port, page = free_port(), free_port(), free_port()
-        text = (demo / f"{name}.toml").read_text()
+        text = (demo / "arm.toml").read_text().partition("[signed]")[0]
         text = re.sub(r'"hub:\d+"', f'"hub:{hub}"', re.sub(r"127\.0\.0\.1:\d+", f"127.0.0.1:{port}", text))
         (here / "c.toml").write_text(text)
+        url, says = f"http://127.0.0.1:{page}/", "document.getElementById('word')?.textContent == "
         with (
             running("replay", str(here / f"{name}.parquet"), "--to", f"hub:{hub}", "--wait", "1", "--loop"),
             running("monitor", "--config", str(here / "c.toml")) as monitor,
+            running("watch", "--config", str(here / "c.toml"), "--port", str(page), "--reset-as", "A. Smith"),
         ):
-            time.sleep(5.0)
-            with running("watch", "--config", str(here / "c.toml"), "--port", str(page)):
-                time.sleep(6.0)
-                picture(browser, f"http://127.0.0.1:{page}/", out / f"live-{name}", 2.0)
-                monitor.kill()
-                time.sleep(1.5)
-                picture(browser, f"http://127.0.0.1:{page}/", out / f"live-{name}-killed", 1.0)
+            until(lambda: _listens(page), "the live page")
+            camera.take(url, f"live-{name}", f"{says}'{word}' && document.querySelectorAll('#stops tr').length > 1")
+            monitor.kill()
+            camera.take(url, f"live-{name}-killed", f"{says}'NO DATA'")
 
 
-def workbench(browser: Any, demo: Path, out: Path) -> None:
+def _listens(port: int) -> bool:
+    with socket.socket() as s:
+        return s.connect_ex(("127.0.0.1", port)) == 0
+
+
+def workbench(camera: Camera, demo: Path) -> None:
     """Compared, diagnosed, and with the first effect added."""
     with tempfile.TemporaryDirectory() as folder:
-        loop = Loop(demo / "first.model.json", [demo / "recording.parquet"], folder)
+        loop = Loop(demo / "first.model.json", [demo / "changed" / "recording.parquet"], folder)
         server = Server(loop, "127.0.0.1", 0)
         server.start()
         for action in ("compare", "diagnose"):
@@ -113,21 +165,51 @@ def workbench(browser: Any, demo: Path, out: Path) -> None:
             loop.start("add", effect=found[0]["effect"], joint=found[0]["joint"], force=True)
             while loop.busy:
                 time.sleep(0.2)
-        picture(browser, server.url, out / "workbench", 2.0)
+        camera.take(
+            server.url,
+            "workbench",
+            "document.querySelectorAll('.heat button').length && !document.getElementById('stage').hidden",
+        )
         server.shutdown()
         server.server_close()
 
 
+def fleet(camera: Camera) -> None:
+    """An overview of a hall of arms."""
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    port, page, ready, used = free_port(), free_port(), context.Event(), context.Value("d", 0.0)
+    processes = [context.Process(target=router, args=(port, used), daemon=True)]
+    processes.append(context.Process(target=simulated_arms, args=(port, 0, HALL, ready), daemon=True))
+    processes[0].start()
+    until(lambda: _listens(port), "the router")
+    processes[1].start()
+    ready.wait(PATIENCE)
+    with running("fleet", "--connect", f"tcp/127.0.0.1:{port}", "--port", str(page)):
+        until(lambda: _listens(page), "the fleet's page")
+        camera.take(f"http://127.0.0.1:{page}/", "fleet", f"document.querySelectorAll('article').length == {HALL}")
+    for process in processes[::-1]:
+        process.kill()
+
+
 def main() -> None:
-    demo, out = Path(sys.argv[1]), Path(sys.argv[2])
-    out.mkdir(parents=True, exist_ok=True)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("demo", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--only", nargs="+", default=[])
+    parser.add_argument("--docs", type=Path)
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
     with chrome() as browser:
-        for name in REPORTS:
-            if (demo / f"{name}.html").exists():
-                picture(browser, (demo / f"{name}.html").absolute().as_uri(), out / name)
-        live(browser, demo, out, "healthy")
-        live(browser, demo, out, "altered")
-        workbench(browser, demo, out)
+        camera = Camera(browser, asked.out, asked.docs)
+        pages: dict[str, Callable[[], None]] = {name: partial(reports, camera, asked.demo, name) for name in REPORTS}
+        pages["live-healthy"] = partial(live, camera, asked.demo, "healthy", "OK")
+        pages["live-changed"] = partial(live, camera, asked.demo, "changed", "VIOLATION")
+        pages["workbench"] = partial(workbench, camera, asked.demo)
+        pages["fleet"] = partial(fleet, camera)
+        for name in asked.only or pages:
+            pages[name]()
 
 
 if __name__ == "__main__":

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from nominal_cases import arm
 from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.offline.plan import Wishes, design
 from stopset.offline.plan.page import page as plan_page
+from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import Page
 from synthetic import names, save_trials
 
@@ -109,6 +112,30 @@ def test_a_violation_is_drawn_where_it_is_and_its_joint_named(browser, planar, t
     worst = [line.split()[3] for line in text.splitlines() if line.startswith("motion ")]
     assert worst == ["axis_2"] * len(wrong)
     assert "What next:" in text
+
+
+def test_the_joint_in_question_is_marked_where_it_is(planar: Any) -> None:
+    model = planar[2].model
+    q = telling_pose(model)
+    assert np.all((model.domain.q.lo <= q) & (q <= model.domain.q.hi)), (
+        "an arm nobody has seen like this would be a drawing, not a picture"
+    )
+    marks, places = [], []
+    for name in model.joints:
+        svg = drawn_arm(model, q, views=WIDE, marked=[name])
+        lines = re.findall(r'polyline points="([^"]+)"', svg)
+        points = [[tuple(map(float, p.split(","))) for p in line.split()] for line in lines]
+        places.append([view[1 + model.joints.index(name)] for view in points])
+        marks.append(
+            [(float(x), float(y)) for x, y in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="9" fill="#b00020"', svg)]
+        )
+    assert marks == places and len(marks[0]) == len(WIDE)
+    lengths = np.linalg.norm(np.diff(model.robot.outline(q), axis=0), axis=1)
+    drawn_lengths = np.linalg.norm(
+        np.diff(np.array(points[0]), axis=0), axis=1
+    )  # this arm moves in one plane, seen at right angles
+    scale = drawn_lengths.sum() / lengths.sum()
+    assert drawn_lengths == pytest.approx(scale * lengths, abs=0.3), "true to scale"
 
 
 def test_an_inspection_in_a_browser(browser, planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

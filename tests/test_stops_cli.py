@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stopset.artifact import save_model
+from stopset.artifact import load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import NotCovered
+from stopset.offline.stops.page import build_page
+from stopset.offline.stops.table import StopRow
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.ramp import KEY
 from stopset.sets import Box
@@ -37,6 +39,7 @@ KEYS = [
     "why",
 ]
 RAMP = ["--ramp-time", "0.3", "--off-after", "0.1"]
+SWEPT = np.array([[0.0, 0.0, 0.2, 0.0, 0.0, 0.5, 0.1], [0.0, 0.0, 0.5, 0.3, 0.3, 0.9, 0.4]])  # capsules [m]
 TERMS = ["--reaction", "0.1", "--intrusion", "0.85", "--person-uncertainty", "0.1", "--robot-uncertainty", "0.02"]
 
 
@@ -285,6 +288,32 @@ def test_the_page_opens_with_the_answer_and_says_each_remark_once(model: str, br
     for why in {part for r in told for part in r["why"].split("; ") if part}:
         assert text.count(why) == 1, why
     assert any(not r["certified"] for r in told)
+
+
+def test_a_refusal_stands_once_and_the_worst_pose_shows_what_is_swept(model: str, browser: Any, tmp_path: Path) -> None:
+    from test_pages import drawn
+
+    page = tmp_path / "s.html"
+    arm, none = load_model(model), "no stop provable: nothing says when power is taken if the ramp fails"
+    rows = [
+        StopRow(c, "arm_2_joint", s, 100.0, 100.0, s / 100, 1.0, *(3 * [None if refused else s / 1000]), None, not refused,
+                f"not covered in 1 of 2 directions; {none}" if refused else "", tuple(np.full(6, 0.4)), swept=SWEPT)
+        for c, refused in (("0", False), ("1 guaranteed", True)) for s in (33.0, 66.0, 100.0)
+    ]  # fmt: skip
+    build_page(arm, rows, ["an assumption"], (), ()).save(page)
+    text = drawn(browser, page)
+    assert text.count(none) == 1 and "None of 3 rows has a number: [1] [2]." in text, "however many rows it is the reason of"
+    assert "3 of 6 rows have no number; [2] below say" in text
+    assert text.count("all axes\t-\t-\t-\t0 of 3") == 1 and "STOP 0 within 0.100 s" in text
+    colours = browser.execute_script(
+        "return [...document.querySelectorAll('.drawn g')].map(g => [g.getAttribute('stroke'), g.querySelectorAll('path').length])"
+    )
+    assert [n for colour, n in colours if colour == "#f0a202"] == [2, 2], "both capsules in both views"
+    box, view = browser.execute_script(
+        "const g = document.querySelector('.drawn g').getBoundingClientRect(), v = document.querySelector('.drawn svg').getBoundingClientRect();"
+        " return [[g.left, g.right, g.top, g.bottom], [v.left, v.right, v.top, v.bottom]]"
+    )
+    assert view[0] <= box[0] and box[1] <= view[1] and view[2] <= box[2] and box[3] <= view[3], "nothing of it is cut off"
 
 
 def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a_mark_everywhere(

@@ -13,8 +13,9 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, telling_first
 from stopset.offline.compare.tubes import chosen, left, tubes
-from stopset.offline.compare.verdict import above, by_failure, in_full, verdict
+from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure, in_full, verdict
 from stopset.offline.conform.bands import narrower
+from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
 from stopset.offline.report.thin import spread
@@ -33,7 +34,7 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     out.verdict(said.text, said.kind)
     out.next(said.next)
     left(out, model, drawn)
-    _errors(out, found)
+    _errors(out, model, found)
     _heat_map(out, model, shares or explained(model, inputs(model, paths, found.survey, model.powered.dt), found.survey))
     tubes(out, model, drawn)
     guarantee(out, model)
@@ -47,7 +48,7 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     return out
 
 
-def _errors(out: Page, found: Comparison) -> None:
+def _errors(out: Page, model: Model, found: Comparison) -> None:
     out.heading("Errors per joint, the one that fails most first")
     rows = by_failure(found)
     figure = go.Figure(
@@ -60,8 +61,16 @@ def _errors(out: Page, found: Comparison) -> None:
         ]
     )  # fmt: skip
     figure.update_yaxes(title_text="torque RMS [N m]", rangemode="tozero")
-    figure.update_layout(height=280, legend={"orientation": "h", "y": 1.15})
-    out.figure(figure)
+    figure.update_layout(height=300, legend={"orientation": "h", "y": 1.15})
+    fails = [j for j, r in rows if (above(r) or 0.0) > AT_THE_FLOOR][:1]
+    with out.beside():
+        out.figure(figure, least_width=420)
+        out.picture(
+            drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=fails),
+            f"Where the model fails most: {fails[0]}."
+            if fails
+            else "No joint errs more than its repetitions differ, as far as they tell.",
+        )
     head = [
         "joint",
         "torque RMS [N m]",

@@ -12,6 +12,7 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis
+from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import COLOURS, Page, number
 from stopset.types import Array
 
@@ -28,10 +29,19 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
     out.verdict(_answer(found), "good" if found.verdict == "none" else "bad")
     out.next(_next(found))
     if found.ranked:
-        out.figure(
-            _bars(found),
-            "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
-        )
+        joints = list(dict.fromkeys(j for r in found.ranked for j in r.joints))
+        with out.beside():
+            out.figure(
+                _bars(found),
+                "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
+                420,
+            )
+            out.picture(
+                drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=joints),
+                f"Where something is missing: {', '.join(joints)}."
+                if joints
+                else "What is missing belongs to no joint, but to the whole arm.",
+            )
     for note in found.notes:
         out.text(f"{note[0].upper()}{note[1:]}.")
     for c in found.changed if found.verdict == "missing" else ():

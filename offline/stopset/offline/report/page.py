@@ -107,6 +107,14 @@ class Page:
         outer.append({"kind": "fold", "title": title, "parts": self._parts})
         self._parts = outer
 
+    @contextmanager
+    def beside(self) -> Iterator[None]:
+        """What is put inside stands side by side where there is room."""
+        outer, self._parts = self._parts, []
+        yield
+        outer.append({"kind": "beside", "parts": self._parts})
+        self._parts = outer
+
     def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
         """Columns of figures are set to the right, columns of words to the left."""
         words = [_words([row[k] for row in rows]) for k in range(len(head))]

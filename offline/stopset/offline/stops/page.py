@@ -29,7 +29,7 @@ from stopset.offline.stops.shown import (
     up,
     worst,
 )  # fmt: skip
-from stopset.offline.stops.table import StopRow, holding
+from stopset.offline.stops.table import NOT_COVERED, StopRow, farthest, holding
 from stopset.reach.stops import Category
 
 DASHES = ("solid", "dash", "dot", "dashdot")  # of categories
@@ -42,18 +42,18 @@ def build_page(
 ) -> Page:  # fmt: skip
     """The page: answer, one picture, what to do, worst stops, separation; then pictures, assumptions, every row, folded."""
     page = Page(f"Stops of {model.robot.name}", model)
-    proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
-    page.verdict(answered(rows), "good" if proved == len(rows) else "")
-    page.next(_next(proved, len(rows), beyond))
-    _overview(page, rows)
     number = refusals(rows)
-    if number:
-        page.heading("What the rows say")
-        page.points([f"[{index}] {why}" for why, index in number.items()])
+    page.verdict(answered(rows), "good" if all(r.certified for r in rows) else "")
+    page.next(_next(rows, number))
+    with page.beside():
+        _overview(page, rows)
+        _worst_pose(page, model, rows)
     page.heading("Worst stops")
     page.table(("category", "axis", "time s", "angle rad", "TCP m", "proved"), list(worst(rows)))
     page.text("Upper bounds from the stop request to rest, over all rows, rounded up. No number where a row is not proved.")
-    _worst_pose(page, model, rows)
+    if number:
+        page.heading("What the rows say")
+        page.points([f"[{index}] {why}" for why, index in number.items()])
     for sentence in holding(model, rows):
         page.text(sentence[0].upper() + sentence[1:] + ".")
     for standard, head, table in terms(separations):
@@ -66,24 +66,37 @@ def build_page(
     for category in dict.fromkeys(r.category for r in rows):
         _pictures(page, model, rows, measured, category)
         with page.fold(f"{NAMES[category]}: every row"):
-            page.table(HEAD, [_cells(r, number) for r in of_category(rows, category)])
+            _rows(page, of_category(rows, category), number)
     with page.fold("Test poses"):
         page.table(*poses(rows, model))
     return page
 
 
-def _next(proved: int, total: int, beyond: str) -> str:
-    if beyond:
+def _next(rows: Sequence[StopRow], number: Mapping[str, int]) -> str:
+    if extrapolations(rows):
         return "do not certify from the extrapolated rows; record motions at those speeds and payloads and identify again."
-    if proved < total:
-        return "see below why some rows have no number; what is missing is named there."
+    refused = [r for r in rows if not r.certified]
+    if refused:
+        why = dict.fromkeys(f"[{number[part]}]" for r in refused for part in remarks(r) if NOT_COVERED not in part)
+        return f"{len(refused)} of {len(rows)} rows have no number; {' '.join(why) or 'the remarks'} below say what is missing."
     return "measure stops at these poses (ISO 10218-1, annex B) and hold them against the bounds with `stopset stops --data`."
+
+
+def _rows(page: Page, rows: Sequence[StopRow], number: Mapping[str, int]) -> None:
+    """Every row of a category; a refusal that all of them share, once."""
+    if len({r.why for r in rows}) == 1 and not any(r.answered for r in rows):
+        page.text(f"None of {len(rows)} rows has a number: {_marks(rows[0], number)}.")
+    else:
+        page.table(HEAD, [_cells(r, number) for r in rows])
 
 
 def _cells(r: StopRow, number: Mapping[str, int]) -> list[object]:
     numbers = ["-" if x is None else up(x, 4) for x in (r.time_s, r.angle_rad, r.tcp_m)]
-    said = " ".join(f"[{number[part]}]" for part in remarks(r))
-    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, said]
+    return [axis_name(r.joint), r.speed_percent, r.payload, r.extension_percent, *numbers, _marks(r, number)]
+
+
+def _marks(r: StopRow, number: Mapping[str, int]) -> str:
+    return " ".join(f"[{number[part]}]" for part in remarks(r))
 
 
 def _overview(page: Page, rows: Sequence[StopRow]) -> None:
@@ -117,17 +130,19 @@ def _beyond(rows: Sequence[StopRow]) -> str:
 
 
 def _worst_pose(page: Page, model: Model, rows: Sequence[StopRow]) -> None:
-    """The pose of the longest way of the flange, drawn from the side and from above."""
-    told = [r for r in rows if r.tcp_m is not None and r.pose]
-    if not told:
+    """The pose of the longest way of the flange, and what the links sweep from there."""
+    r = farthest(rows)
+    if r is None:
         return
-    r = max(told, key=lambda r: r.tcp_m or 0.0)
+    bare = model.robot.arm.bare
+    sweeps = "the links" if not bare else f"{'the links' if len(bare) == model.n else ', '.join(bare)}' axes"
+    own = "" if not bare else "; their own size comes on top"
     page.picture(
-        drawn_arm(model, np.asarray(r.pose), r.tcp_m or 0.0),
-        f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg: "
-        f"within {up(r.tcp_m or 0.0, 3)} m (circle) of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. From the side and from "
-        "above; the axes of the links are drawn.",
-    )  # fmt: skip
+        drawn_arm(model, np.asarray(r.pose), swept=r.swept, within=r.tcp_m or 0.0),
+        f"Where the flange goes farthest: STOP {r.category}, {axis_name(r.joint)}, {r.speed_percent:.0f} % speed, {r.payload:.3g} kg, "
+        f"within {up(r.tcp_m or 0.0, 3)} m of where it was{' (EXTRAPOLATED)' if r.extrapolated else ''}. Yellow: all that "
+        f"{sweeps} can sweep from the stop request to rest{own}.",
+    )
 
 
 def _pictures(page: Page, model: Model, rows: Sequence[StopRow], measured: Sequence[Measured], category: Category) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.table import StopRow
+from stopset.offline.stops.table import NOT_COVERED, StopRow
 from stopset.reach.stops import Category
 
 NAMES: dict[Category, str] = {
@@ -63,13 +63,16 @@ def answered(rows: Sequence[StopRow]) -> str:
     """How many stops are proved, and the longest of them; nothing shorter than a row without a number is called the longest."""
     proved, beyond = sum(r.certified for r in rows), extrapolations(rows)
     rest = "" if proved == len(rows) else f"; {beyond}" if beyond else "; the others show no number, but the reason"
+    groups = [[r for r in rows if r.category == category] for category in dict.fromkeys(r.category for r in rows)]
+    whole = [mine for mine in groups if all(r.certified and r.tcp_m is not None and r.time_s is not None for r in mine)]
+    longest = "; ".join(
+        f"STOP {mine[0].category} within {up(max(r.time_s or 0.0 for r in mine), 3)} s and {up(max(r.tcp_m or 0.0 for r in mine), 3)} m of the flange"
+        for mine in whole
+    )
     said = [f"{proved} of {len(rows)} stops proved for the assumptions below{rest}."]
-    for category in dict.fromkeys(r.category for r in rows):
-        mine = [r for r in rows if r.category == category]
-        if all(r.certified for r in mine) and all(r.tcp_m is not None and r.time_s is not None for r in mine):
-            far, long = max(r.tcp_m or 0.0 for r in mine), max(r.time_s or 0.0 for r in mine)
-            where = ", in the directions that are covered" if any(r.why for r in mine) else ""
-            said.append(f"STOP {category}: at rest within {up(long, 3)} s and {up(far, 3)} m of the flange{where}.")
+    said += [f"At rest after a {longest}."] if longest else []
+    if any(NOT_COVERED in r.why for mine in whole for r in mine):
+        said.append("Directions in which no recording is as fast are not covered.")
     return " ".join(said)
 
 
@@ -106,6 +109,10 @@ def of_category(rows: Sequence[StopRow], category: Category) -> list[StopRow]:
 def worst(rows: Sequence[StopRow]) -> Iterator[tuple[str, ...]]:
     """Per category and axis: the longest time, angle and TCP way of all rows, and how many are proved or extrapolated."""
     for category in dict.fromkeys(r.category for r in rows):
+        every = [r for r in rows if r.category == category]
+        if not any(r.answered for r in every):
+            yield category, "all axes", "-", "-", "-", f"0 of {len(every)}"
+            continue
         for joint in joints_of(rows, category):
             mine = [r for r in rows if r.category == category and r.joint == joint]
             good = [r for r in mine if r.answered]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -28,6 +28,7 @@ from stopset.types import Array
 SHARES = (33, 66, 100)
 PIECES = 64
 LIGHTEST = 1e-3  # [kg] of a rated payload
+NOT_COVERED = "not covered in"  # begins the remark of a row that speaks of some directions only
 LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
 
 
@@ -58,6 +59,7 @@ class StopRow:
     fallback: tuple[float, float] | None = None  # STOP 2: (rad, s) that a STOP 0 adds if the standstill window is left
     extrapolated: str = ""
     assumptions: tuple[str, ...] = ()  # of this row
+    swept: Array | None = field(default=None, repr=False, compare=False)  # (P, 7) [m] capsules around what the links sweep
 
     @property
     def answered(self) -> bool:
@@ -233,7 +235,7 @@ def _worst_direction(
                 worst[c] = (bound, dq)
     if len(covered) == len(directions):
         return [worst[c] for c in categories]
-    only = f"not covered in {len(directions) - len(covered)} of {len(directions)} directions, in which no recording is as fast"
+    only = f"{NOT_COVERED} {len(directions) - len(covered)} of {len(directions)} directions, in which no recording is as fast"
     return [(replace(b, why="; ".join(x for x in (b.why, only) if x)), dq) for b, dq in (worst[c] for c in categories)]
 
 
@@ -267,7 +269,14 @@ def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Arr
         why=bound.why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
         margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)), fallback=bound.fallback,
         extrapolated=bound.extrapolated if bound.time is not None else "", assumptions=bound.assumptions,
+        swept=None if bound.capsules is None else bound.capsules.reshape(-1, 7),
     )  # fmt: skip
+
+
+def farthest(rows: Sequence[StopRow]) -> StopRow | None:
+    """The row whose flange goes farthest; None where no row has a number and a pose."""
+    told = [r for r in rows if r.tcp_m is not None and r.pose]
+    return max(told, key=lambda r: r.tcp_m or 0.0, default=None)
 
 
 def _up(x: float, digits: int = 6) -> float:
