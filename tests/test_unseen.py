@@ -44,7 +44,7 @@ def uneven(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
 
 
 def test_the_rest_of_a_motion_stays_in_the_sets_of_its_beginning(tmp_path: Path) -> None:
-    """Three arms that no model of the catalogue describes, a minute each: without the margin 5 or more of 36 blocks leave."""
+    """Three arms whose friction no law of the catalogue describes, a minute each."""
     left, tried = 0, 0
     for seed in (1, 2, 3):
         r = moving(Truth(arm(), uneven), 0, 60.0, 1.0, seed=seed, rate=125.0)

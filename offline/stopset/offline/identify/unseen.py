@@ -93,7 +93,7 @@ def stretches(run: Run) -> list[_Stretch]:
     if length < SHORTEST:
         return []
     cut = [(k, b) for k, r in enumerate(trials) for b in _blocks(r, max(1, round(seconds[k] / length)))]
-    of = np.arange(len(cut)) * STRETCHES // len(cut)
+    of = [at * STRETCHES // len(cut) for at in range(len(cut))]
     out = []
     for part in range(STRETCHES):
         mine = {k: [b for (i, b), p in zip(cut, of, strict=True) if (i, p) == (k, part)] for k in range(len(trials))}
