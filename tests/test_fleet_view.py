@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from monitor_process import free_port, wait
+from monitor_process import free_port
+from patience import wait
 from stopset.cli.main import main
 from stopset.monitor.fleet import Fleet, FleetPage, terminal
 from stopset.monitor.links.zenoh_link import ZenohLink

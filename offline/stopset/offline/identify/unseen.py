@@ -29,7 +29,7 @@ from stopset.offline.conform.gather import set_problem
 from stopset.offline.conform.guarantee import reached, union
 from stopset.offline.conform.linear_program import fit_sets
 from stopset.offline.nominal.model import NominalPart, pairs_of, refitted
-from stopset.progress import Tell
+from stopset.progress import Progress
 from stopset.recording import Recording
 from stopset.types import Array
 
@@ -50,14 +50,14 @@ class _Stretch:
     rest: tuple[Recording, ...]
 
 
-def unseen(run: Run, nominal: NominalPart, known: tuple[Fitted, ...], tell: Tell) -> tuple[float | None, str]:
+def unseen(run: Run, nominal: NominalPart, known: tuple[Fitted, ...], progress: Progress) -> tuple[float | None, str]:
     """Factor by which sets must be larger than what they were found on, and a note of how it came about.
 
     None where the recording is too short to leave anything out.
     """
     reach: list[float] = []
     for k, s in enumerate(parts := stretches(run)):
-        tell(f"leaving out part {k + 1} of {len(parts)}, to see what it asks of the sets")
+        progress(f"leaving out part {k + 1} of {len(parts)}, to see what it asks of the sets")
         try:
             reach += _reached(run, nominal, known, s)
         except (NotConformant, RecordingError):
