@@ -36,23 +36,30 @@ def halves(folder: Path, robot: Robot, meta: Meta, r: Recording, share: float = 
     return found, len(rest), len(compare(found.model, [folder / "rest.parquet"]).violations)
 
 
-def uneven(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Friction that no law of the catalogue has: it grows with what the joint did in the last two seconds."""
-    done = np.cumsum(np.abs(dq), axis=0)
-    lately = done - np.vstack([np.zeros((250, dq.shape[1])), done[:-250]])
-    return (F_C * np.sign(dq) + F_V * dq) * (0.8 + 0.4 * lately / lately.max(axis=0))
+def drifting(seed: int) -> Truth:
+    """An arm whose friction wanders by a tenth, within some two seconds: no law of the catalogue is that."""
+
+    def friction(dq: np.ndarray, load: np.ndarray) -> np.ndarray:
+        rng, keeps = np.random.default_rng(seed), np.exp(-1 / (125 * 2.0))
+        level = np.zeros_like(dq)
+        for k, e in enumerate(rng.normal(size=dq.shape)[1:]):
+            level[k + 1] = keeps * level[k] + np.sqrt(1 - keeps**2) * e
+        return np.asarray((F_C * np.sign(dq) + F_V * dq) * (1 + 0.1 * level))
+
+    return Truth(arm(), friction)
 
 
 def test_the_rest_of_a_motion_stays_in_the_sets_of_its_beginning(tmp_path: Path) -> None:
-    """Three arms whose friction no law of the catalogue describes, a minute each."""
+    """Two arms, a minute each: without the margin 13 of 24 blocks of the second half leave the sets of the first."""
     left, tried = 0, 0
-    for seed in (1, 2, 3):
-        r = moving(Truth(arm(), uneven), 0, 60.0, 1.0, seed=seed, rate=125.0)
+    for seed in (1, 2):
+        r = moving(drifting(seed), 0, 60.0, 1.0, seed=seed, rate=125.0)
         found, count, out = halves(tmp_path, arm(), META, r)
         left, tried = left + out, tried + count
+        assert found.tightness.median < 3.0
         assert found.model.powered.margin > 1.0 and g.SAME_MOTION in found.model.guarantee.text
         assert any("blocks of 2.5 s" in note and "says nothing" in note for note in found.model.notes)
-    assert tried == 36 and left <= RISK * tried
+    assert tried == 24 and left <= RISK * tried
 
 
 @pytest.mark.shared
