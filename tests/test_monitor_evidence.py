@@ -89,7 +89,7 @@ def test_evidence_that_a_gap_has_broken_gives_no_wrong_class(
     world = World(seed, *arm, SECONDS, fault)
     world.frames = [f for f in world.frames if not lost[0] <= round(f[3] / DT) < lost[1]]
     heapq.heapify(world.frames)
-    (cause, *_) = told(world.live())
+    (cause, *_) = reported(world.live())
     assert cause["kind"] == Kind.UNCLASSED and "without a gap" in cause["says"], cause
 
 

@@ -21,6 +21,12 @@ void stopset_ramp_motion(const StopsetState *s, double since, double q[NJ], doub
     }
 }
 
+double stopset_ramp_length(const StopsetState *s) {
+    double end = 0.0;
+    for (int i = 0; i < NJ; i++) end = fmax(end, stopset_model.ramp_delay[i] + lasts(s, i));
+    return end;
+}
+
 double stopset_ramp_changes(const StopsetState *s, double since) {
     double next = HUGE_VAL;
     for (int i = 0; i < NJ; i++) {

@@ -161,9 +161,9 @@ void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exac
     publish(s, category, speaks && inside(s, category) && s->certificate[category].proved);
 }
 
-void stopset_stop_request(StopsetState *s, StopsetWork *w) {
+void stopset_stop_request(StopsetState *s, StopsetWork *w, int request) {
     const StopsetModel *m = &stopset_model;
-    const int request = s->i[IX_STOP], category = request == 1 ? STOP_0 : request == 2 ? STOP_1 : STOP_2;
+    const int category = request == 1 ? STOP_0 : request == 2 ? STOP_1 : STOP_2;
     const double *q = state_of(s, 0);
     int known = 0;
     for (int k = 0; k < N_STOPS; k++) {

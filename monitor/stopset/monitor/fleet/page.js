@@ -1,7 +1,7 @@
 // Whatever came over a bus enters this page as text alone.
 'use strict';
 const $ = id => document.getElementById(id), PATIENCE = 1000;  // [ms] without the viewer's word: everything is grey
-const SIGN = {OK: '✓', DEGRADED: '△', VIOLATION: '✕', UNKNOWN: '?', FAULT: '⚠', 'NO DATA': '–'};
+const SIGN = {OK: '✓', DEGRADED: '△', VIOLATION: '✕', UNKNOWN: '?', FAULT: '⚠', INIT: '…', SHUTDOWN: '■', 'NO DATA': '–'};
 const el = (tag, name, ...inside) => { const e = document.createElement(tag); if (name) e.className = name; e.append(...inside); return e; };
 let heard = 0;
 const stopWords = s => s.tcp_m == null ? 'not provable' : `${Math.ceil(s.tcp_m * 1000 - 1e-9)} mm, ${s.time_s == null ? '–' : Math.ceil(s.time_s * 1000 - 1e-9) + ' ms'}`;
@@ -15,6 +15,7 @@ function tile(r) {
 function show(s) {
   heard = performance.now(); document.body.classList.remove('lost');
   $('counts').textContent = `${s.arms} arms: ` + (Object.entries(s.counts).map(([w, n]) => `${n} ${SIGN[w] || ''} ${w}`).join(', ') || 'none has spoken yet');
+  $('notice').textContent = s.notice;
   $('tiles').replaceChildren(...s.rows.map(tile));
   $('more').textContent = s.arms > s.rows.length ? `and ${s.arms - s.rows.length} more` : '';
 }
