@@ -225,8 +225,8 @@ def _margin(
         factors = np.ones(n)
         for fold in folds:
             rest = [used[m] for m in keys if m not in fold]
-            apart = g.union([used[m] for m in fold])
-            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, apart, alone))
+            left = g.union([used[m] for m in fold])
+            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, left, alone))
         return factors, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     if not all(h.labels for h in halves):
         if unseen is not None:
