@@ -73,6 +73,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.levels", "PARTS", ROLES),
     ("stopset.offline.diagnose.changes", "RIDGE", "asked of a finished model only"),
     ("stopset.offline.identify.constants", "SCHEMA TABLE HASHED_AS", "the table itself"),
+    ("stopset.offline.update.update", "WIDEST", REFUSED),
     ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),
     ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
     ("stopset.offline.description.enclose", "ROUND OUTWARD", "how tightly a link's shape is enclosed; that it is, is checked after"),

@@ -194,6 +194,7 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
         "samples": tally.samples,
         "longest": tally.longest,
         "irregular": tally.irregular,
+        "conditions": sorted(tally.conditions),
     }
 
 
@@ -219,6 +220,7 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
             )
         ),
         places=head["places"], samples=head["samples"], longest=head["longest"], irregular=head["irregular"],
+        conditions=set(head["conditions"]),
     )  # fmt: skip
 
 
