@@ -327,6 +327,8 @@ def test_a_law_that_foretells_nothing_is_no_claim() -> None:
     assert claimed(cubic, before / np.sqrt(2))  # what raised the residual by 1.4
     assert claimed(rotor, before)
     assert claimed(cubic, before * 0.97, elsewhere) and not claimed(cubic, before * 0.97, beside)  # what an imperfect law leaves
+    cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
+    assert claimed(cable, before * 0.97, spring) and not claimed(spring, before * 0.97, beside)  # a finer form is no second cause
     assert not claimed(elastic, before * 0.93) and claimed(elastic, before * 0.7)
 
 
