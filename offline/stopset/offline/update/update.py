@@ -72,6 +72,7 @@ def update(
     paths: Sequence[str | Path],
     progress: Progress = silent,
     scheduler: str | None = None,
+    *,
     wide: bool = False,
 ) -> Identification:
     """``model`` with the recordings of ``paths`` added to those it was made from, of which ``retained`` is left.
