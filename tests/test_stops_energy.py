@@ -112,7 +112,7 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
     plant, _ = one_joint(6.0, 1.0)
     v, q = np.full(1, 1e200), np.zeros(1)
-    assert march(plant, q, q, v, v, 1e-3, 5, ALL_PARTS, energetic=True).end != OK
+    assert march(plant, Box(q, q), Box(v, v), 1e-3, 5, ALL_PARTS, energetic=True).end != OK
 
 
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:
