@@ -17,7 +17,7 @@ from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
-from stopset.offline.diagnose.search.foretells import Step, step
+from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
