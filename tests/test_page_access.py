@@ -133,6 +133,39 @@ def test_every_number_is_in_sight_on_a_telephone(browser: Any) -> None:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+def test_positions_are_drawn_within_what_was_predicted_and_what_leaves_it_is_crossed(browser: Any) -> None:
+    """Also for who opens the page later, and in words for who does not see it."""
+    daemon = moving(State.OK)
+    told = json.loads(daemon.words)
+    q = np.array(told["q"])
+    for off in (0.0, 0.005, 0.02):  # of joint 1, within 10 mrad of the middle of its prediction
+        told |= {"q": (q + off * np.eye(6)[0]).tolist(), "tube": {"lo": (q - 0.01).tolist(), "hi": (q + 0.01).tolist()}}
+        daemon.words = json.dumps(told).encode()
+        daemon.speak()
+    told["tube"]["lo"] = told["tube"]["lo"][:3]
+    daemon.words = json.dumps(told).encode()
+    daemon.speak()  # bounds of other joints than it has are not drawn
+    assert [len(p["q"]) for p in daemon.view.traces()] == [6, 6, 6]
+    with shown(daemon.view, browser, "OK"):
+        labels = browser.execute_script(
+            "return [...document.querySelectorAll('#rooms canvas')].map(c => c.getAttribute('aria-label'))"
+        )
+        assert labels[0].startswith("arm_1_joint: 20 of ± 10 mrad, ✕ left"), labels
+        assert labels[1:] == [f"arm_{k}_joint: 0 of ± 10 mrad" for k in range(2, 7)]
+        inked = browser.execute_script(
+            "const red = c => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let n = 0;"
+            " for (let i = 0; i < d.length; i += 4) n += d[i] > 150 && d[i + 1] < 60 && d[i + 3] > 200; return n; };"
+            " return [...document.querySelectorAll('#rooms canvas')].map(red)"
+        )
+        assert inked[0] > 20, "a cross where it left"
+        sizes = browser.execute_script(
+            "return ['#word', '#stops td.n'].map(s => parseFloat(getComputedStyle(document.querySelector(s)).fontSize))"
+        )
+        height = browser.execute_script("return Math.min(innerWidth, innerHeight)")
+        # 9 mm at two metres; a screen of 900 lines is some 300 mm high
+        assert sizes[0] > 9 / 300 * height and sizes[1] > 9 / 300 * height, sizes
+
+
 def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
     """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
     daemon = moving(State.OK)

@@ -372,7 +372,13 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
     from stopset.monitor.orders import Reset
 
     sent: list[str] = []
-    page = ViewerPage(heard("fine"), "127.0.0.1", 0, lambda reason: sent.append(Reset.of("A. Turner", reason).reason))
+    page = ViewerPage(
+        heard("fine"),
+        "127.0.0.1",
+        0,
+        lambda reason: sent.append(Reset.of("A. Turner", reason).reason),
+        "in the name of <A> Turner",
+    )
     page.start()
 
     def post(token: str, body: bytes) -> bytes:
@@ -394,6 +400,7 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
         assert sent == []
         browser.get(page.url)
         wait(browser, lambda: browser.find_element("id", "reset").is_displayed())
+        assert "in the name of <A> Turner" in browser.find_element("id", "reset").text
         browser.find_element("id", "reason").send_keys("hose refitted")
         browser.find_element("css selector", "#reset button").click()
         wait(browser, lambda: "sent" in browser.find_element("id", "resetsays").text)

@@ -6,6 +6,7 @@ proves nothing about their age beyond that words keep coming; whom it matters to
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -92,13 +93,18 @@ class Fleet:
         with self._lock:
             now = self._clock()
             rows = [_row(name, arm, now) for name, arm in self._arms.items()]
-        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), r["arm"]))
+        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), _counted(r["arm"])))
 
     def snapshot(self, most: int = 400) -> dict[str, Any]:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""
         rows = self.rows()
         counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
         return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled}
+
+
+def _counted(name: str) -> list[tuple[int, str]]:
+    """To sort cell2 before cell10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 
 
 def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:
