@@ -127,10 +127,10 @@ def live(camera: Camera, demo: Path, name: str, word: str) -> None:
     """The live view while a recording is replayed, once the state is ``word``; and after the monitor was killed."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        for file in (f"{name}.parquet", "second.model.json"):
-            shutil.copy(demo / file, here / file)
+        shutil.copy(demo / f"{name}.parquet", here / f"{name}.parquet")
+        shutil.copy(demo / "first.model.json", here / "arm.model.json")
         hub, port, page = free_port(), free_port(), free_port()
-        text = (demo / f"{name}.toml").read_text()
+        text = (demo / "arm.toml").read_text().partition("[signed]")[0]
         text = re.sub(r'"hub:\d+"', f'"hub:{hub}"', re.sub(r"127\.0\.0\.1:\d+", f"127.0.0.1:{port}", text))
         (here / "c.toml").write_text(text)
         url, says = f"http://127.0.0.1:{page}/", "document.getElementById('word')?.textContent == "
@@ -153,7 +153,7 @@ def _listens(port: int) -> bool:
 def workbench(camera: Camera, demo: Path) -> None:
     """Compared, diagnosed, and with the first effect added."""
     with tempfile.TemporaryDirectory() as folder:
-        loop = Loop(demo / "first.model.json", [demo / "recording.parquet"], folder)
+        loop = Loop(demo / "first.model.json", [demo / "changed" / "recording.parquet"], folder)
         server = Server(loop, "127.0.0.1", 0)
         server.start()
         for action in ("compare", "diagnose"):
@@ -205,7 +205,7 @@ def main() -> None:
         camera = Camera(browser, asked.out, asked.docs)
         pages: dict[str, Callable[[], None]] = {name: partial(reports, camera, asked.demo, name) for name in REPORTS}
         pages["live-healthy"] = partial(live, camera, asked.demo, "healthy", "OK")
-        pages["live-altered"] = partial(live, camera, asked.demo, "altered", "VIOLATION")
+        pages["live-changed"] = partial(live, camera, asked.demo, "changed", "VIOLATION")
         pages["workbench"] = partial(workbench, camera, asked.demo)
         pages["fleet"] = partial(fleet, camera)
         for name in asked.only or pages:

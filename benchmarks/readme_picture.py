@@ -61,7 +61,7 @@ def main() -> None:
     before, after = load_model(folder / "first.model.json"), load_model(folder / "second.model.json")
     added = after.revisions[-1].added
     joint = after.joints.index(added.partition(":")[2])
-    trials = [r for r in read_recordings(folder / "recording.parquet", after.robot) if r.phase == "open_loop"]
+    trials = [r for r in read_recordings(folder / "changed" / "recording.parquet", after.robot) if r.phase == "open_loop"]
     long = [r for r in trials if len(r.t) * after.powered.dt >= HORIZON][:40]
     drawn = [curves(m, long, joint) for m in (before, after)]
     top = 1.05 * max(float(np.abs(np.concatenate([lo, hi])).max()) for _, lo, hi, _ in drawn)

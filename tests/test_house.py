@@ -244,6 +244,7 @@ def test_no_result_is_read_by_a_magic_index() -> None:
 # begins of lines that another program printed, of labels, of files: nothing that we say to a user and could say otherwise
 PRINTED = {
     "stopset.cli.demo": "picks from what its steps print", "stopset.offline.compare.dependence": "labels of variables",
+    "stopset.cli.story.chapters": "picks from what its steps print",
     "stopset.monitor.viewer.events": "says nothing twice in a line", "stopset.monitor.daemon": "gaps", "stopset.monitor.status": "gaps",
 }  # fmt: skip
 SAYING = {"why", "says", "note", "notes", "text", "message", "what"}

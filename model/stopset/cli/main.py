@@ -21,7 +21,7 @@ from stopset.errors import StopsetError
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
-NOT_COMMANDS = {"main", "common", "steps"}
+NOT_COMMANDS = {"main", "common", "steps", "story"}
 FILES = {"import": "import_logs"}  # commands that are keywords of Python, and so no module's name
 DEFECT = 70  # exit code of an error inside stopset (EX_SOFTWARE): no answer, and nothing the caller could mend
 DEBUG = "STOPSET_DEBUG"  # set to anything: an error inside stopset is shown whole
