@@ -77,14 +77,12 @@ def _history(out: Page, model: Model) -> None:
         out.next(
             "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
         )
-    chains = ((key, title, *_chain(model, key)) for key, title in FIGURES)
-    shown = [(key, title, names, values) for key, title, names, values in chains if len(values) > 1]
-    if shown:
+    if (figure := waterfalls(model)) is not None:
         out.figure(
-            _waterfalls(model, shown),
+            figure,
             "Each figure after each revision, from zero; dotted: what repetitions of the same torques differ by, below which no model "
             "without a new variable gets. Of sets and stops they tell none.",
-            190 * len(shown),
+            950,
         )
     keys = [k for k, _ in FIGURES]
     with out.fold("Every revision"):
@@ -136,8 +134,12 @@ def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
     return names, values
 
 
-def _waterfalls(model: Model, shown: list[tuple[str, str, list[str], list[float]]]) -> go.Figure:
-    """All figures side by side, one bar per revision."""
+def waterfalls(model: Model) -> go.Figure | None:
+    """All figures side by side, one bar per revision; None where nothing was added."""
+    chains = ((key, title, *_chain(model, key)) for key, title in FIGURES)
+    shown = [(key, title, names, values) for key, title, names, values in chains if len(values) > 1]
+    if not shown:
+        return None
     lowest = floors(model)
     figure = make_subplots(rows=1, cols=len(shown), subplot_titles=[t.replace(" [", "<br>[") for _, t, _, _ in shown])
     for k, (key, _, names, values) in enumerate(shown, 1):
