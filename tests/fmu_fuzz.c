@@ -1,6 +1,6 @@
 /* Calls an FMI 3 unit in any order with any values, linked with its sources and the sanitizers.
  *
- * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED VR_MEASURED
+ * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED VR_MEASURED N_ARRAYS
  * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, a true `covered` has bounds
  * in order, a true `stop_certified` has numbers of at least zero.
  */
@@ -33,28 +33,52 @@ static void write_log(fmi3InstanceEnvironment env, fmi3Status status, fmi3String
     snprintf(last, sizeof last, "%s", message);
 }
 
+static fmi3Instance running;
+static unsigned reals;
+
+/* Within a step everything may be read and nothing set; sometimes the step shall end here, later, or at no time at all. */
+static void within(fmi3InstanceEnvironment env, fmi3Float64 t, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished, fmi3Boolean may_end,
+                   fmi3Boolean *end, fmi3Float64 *until) {
+    (void)env, (void)set, (void)get, (void)finished;
+    unsigned vr = below(reals);
+    double x, at;
+    fmi3FMUState saved = 0;
+    const unsigned time = 0;
+    if (fmi3GetFloat64(running, &vr, 1, &x, 1) != fmi3OK) printf("broken: no value within a step\n"), exit(1);
+    if (fmi3GetFloat64(running, &time, 1, &at, 1) != fmi3OK || at != t) printf("broken: told %g, and it is %g\n", t, at), exit(1);
+    if (!below(8) && fmi3SetFloat64(running, &vr, 1, &x, 1) == fmi3OK) printf("broken: set within a step\n"), exit(1);
+    if (!below(8) && fmi3DoStep(running, t, 0.01, fmi3True, &set, &get, &finished, &x) == fmi3OK) printf("broken: a step within a step\n"), exit(1);
+    if (!below(8) && fmi3GetFMUState(running, &saved) == fmi3OK) printf("broken: a state within a step\n"), exit(1);
+    if (!below(8) && fmi3Reset(running) == fmi3OK) printf("broken: reset within a step\n"), exit(1);
+    *end = below(3) == 0;
+    *until = below(3) ? t + 0.001 * below(5) : number();
+    (void)may_end;
+}
+
 static long errors, covered_seen, certified_seen;
 #define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), 1
 
 int main(int argc, char **argv) {
-    if (argc < 15) return 2;
+    if (argc < 16) return 2;
     const char *token = argv[1];
     long first = atol(argv[2]), count = atol(argv[3]);
     unsigned v[11];
     for (int k = 0; k < 11; k++) v[k] = (unsigned)atoi(argv[4 + k]);
-    const unsigned n_real = v[0], n_all = v[0] + v[1] + v[2], q_lo = v[3], q_hi = v[4], n = v[5], stop_first = v[6], stop_last = v[7];
+    const unsigned n_arrays = (unsigned)atoi(argv[15]), n_real = v[0], n_all = v[0] + v[1] + v[2], q_lo = v[3], q_hi = v[4], n = v[5], stop_first = v[6], stop_last = v[7];
     double *x = calloc(n_all + 8, sizeof *x), *y = calloc(n_all + 8, sizeof *y);
     unsigned *vr = calloc(n_all + 8, sizeof *vr);
     for (long seed = first; seed < first + count; seed++) {
         state = (uint64_t)seed;
         int call = 0;
-        const int exchange = below(3) == 0;
+        const int exchange = below(3) == 0, events = below(3) == 0;
         fmi3Instance c = below(20) ? (exchange ? fmi3InstantiateModelExchange("a", token, "", fmi3False, fmi3False, 0, write_log)
-                                               : fmi3InstantiateCoSimulation("a", token, "", fmi3False, fmi3False, fmi3False, fmi3False, 0, 0, 0,
-                                                                             write_log, 0))
+                                               : fmi3InstantiateCoSimulation("a", token, "", fmi3False, fmi3False, events, below(2) != 0, 0, 0, 0,
+                                                                             write_log, below(2) ? within : 0))
                                    : fmi3InstantiateCoSimulation("a", "no token", 0, fmi3False, fmi3False, fmi3False, fmi3False, 0, 0, 0, write_log, 0);
         fmi3FMUState saved = 0;
         double t = 0.0;
+        running = c;
+        reals = n_real;
         if (c && below(10)) { /* mostly a run that begins as it should */
             const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
             fmi3SetBoolean(c, &v[10], 1, &measured, 1);
@@ -66,6 +90,7 @@ int main(int argc, char **argv) {
             fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3False, 0.0);
             fmi3ExitInitializationMode(c);
             if (exchange) fmi3EnterContinuousTimeMode(c);
+            if (!exchange && events) fmi3EnterStepMode(c);
         }
         for (call = 0; call < 60; call++) {
             fmi3Status got = fmi3OK;
@@ -74,7 +99,7 @@ int main(int argc, char **argv) {
             unsigned many = below(4);
             size_t size = 0;
             last[0] = 0;
-            switch (below(24)) {
+            switch (below(27)) {
             case 0: got = fmi3EnterInitializationMode(c, fmi3False, 0.0, number(), fmi3False, 0.0); break;
             case 1: got = fmi3ExitInitializationMode(c); break;
             case 2:
@@ -142,6 +167,20 @@ int main(int argc, char **argv) {
                 break;
             case 20: got = fmi3UpdateDiscreteStates(c, &a, &b, &d, &e, &f, y); break;
             case 21: got = below(2) ? fmi3EnterEventMode(c) : fmi3EnterContinuousTimeMode(c); break;
+            case 24: /* arrays come behind the scalars, clocks behind them */
+                vr[0] = below(n_real);
+                vr[1] = n_all + below(n_arrays);
+                for (unsigned k = 0; k < 1 + n; k++) x[k] = number();
+                got = below(2) ? fmi3SetFloat64(c, vr, 2, x, below(9) ? 1 + n : 2) : fmi3GetFloat64(c, vr, 2, y, 1 + n);
+                break;
+            case 25:
+                vr[0] = n_all + n_arrays + below(4);
+                a = below(3) != 0;
+                got = below(4) ? fmi3SetClock(c, vr, 1, &a) : fmi3GetClock(c, vr, 1, &b);
+                break;
+            case 26:
+                got = below(2) ? fmi3EnterStepMode(c) : fmi3EnterEventMode(c);
+                break;
             case 22: got = fmi3CompletedIntegratorStep(c, fmi3True, &a, &b); break;
             default: break;
             }

@@ -14,9 +14,9 @@ from stopset.types import Array
 
 
 class Unit:
-    """FMI 3 by fmpy; begins in initialization mode."""
+    """FMI 3 by fmpy; begins in initialization mode. ``options``: of its instantiation."""
 
-    def __init__(self, fmu: Path, folder: str) -> None:
+    def __init__(self, fmu: Path, folder: str, **options: Any) -> None:
         import fmpy
         from fmpy.fmi3 import FMU3Slave
 
@@ -26,7 +26,7 @@ class Unit:
         self.slave = FMU3Slave(
             guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier, instanceName="a"
         )  # fmt: skip
-        self.slave.instantiate()
+        self.slave.instantiate(**options)
         self.slave.enterInitializationMode()
         self.t = 0.0
 
@@ -57,10 +57,20 @@ class Unit:
         self.slave.doStep(self.t, h)
         self.t += h
 
+    def array(self, name: str, size: int) -> Array:
+        return np.array(self.slave.getFloat64([self.variables[name].valueReference], size))
+
+    def tick(self, clock: str) -> None:
+        """In event mode, and on into step mode."""
+        self.slave.enterEventMode()
+        self.slave.setClock([self.variables[clock].valueReference], [True])
+        self.slave.updateDiscreteStates()
+        self.slave.enterStepMode()
+
 
 @contextmanager
-def unit(fmu: Path) -> Iterator[Unit]:
+def unit(fmu: Path, **options: Any) -> Iterator[Unit]:
     with tempfile.TemporaryDirectory() as folder:
-        it = Unit(fmu, folder)
+        it = Unit(fmu, folder, **options)
         yield it
         it.slave.freeInstance()

@@ -54,7 +54,7 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, mod
     sizes = [len(v.of(kind)) for kind in KINDS]
     first = [v.reference(f"{stem}_axis_1") for stem in ("q_lo", "q_hi")]
     places = [*sizes, *first, model.n, v.reference("stop_time_axis_1"), v.reference("tcp_stop_speed"), v.reference("covered")]
-    places += [v.reference("stop_certified"), v.reference("measured")]
+    places += [v.reference("stop_certified"), v.reference("measured"), len(v.arrays)]
     arguments = [token, "1", str(CALLS), *map(str, places)]
     done = subprocess.run([str(tmp_path / "fuzz"), *arguments], capture_output=True, text=True, timeout=170, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]

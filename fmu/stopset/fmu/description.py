@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from dataclasses import replace
 
 from stopset.artifact import Model
-from stopset.fmu.variables import Variable, Variables
+from stopset.fmu.variables import CLOCKS, JointArray, Variable, Variables
 
 NOTICE = "Monitoring aid, not a safety function: bounds hold for the identified model and its domain only."
 # unit symbol -> exponents of the SI base units
@@ -64,6 +65,14 @@ def _capabilities(identifier: str, fmi: int, cs: bool) -> dict[str, str]:
     out["providesDirectionalDerivative" if fmi == 2 else "providesDirectionalDerivatives"] = "true"
     if cs:
         out["canHandleVariableCommunicationStepSize"] = "true"
+    if cs and fmi == 3:
+        early = (
+            "hasEventMode",
+            "mightReturnEarlyFromDoStep",
+            "canReturnEarlyAfterIntermediateUpdate",
+            "providesIntermediateUpdate",
+        )
+        out |= dict.fromkeys(early, "true")
     return out
 
 
@@ -156,14 +165,31 @@ def _fmi3(root: ET.Element, variables: Variables) -> None:
     for k, v in enumerate(variables):
         of = str(variables.reference(v.derivative)) if v.derivative else None
         ET.SubElement(box, types[v.kind], {**_attributes(v, k), **_typed(v, of)})
+    count = len(variables.all)
+    arrays = dict(enumerate(variables.arrays, count))
+    for k, a in arrays.items():
+        array = ET.SubElement(box, "Float64", _array_attributes(a, k))
+        ET.SubElement(array, "Dimension", start=str(len(a.starts)))
+    for k, (name, what) in enumerate(CLOCKS.items() if variables.clocks else (), count + len(arrays)):
+        clock = {"name": name, "valueReference": str(k), "description": what, "causality": "input", "variability": "discrete"}
+        ET.SubElement(box, "Clock", {**clock, "intervalVariability": "triggered"})
     structure = ET.SubElement(root, "ModelStructure")
     tags = ("Output", "ContinuousStateDerivative", "InitialUnknown")
-    for tag, references in zip(tags, _unknowns(variables), strict=True):
+    outputs, derivatives, initial = _unknowns(variables)
+    given = [k for k, a in arrays.items() if a.like.causality == "output"]
+    for tag, references in zip(tags, ([*outputs, *given], derivatives, [*initial, *given]), strict=True):
         for k in references:
             ET.SubElement(structure, tag, valueReference=str(k))
     for k, v in enumerate(variables):
         if v.group == "INDICATOR":
             ET.SubElement(structure, "EventIndicator", valueReference=str(k))
+
+
+def _array_attributes(a: JointArray, reference: int) -> dict[str, str]:
+    """As the scalars', with all of their starts."""
+    starts = [x for x in a.starts if x is not None]
+    out = {**_attributes(replace(a.like, name=a.name), reference), **_typed(replace(a.like, start=None), None)}
+    return out | ({"start": " ".join(map(_text, starts))} if starts else {})
 
 
 def build_description(identifier: str, source_files: Iterable[str]) -> str:

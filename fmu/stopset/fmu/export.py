@@ -44,12 +44,13 @@ def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]
 @dataclass(frozen=True, slots=True)
 class Contents:
     """What a unit holds: FMI ``fmi`` (2 or 3), libraries for ``platforms`` (all where empty; none with ``source_only``), reference
-    results."""
+    results, and of FMI 3 the ``clocks`` that ask for a stop: some importers end when they read of any."""
 
     fmi: int = 3
     platforms: Sequence[str] = ()
     source_only: bool = False
     reference: bool = True
+    clocks: bool = False
 
 
 ALL = Contents()
@@ -74,7 +75,9 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         )
     targets = [] if contents.source_only else chosen(contents.platforms)
     name = identifier(model)
-    v = variables(model)
+    if contents.clocks and fmi != 3:
+        raise OutputError("clocks in FMI 2; expected FMI 3, which has them: leave clocks or the version out")
+    v = variables(model, contents.clocks)
     text, token = sources(model, v)
     units = [*UNITS, "model_data.c"]
     made = binaries(text, units, targets, name, say)

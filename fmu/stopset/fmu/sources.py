@@ -24,7 +24,19 @@ from stopset.reach.flowpipe import torque_set
 from stopset.reach.nonlinear import FAR, FASTEST, MARGIN, NEAR, STEP, ages_of, dynamics, parts
 from stopset.reach.stops.ramp import ramp_of
 
-OWN_UNITS = ("core.c", "prepare.c", "sample.c", "motion.c", "nonlinear.c", "ramp.c", "stops.c", "fmi.c", "fmi2.c", "fmi3.c")
+OWN_UNITS = (
+    "arrays.c",
+    "core.c",
+    "prepare.c",
+    "sample.c",
+    "motion.c",
+    "nonlinear.c",
+    "ramp.c",
+    "stops.c",
+    "fmi.c",
+    "fmi2.c",
+    "fmi3.c",
+)
 OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
@@ -68,7 +80,7 @@ KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTP
 
 
 def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
-    lines = [f"#define NJ {n}", f"#define NV {variables.viscous_orders}"]
+    lines = [f"#define NJ {n}", f"#define NV {variables.viscous_orders}", f"#define N_ARRAYS {len(variables.arrays)}"]
     for kind, size in (("Real", "N_REAL"), ("Integer", "N_INT"), ("Boolean", "N_BOOL")):
         lines.append(f"#define {size} {len(variables.of(kind))}")  # type: ignore[arg-type]
     seen: list[str] = []
@@ -189,11 +201,13 @@ def _data(model: Model, variables: Variables, laws: Laws, token: str) -> str:
         starts = ", ".join(str(int(x)) for x in _starts(variables.of(kind)))  # type: ignore[arg-type]
         rows.append(f"    .{field} = {{{starts}}},")
     rows.append(f"    .kind = {{{', '.join(_kind(v) for v in variables)}}},")
+    arrays = ", ".join(str(a.first) for a in variables.arrays)
     names = ",\n        ".join(f'"{v.name}"' for v in variables)
     rows.append(f"    .name = {{\n        {names}}},")
     return (
         f"/* Written by stopset export-fmu from the model with SHA-256 {model.sha256 or '(unsaved)'}. */\n"
         f'#include <math.h>\n\n#include "stopset_core.h"\n\nconst char stopset_token[] = "{token}";\n'
+        f"const uint32_t stopset_arrays[] = {{{arrays}}};\n"
         f"const char stopset_refusal[] = {quoted(stop.refusal)};\n\n{stop.c}\n{laws.c}\n{_polynomials(model)}\n"
         "const StopsetModel stopset_model = {\n" + "\n".join(rows) + "\n};\n"
     )

@@ -44,12 +44,29 @@ class Variable:
 
 
 @dataclass(frozen=True, slots=True)
+class JointArray:
+    """Of FMI 3: the joints' scalars under one name, ``like`` the ``first`` of them; ``starts`` are theirs."""
+
+    name: str
+    like: Variable
+    first: int
+    starts: tuple[float | None, ...]
+
+
+CLOCKS = {
+    f"request_stop_{k}": f"a tick asks for a STOP {k} that begins at once" for k in range(3)
+}  # of FMI 3, in the order of their values
+
+
+@dataclass(frozen=True, slots=True)
 class Variables:
-    """All variables in order of their value references."""
+    """All scalars in order of their value references; arrays and `CLOCKS` come behind them, in FMI 3."""
 
     all: tuple[Variable, ...]
     effects: tuple[EffectParameter, ...]
     viscous_orders: int
+    arrays: tuple[JointArray, ...]
+    clocks: bool
 
     def __iter__(self) -> Iterator[Variable]:
         return iter(self.all)
@@ -201,7 +218,7 @@ def _conditions(m: Model) -> list[Variable]:
     return [
         *_joints(m, _real("q_start", "parameter", "rad", "position at the start, {}", "fixed"), start_posture(m)),
         *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, {}", "fixed"), 0.0),
-        Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "fixed", lo=0.0),
+        Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "tunable", lo=0.0),
         *com,
         Variable("stop1_time", "STOP1_TIME", "Real", "parameter", "s", ramp, ramp_time_of(m), "fixed"),
         *failing,
@@ -263,9 +280,23 @@ def _switches(m: Model) -> list[Variable]:
     return out
 
 
-def variables(model: Model) -> Variables:
-    """The variables of a model's FMU."""
+def variables(model: Model, clocks: bool = False) -> Variables:
+    """The variables of a model's FMU; ``clocks``: whether those of FMI 3 are said to be there."""
     effects = effect_parameters(model)
     real = [Variable("time", "TIME", "Real", "independent", "s", "time")]
     real += [*_inputs(model), *_outputs(model), *_conditions(model), *_physics(model, effects)]
-    return Variables((*real, *_switches(model)), effects, viscous_orders(model))
+    return Variables((*real, *_switches(model)), effects, viscous_orders(model), _arrays(model, real), clocks)
+
+
+def _arrays(m: Model, scalars: Sequence[Variable]) -> tuple[JointArray, ...]:
+    """Of what goes in and comes out per joint, and where the arm starts."""
+    out, n = [], m.n
+    for k, v in enumerate(scalars):
+        name = v.name.removesuffix(f"_{m.joints[0]}")
+        block = scalars[k : k + n]
+        carried = v.causality in ("input", "output") or name in ("q_start", "dq_start")
+        if carried and [b.name for b in block] == [f"{name}_{j}" for j in m.joints]:
+            text = v.description.replace(m.joints[0], "every joint")
+            starts = tuple(None if b.start is None else float(b.start) for b in block)
+            out.append(JointArray(name, replace(v, description=text, derivative=""), k, starts))
+    return tuple(out)

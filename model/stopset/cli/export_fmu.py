@@ -22,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; may be repeated (default: all)",
     )
+    parser.add_argument("--clocks", action="store_true", help="FMI 3 clocks that ask for a stop, for importers that know clocks")
     parser.add_argument("--source-only", action="store_true", help="no libraries: whoever imports it compiles its sources")
     parser.add_argument(
         "--no-reference", action="store_true", help="no reference results inside (then check-fmu has nothing to do)"
@@ -42,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
         raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
     platforms = [] if args.source_only else [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
-    contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference)
-    with steps("export-fmu", quiet=args.quiet) as tell:
-        target = export(model, args.out, contents, tell)
+    contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference, args.clocks)
+    with steps("export-fmu", quiet=args.quiet) as progress:
+        target = export(model, args.out, contents, progress)
     what = "sources alone" if args.source_only else ", ".join(platforms)
     say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB; {what}")
     if not (args.no_reference or args.source_only):

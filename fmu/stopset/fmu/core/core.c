@@ -38,7 +38,7 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     }
     for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = s->r[VR_MEMORY_START + k];
     s->as_identified = (uint8_t)as_identified(s);
-    s->violated = 0;
+    s->violated = s->reloaded = s->ticked = 0;
     s->stopping = 0;
     s->length = m->dt;
     memset(s->certificate, 0, sizeof s->certificate);
@@ -50,9 +50,18 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     return 0;
 }
 
+void stopset_reload(StopsetState *s) {
+    s->as_identified = (uint8_t)as_identified(s);
+    s->reloaded = 1;
+    s->h_try = 0.0;
+    memset(s->certificate, 0, sizeof s->certificate);
+    stopset_forget(s);
+}
+
 int stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
     double left = s->tube_start + stopset_model.horizon - s->r[VR_TIME];
-    if (!s->b[IX_RESTART] || !s->b[IX_MEASURED] || s->violated || left >= ahead + 1e-9 * stopset_model.dt) return 0;
+    const int over = s->b[IX_RESTART] && left < ahead + 1e-9 * stopset_model.dt;
+    if (!(over || s->reloaded) || !s->b[IX_MEASURED] || s->violated) return 0;
     if (stopset_prepare(s, w)) return 0;
     for (int i = 0; i < NJ; i++) {
         if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return 0;
@@ -62,22 +71,25 @@ int stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
         s->r[VR_DQ + i] = s->r[VR_DQ_MEASURED + i];
     }
     s->tube_start = s->r[VR_TIME];
+    s->reloaded = 0;
     stopset_own_start(s, w);
     s->outputs_ready = 0;
     return 1;
 }
 
 const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
-    if (!s->i[IX_STOP] || s->stopping) return 0;
-    if (s->i[IX_STOP] == 1 && !stopset_model.has_brakes) return stopset_refusal;
-    if (s->i[IX_STOP] >= 2 && stopset_model.ramp_timed && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
+    const int request = s->i[IX_STOP] ? s->i[IX_STOP] : s->ticked;
+    s->ticked = 0;
+    if (!request || s->stopping) return 0;
+    if (request == 1 && !stopset_model.has_brakes) return stopset_refusal;
+    if (request >= 2 && stopset_model.ramp_timed && !(s->r[VR_STOP1_TIME] > 0.0)) return "stop1_time is not positive; set the ramp's length [s]";
     s->outputs_ready = 0;
     stopset_outputs(s, w);
-    stopset_stop_request(s, w);
+    stopset_stop_request(s, w, request);
     memcpy(s->stop_q, &s->r[VR_Q], sizeof s->stop_q);
     memcpy(s->stop_dq, &s->r[VR_DQ], sizeof s->stop_dq);
     s->stop_start = s->r[VR_TIME];
-    s->stopping = (uint8_t)s->i[IX_STOP];
+    s->stopping = (uint8_t)request;
     s->h_try = 0.0;
     s->outputs_ready = 0;
     return 0;
@@ -124,7 +136,8 @@ void stopset_count(StopsetState *s) {
         if (s->certificate[k].steps < INT32_MAX) s->certificate[k].steps++;
 }
 
-const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
+const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done) {
+    *done = h;
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
     const char *wrong = stopset_prepare(s, w);
@@ -137,13 +150,15 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h) {
     s->length = h;
     stopset_count(s);
     if (s->stopping >= 2) {
+        const double rests = s->stop_start + stopset_ramp_length(s) - s->r[VR_TIME];
         double rest[NJ];
-        stopset_ramp_motion(s, s->r[VR_TIME] + h - s->stop_start, &s->r[VR_Q], &s->r[VR_DQ], rest);
+        if (w->ends_at_rest && rests > 1e-9 * h && rests < h) *done = rests;
+        stopset_ramp_motion(s, s->r[VR_TIME] + *done - s->stop_start, &s->r[VR_Q], &s->r[VR_DQ], rest);
         return 0;
     }
     if (!stopset_exact(s)) {
         s->along = -1;
-        return stopset_integrate(s, w, h);
+        return stopset_integrate(s, w, h, done);
     }
     double u[NJ];
     stopset_input(s, w, u);
@@ -226,7 +241,7 @@ static void bounds(StopsetState *s, StopsetWork *w, double lo[NX], double hi[NX]
 
 static int covered(const StopsetState *s) {
     if (NONLINEAR && (s->modes_by_events || s->along < 0)) return 0; /* such a set is stepped along the model's grid */
-    return s->as_identified && !s->stopping && !too_old(s) && inside_domain(s) &&
+    return s->as_identified && !s->reloaded && !s->stopping && !too_old(s) && inside_domain(s) &&
            (!stopset_model.motor_torque || s->b[IX_MEASURED]);
 }
 

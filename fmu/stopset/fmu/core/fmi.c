@@ -18,7 +18,7 @@ Level stopset_fail(Instance *c, const char *function, const char *what) {
 
 Level stopset_expect(Instance *c, const char *function, unsigned phases) {
     static const char *const names[] = {"instantiated", "initialization mode", "event mode", "continuous-time mode", "step mode",
-                                        "terminated"};
+                                        "terminated", "intermediate update mode"};
     if (phases & IN(c->now.phase)) return LEVEL_OK;
     char what[160];
     snprintf(what, sizeof what, "not allowed while the FMU is in state \"%s\"; follow the calling sequence of the standard",
@@ -91,7 +91,7 @@ Level stopset_exit_initialization(Instance *c) {
     stopset_check(&c->now.s, c->work);
     c->now.s.modes_by_events = (uint8_t)!c->co_simulation;
     if (!c->co_simulation) stopset_update_modes(&c->now.s, c->work, 0.0);
-    c->now.phase = c->co_simulation ? PHASE_STEP : PHASE_EVENT;
+    c->now.phase = c->co_simulation && !c->event_mode ? PHASE_STEP : PHASE_EVENT;
     return LEVEL_OK;
 }
 
@@ -141,7 +141,7 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
 static Level may_set(Instance *c, unsigned vr) {
     int kind = stopset_model.kind[vr], early = c->now.phase <= PHASE_INITIALIZATION;
     int allowed = kind == KIND_INPUT || kind == KIND_TUNABLE || (kind == KIND_FIXED && early);
-    if (allowed && c->now.phase != PHASE_TERMINATED) {
+    if (allowed && c->now.phase != PHASE_TERMINATED && c->now.phase != PHASE_BETWEEN) {
         if (early) c->now.stale = 1;
         c->now.s.outputs_ready = 0;
         return LEVEL_OK;
@@ -156,6 +156,13 @@ Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double 
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "set", vr[k], "floating-point");
         if (may_set(c, vr[k])) return LEVEL_ERROR;
+        if (vr[k] == VR_PAYLOAD_MASS && c->now.phase > PHASE_INITIALIZATION) {
+            if (!(value[k] >= 0.0) || !stopset_finite(value[k]))
+                return stopset_fail(c, "set", "payload_mass is not a mass; set a finite number >= 0 [kg]");
+            const int another = c->now.s.r[VR_PAYLOAD_MASS] != value[k];
+            c->now.s.r[VR_PAYLOAD_MASS] = value[k];
+            if (another) stopset_reload(&c->now.s);
+        }
         c->now.s.r[vr[k]] = value[k];
     }
     return LEVEL_OK;
@@ -189,6 +196,15 @@ Level stopset_set_boolean(Instance *c, const unsigned vr[], size_t n, const uint
     return LEVEL_OK;
 }
 
+Level stopset_tick(Instance *c, unsigned clock, int active) {
+    if (stopset_expect(c, "setClock", IN(PHASE_EVENT))) return LEVEL_ERROR;
+    if (clock > 2) return stopset_fail(c, "setClock", "there is no clock with this value reference; read modelDescription.xml");
+    /* of several that tick at once power off counts first */
+    if (active && (!c->now.s.ticked || clock + 1u < c->now.s.ticked)) c->now.s.ticked = (uint8_t)(clock + 1);
+    if (!active && c->now.s.ticked == clock + 1) c->now.s.ticked = 0;
+    return LEVEL_OK;
+}
+
 Level stopset_do_step(Instance *c, double t, double h) {
     StopsetState *s = &c->now.s;
     char what[160];
@@ -201,9 +217,10 @@ Level stopset_do_step(Instance *c, double t, double h) {
         return stopset_fail(c, "doStep", what);
     }
     s->r[VR_TIME] = t;
-    const char *wrong = stopset_step(s, c->work, h);
+    double done;
+    const char *wrong = stopset_step(s, c->work, h, &done);
     if (wrong) return stopset_fail(c, "doStep", wrong);
-    s->r[VR_TIME] = t + h;
+    s->r[VR_TIME] = t + done;
     s->outputs_ready = 0;
     return LEVEL_OK;
 }
@@ -261,6 +278,7 @@ Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const
 }
 
 Level stopset_get_state(Instance *c, void **state) {
+    if (stopset_expect(c, "getFMUState", ~IN(PHASE_BETWEEN))) return LEVEL_ERROR;
     if (!*state) *state = malloc(sizeof(Saved));
     if (!*state) return stopset_fail(c, "getFMUState", "no memory left for a state; free states that are no longer needed");
     memcpy(*state, &c->now, sizeof(Saved));
@@ -268,6 +286,7 @@ Level stopset_get_state(Instance *c, void **state) {
 }
 
 Level stopset_set_state(Instance *c, const void *state) {
+    if (stopset_expect(c, "setFMUState", ~IN(PHASE_BETWEEN))) return LEVEL_ERROR;
     if (!state) return stopset_fail(c, "setFMUState", "the state is a null pointer; give one from getFMUState");
     memcpy(&c->now, state, sizeof(Saved));
     return LEVEL_OK;
@@ -356,10 +375,14 @@ int stopset_completed_step(Instance *c) {
 
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
     StopsetState *s = &c->now.s;
-    stopset_check(s, c->work);
-    *states_changed = s->stopping ? 0 : stopset_restart(s, c->work, 0.0);
+    *states_changed = *next_defined = 0;
+    if (!c->co_simulation) {
+        stopset_check(s, c->work);
+        *states_changed = s->stopping ? 0 : stopset_restart(s, c->work, 0.0);
+    }
     const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
+    if (c->co_simulation) return LEVEL_OK; /* samples are looked at where a step takes them, and steps find their own events */
     /* an importer finds the zero crossing of a velocity within its own tolerance */
     if (stopset_update_modes(s, c->work, 1e-7)) *states_changed = 1;
     s->outputs_ready = 0;

@@ -35,6 +35,20 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
     return fmi3OK;
 }
 
+/* A time within a step: its outputs can be read, and the step may be asked to end there or later. */
+static double between(void *who, double end) {
+    Instance *c = who;
+    fmi3IntermediateUpdateCallback update;
+    fmi3Boolean requested = fmi3False;
+    const double now = c->now.s.r[VR_TIME];
+    fmi3Float64 until = now;
+    memcpy(&update, &c->update, sizeof update);
+    c->now.phase = PHASE_BETWEEN;
+    update(c->environment, now, fmi3False, fmi3True, fmi3True, c->work->ends_at_rest != 0, &requested, &until);
+    c->now.phase = PHASE_STEP;
+    return requested && c->work->ends_at_rest && until < end ? until : end;
+}
+
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                           fmi3Boolean logging, fmi3InstanceEnvironment env, fmi3LogMessageCallback log) {
     UNUSED(resources);
@@ -48,12 +62,16 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
     UNUSED(resources);
     UNUSED(visible);
-    UNUSED(eventModeUsed);
-    UNUSED(earlyReturnAllowed);
     UNUSED(required);
     UNUSED(nRequired);
-    UNUSED(update);
-    return create(name, token, 1, logging, env, log);
+    Instance *c = create(name, token, 1, logging, env, log);
+    if (!c) return 0;
+    memcpy(&c->update, &update, sizeof update);
+    c->event_mode = eventModeUsed;
+    c->work->ends_at_rest = earlyReturnAllowed;
+    c->work->between = c->update ? between : 0;
+    c->work->who = c;
+    return c;
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -91,7 +109,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
 
 fmi3Status fmi3EnterEventMode(fmi3Instance c) {
     GIVEN(c);
-    if (stopset_expect(c, "fmi3EnterEventMode", IN(PHASE_CONTINUOUS))) return fmi3Error;
+    if (stopset_expect(c, "fmi3EnterEventMode", IN(((Instance *)c)->event_mode ? PHASE_STEP : PHASE_CONTINUOUS))) return fmi3Error;
     ((Instance *)c)->now.phase = PHASE_EVENT;
     return fmi3OK;
 }
@@ -105,17 +123,18 @@ fmi3Status fmi3Terminate(fmi3Instance c) {
 
 fmi3Status fmi3Reset(fmi3Instance c) {
     GIVEN(c);
+    if (stopset_expect(c, __func__, ~IN(PHASE_BETWEEN))) return fmi3Error;
     stopset_reset(c);
     return fmi3OK;
 }
 
 static fmi3Status counted(Instance *c, size_t nvr, size_t n) {
-    return nvr == n ? fmi3OK : status(stopset_fail(c, "get/set", "as many values as value references are expected; all variables are scalars"));
+    return nvr == n ? fmi3OK : status(stopset_fail(c, "get/set", "as many values as value references are expected; integers and booleans are scalars"));
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, fmi3Float64 values[], size_t n) {
     GIVEN(c);
-    return counted(c, nvr, n) ? fmi3Error : status(stopset_get_real(c, vr, nvr, values));
+    return status(stopset_get_reals(c, vr, nvr, values, n));
 }
 
 fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, fmi3Int32 values[], size_t n) {
@@ -136,7 +155,7 @@ fmi3Status fmi3GetBoolean(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, const fmi3Float64 values[], size_t n) {
     GIVEN(c);
-    return counted(c, nvr, n) ? fmi3Error : status(stopset_set_real(c, vr, nvr, values));
+    return status(stopset_set_reals(c, vr, nvr, values, n));
 }
 
 fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, const fmi3Int32 values[], size_t n) {
@@ -181,6 +200,9 @@ NO_TYPE(UInt64, fmi3UInt64)
 NO_TYPE(String, fmi3String)
 
 #define REFUSE(text) return status(stopset_fail(c, __func__, text))
+/* The clocks come behind the arrays: 0 to 2 for STOP 0 to 2. */
+static unsigned clock_of(fmi3ValueReference vr) { return vr - (N_SCALARS + N_ARRAYS); }
+
 fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, size_t sizes[], fmi3Binary values[], size_t n) {
     GIVEN(c);
     UNUSED(vr), UNUSED(nvr), UNUSED(sizes), UNUSED(values), UNUSED(n);
@@ -194,24 +216,28 @@ fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n
 }
 fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, fmi3Clock values[]) {
     GIVEN(c);
-    UNUSED(vr), UNUSED(nvr), UNUSED(values);
-    REFUSE("the model has no clocks");
+    for (size_t k = 0; k < nvr; k++) {
+        if (clock_of(vr[k]) > 2) REFUSE("there is no clock with this value reference; read modelDescription.xml");
+        values[k] = ((Instance *)c)->now.s.ticked == clock_of(vr[k]) + 1;
+    }
+    return fmi3OK;
 }
 fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, const fmi3Clock values[]) {
     GIVEN(c);
-    UNUSED(vr), UNUSED(nvr), UNUSED(values);
-    REFUSE("the model has no clocks");
+    for (size_t k = 0; k < nvr; k++)
+        if (stopset_tick(c, clock_of(vr[k]), values[k])) return fmi3Error;
+    return fmi3OK;
 }
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference vr, size_t *n) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n);
-    REFUSE("the model has no arrays; dependencies are those of modelDescription.xml");
+    REFUSE("dependencies of single elements are not offered; those of variables are in modelDescription.xml");
 }
 fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t elements[], fmi3ValueReference independents[],
                                        size_t elementsOfIndependents[], fmi3DependencyKind kinds[], size_t n) {
     GIVEN(c);
     UNUSED(dependent), UNUSED(elements), UNUSED(independents), UNUSED(elementsOfIndependents), UNUSED(kinds), UNUSED(n);
-    REFUSE("the model has no arrays; dependencies are those of modelDescription.xml");
+    REFUSE("dependencies of single elements are not offered; those of variables are in modelDescription.xml");
 }
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
@@ -249,8 +275,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
                                         fmi3Float64 sensitivity[], size_t nSensitivity) {
     GIVEN(c);
-    if (nSeed != nKnowns || nSensitivity != nUnknowns) REFUSE("as many seeds as knowns and sensitivities as unknowns are expected; all variables are scalars");
-    return status(stopset_directional(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
+    return status(stopset_directional_arrays(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity, nSeed, nSensitivity));
 }
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns,
                                     const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
@@ -272,46 +297,46 @@ fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference vr[],
                                   fmi3IntervalQualifier qualifiers[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(intervals), UNUSED(qualifiers);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3UInt64 counters[],
                                    fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(counters), UNUSED(resolutions), UNUSED(qualifiers);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3GetShiftDecimal(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 shifts[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(shifts);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3UInt64 counters[],
                                 fmi3UInt64 resolutions[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(counters), UNUSED(resolutions);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3SetIntervalDecimal(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 intervals[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(intervals);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3UInt64 counters[],
                                    const fmi3UInt64 resolutions[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(counters), UNUSED(resolutions);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3SetShiftDecimal(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 shifts[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(shifts);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3UInt64 counters[],
                                 const fmi3UInt64 resolutions[]) {
     GIVEN(c);
     UNUSED(vr), UNUSED(n), UNUSED(counters), UNUSED(resolutions);
-    REFUSE("the model has no clocks");
+    REFUSE("the clocks of the model are triggered and have no interval");
 }
 
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) {
@@ -334,6 +359,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boole
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
     GIVEN(c);
     if (stopset_expect(c, __func__, IN(PHASE_EVENT))) return fmi3Error;
+    if (((Instance *)c)->co_simulation) REFUSE("continuous-time mode is of model exchange; enter step mode");
     ((Instance *)c)->now.phase = PHASE_CONTINUOUS;
     return fmi3OK;
 }
@@ -383,7 +409,10 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) {
 }
 fmi3Status fmi3EnterStepMode(fmi3Instance c) {
     GIVEN(c);
-    REFUSE("event mode is not used in co-simulation, see the capability flags");
+    if (stopset_expect(c, __func__, IN(PHASE_EVENT))) return fmi3Error;
+    if (!((Instance *)c)->co_simulation) REFUSE("step mode is of co-simulation; enter continuous-time mode");
+    ((Instance *)c)->now.phase = PHASE_STEP;
+    return fmi3OK;
 }
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, const fmi3Int32 orders[],
                                     fmi3Float64 values[], size_t n) {
@@ -397,8 +426,9 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     GIVEN(c);
     UNUSED(noSetPrior);
     Level level = stopset_do_step(c, t, h);
-    *eventHandlingNeeded = *terminate = *earlyReturn = fmi3False;
+    *eventHandlingNeeded = *terminate = fmi3False;
     *lastTime = ((Instance *)c)->now.s.r[VR_TIME];
+    *earlyReturn = level == LEVEL_OK && *lastTime < t + h;
     return status(level);
 }
 

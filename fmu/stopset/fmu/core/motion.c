@@ -278,7 +278,32 @@ static void take(const StopsetState *s, double y[NY]) {
     for (int k = 0; k < N_MEMORY; k++) y[YM + k] = s->r[VR_MEMORY + k];
 }
 
-const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
+static void put(StopsetState *s, const double y[NY], const int32_t mode[NJ]) {
+    memcpy(&s->r[VR_Q], y, NJ * sizeof *y);
+    memcpy(&s->r[VR_DQ], y + NJ, NJ * sizeof *y);
+    memcpy(s->mode, mode, sizeof s->mode);
+    for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = y[YM + k];
+}
+
+static int moving(const int32_t mode[NJ]) {
+    for (int i = 0; i < NJ; i++)
+        if (mode[i]) return 1;
+    return 0;
+}
+
+/* How much of a step that has come to t, `left` before its end, is still to go: nothing where a stopping arm has come to rest, and
+ * less where whoever is told of the way wants less. */
+static double still_to_go(StopsetState *s, StopsetWork *w, double t, double left, const double y[NY], const int32_t mode[NJ], int moved) {
+    if (w->ends_at_rest && s->stopping == 1 && moved && !moving(mode)) return 0.0;
+    if (!w->between) return left;
+    put(s, y, mode);
+    s->r[VR_TIME] = t;
+    s->outputs_ready = 0;
+    const double end = w->between(w->who, t + left);
+    return end < t + left ? fmax(end - t, 0.0) : left;
+}
+
+const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done) {
     double y[NY], next[NY], first[NY], last[NY];
     int32_t mode[NJ];
     int events = 0;
@@ -286,6 +311,7 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
     take(s, y);
     for (int i = 0; i < NJ; i++) mode[i] = 1;
     if (directional(s)) settle(s, w, t, y, mode);
+    const int moved = moving(mode);
     derivative(s, w, t, y, mode, first);
     for (int count = 0; left > 0.0; count++) {
         if (count == MOST_STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
@@ -320,12 +346,15 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h) {
         memcpy(first, last, sizeof first);
         t += now;
         left = left - now > 1e-14 * h ? left - now : 0.0;
+        if (left > 0.0) {
+            const double to_go = still_to_go(s, w, t, left, y, mode, moved);
+            h -= left - to_go;
+            left = to_go;
+        }
     }
+    *done = h - left;
     s->h_try = step;
-    memcpy(&s->r[VR_Q], y, NJ * sizeof *y);
-    memcpy(&s->r[VR_DQ], y + NJ, NJ * sizeof *y);
-    memcpy(s->mode, mode, sizeof mode);
-    for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = y[YM + k];
+    put(s, y, mode);
     return 0;
 }
 

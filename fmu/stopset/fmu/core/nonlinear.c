@@ -224,17 +224,10 @@ static int at_step(StopsetPast *c, StopsetWork *w, const double x[NX], int forei
 int stopset_sample_along(StopsetState *s, StopsetWork *w, int32_t every, int32_t *joint) {
     StopsetPast *c = &s->past;
     double x[NX], u[NJ], du[NJ];
+    int verdict, foreign;
     if (c->every != every) stopset_forget(s);
     c->every = every;
-    memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
-    memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
-    if (stopset_unusable(s, x)) {
-        stopset_forget(s);
-        return VERDICT_NONE;
-    }
-    stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], c->ends[0], u, du);
-    const int foreign = stopset_outside(s, x, u, du);
-    int verdict;
+    if (!stopset_take_sample(s, w, x, u, du, &foreign)) return VERDICT_NONE;
     if (c->known && c->samples < every) /* between two steps: that of the last one */
         verdict = c->said == VERDICT_CONFORMANT && !foreign ? VERDICT_CONFORMANT : VERDICT_NONE;
     else

@@ -20,7 +20,7 @@ void stopset_forget(StopsetState *s) {
 #endif
 
 /* Why no verdict can be had of this sample. */
-int stopset_unusable(const StopsetState *s, const double x[NX]) {
+static int unusable(const StopsetState *s, const double x[NX]) {
     const double payload = s->r[VR_PAYLOAD_MASS];
     int all_zero = 1;
     for (int i = 0; i < NX; i++) all_zero = all_zero && x[i] == 0.0 && (i >= NJ || s->r[VR_TAU + i] == 0.0);
@@ -29,13 +29,25 @@ int stopset_unusable(const StopsetState *s, const double x[NX]) {
 }
 
 /* Whether a signal is beyond the domain of validity. */
-int stopset_outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]) {
+static int outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]) {
     double here[4 * NJ], slack[4 * NJ] = {0};
     memcpy(here, x, NX * sizeof *x);
     memcpy(here + NX, u, NJ * sizeof *u);
     memcpy(here + 3 * NJ, &s->r[VR_TEMP], NJ * sizeof *here);
     for (int i = 0; i < NJ; i++) slack[NX + i] = du[i] + 1e-12;
     return stopset_beyond((stopset_model.has_domain_temp ? 4 : 3) * NJ, here, stopset_model.lo, stopset_model.hi, slack) > 0;
+}
+
+int stopset_take_sample(StopsetState *s, StopsetWork *w, double x[NX], double u[NJ], double du[NJ], int *foreign) {
+    memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
+    memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
+    if (unusable(s, x)) {
+        stopset_forget(s);
+        return 0;
+    }
+    stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], s->past.ends[0], u, du);
+    *foreign = outside(s, x, u, du);
+    return 1;
 }
 
 #if !(CORNERS || PATHS)
@@ -59,15 +71,8 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
     StopsetPast *c = &s->past;
     double x[NX], u[NJ], du[NJ], room[NX];
     int64_t row[2 * NX], nearest[NX], seen[2] = {0, 0}, live = 0;
-    int verdict = c->known ? VERDICT_NONE : NOTHING_BEFORE;
-    memcpy(x, &s->r[VR_Q_MEASURED], NJ * sizeof *x);
-    memcpy(x + NJ, &s->r[VR_DQ_MEASURED], NJ * sizeof *x);
-    if (stopset_unusable(s, x)) {
-        stopset_forget(s);
-        return VERDICT_NONE;
-    }
-    stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], c->ends[0], u, du);
-    const int foreign = stopset_outside(s, x, u, du);
+    int verdict = c->known ? VERDICT_NONE : NOTHING_BEFORE, foreign;
+    if (!stopset_take_sample(s, w, x, u, du, &foreign)) return VERDICT_NONE;
     if (c->known) {
         double Bd[NX * NJ];
         stopset_torque_part(w->grid, Bd);

@@ -14,6 +14,7 @@
 
 enum { NX = 2 * NJ, NM = N_MEMORY > 0 ? N_MEMORY : 1, NS = NX + N_MEMORY }; /* joints, effects that remember, both */
 enum { NONLINEAR = CORNERS || PATHS, NB = NV > 0 ? NV : 1 }; /* corners of decoupled joints; paths of all others, see core/along.c */
+enum { N_SCALARS = N_REAL + N_INT + N_BOOL, NA = N_ARRAYS > 0 ? N_ARRAYS : 1 }; /* value references: scalars, arrays, clocks */
 enum { NL = N_LAWS > 0 ? N_LAWS : 1, NN = N_NUMBERS > 0 ? N_NUMBERS : 1 };
 
 /* Needs nothing of the C library, unlike isfinite on some platforms. */
@@ -76,6 +77,7 @@ extern const StopsetPolynomials stopset_polynomials_of; /* of models 2 and 3; em
 extern const int32_t stopset_looks[]; /* ages in steps at which predictions along paths are looked at, N_LOOKS of them */
 extern const StopsetTape stopset_tapes[];
 extern const StopsetModel stopset_model;
+extern const uint32_t stopset_arrays[]; /* the first of the NJ scalars that an array of FMI 3 is, N_ARRAYS of them */
 extern const char stopset_token[];
 extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
 extern const StopsetStops stopset_stops; /* what bounds a stop; empty where none is bounded */
@@ -106,6 +108,9 @@ typedef struct {
     double viscous[NJ][NB], carried_load[NJ][NJ], room[ROOM]; /* damping; inertia of the payload; work of the core */
     StopsetRigid rigid;
     double since;                                  /* [s] the start, of the sample in hand */
+    double (*between)(void *who, double end);      /* told where the integrator has come to in a step until `end`, says when it ends [s] */
+    void *who;
+    int ends_at_rest;                              /* whether a step in which a stopping arm comes to rest ends there */
     double *proof;                                 /* stopset_stop_room(NJ) numbers where stops are bounded */
 } StopsetWork;
 
@@ -157,6 +162,8 @@ typedef struct {
     StopsetPast past;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
     uint8_t as_identified, violated, outputs_ready;
+    uint8_t reloaded;        /* another payload since the prediction began: nothing was tested across that */
+    uint8_t ticked;          /* the stop that a clock asks for, as `stopping` */
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1, 3 STOP 2; stays until reset */
     uint8_t modes_by_events; /* model exchange: friction directions change at events only */
     uint8_t modes_held;      /* friction directions stay as they are, for derivatives */
@@ -167,8 +174,10 @@ void stopset_defaults(StopsetState *s);
 const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0);
 /* Begin a stop that is asked for; returns 0 or a sentence. */
 const char *stopset_trigger(StopsetState *s, StopsetWork *w);
-/* Advance by h with the inputs held; returns 0 or a sentence. */
-const char *stopset_step(StopsetState *s, StopsetWork *w, double h);
+/* Advance by h with the inputs held; returns 0 or a sentence. `done`: how far it came, less than h where work says so. */
+const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done);
+/* Another payload within a run: what was predicted and proved before does not speak of it. */
+void stopset_reload(StopsetState *s);
 /* One more step since the certificates were made. */
 void stopset_count(StopsetState *s);
 /* Bounds, flags and accelerations at the present time and state, without the stop bounds. */
@@ -185,8 +194,9 @@ void stopset_torque_part(const double step[STEP_ROOM], double Bd[NX * NJ]); /* i
 void stopset_grow(StopsetWork *w, int64_t k); /* the responses at the age of k steps */
 /* sample.c */
 void stopset_forget(StopsetState *s);
-int stopset_unusable(const StopsetState *s, const double x[NX]);
-int stopset_outside(const StopsetState *s, const double x[NX], const double u[NJ], const double du[NJ]);
+/* The sample in hand: state, input and how far that is unknown, whether a signal is beyond the domain. 0: it cannot be used, and what
+ * came before is forgotten. */
+int stopset_take_sample(StopsetState *s, StopsetWork *w, double x[NX], double u[NJ], double du[NJ], int *foreign);
 /* A measured sample as the monitor takes it: a verdict, with the joint if it is a violation, or that it follows no other. nonlinear.c:
  * `every`: samples per step of the grid. */
 int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint);
@@ -202,17 +212,18 @@ void stopset_memory_step(StopsetState *s, StopsetWork *w, double h); /* at the m
 /* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
 int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack);
 void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]);
-const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h);
+const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done);
 /* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */
 void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ], double *rate);
 /* stops.c: the outputs of a category; `exact`: for this state alone. At a request: the bounds of this moment, and of what is read after. */
 void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact);
-void stopset_stop_request(StopsetState *s, StopsetWork *w);
+void stopset_stop_request(StopsetState *s, StopsetWork *w, int request);
 /* Whose output a real variable or a boolean is, -1: no stop's. */
 int stopset_stop_output(unsigned real);
 int stopset_stop_flag(unsigned boolean);
 /* ramp.c: the nominal motion `since` [s] the request, its acceleration there, and when that changes next (infinite: never) */
 void stopset_ramp_motion(const StopsetState *s, double since, double q[NJ], double dq[NJ], double ddq[NJ]);
 double stopset_ramp_changes(const StopsetState *s, double since);
+double stopset_ramp_length(const StopsetState *s); /* [s] from the request until every joint rests */
 
 #endif

@@ -6,7 +6,7 @@
 
 #include "stopset_core.h"
 
-typedef enum { PHASE_CREATED, PHASE_INITIALIZATION, PHASE_EVENT, PHASE_CONTINUOUS, PHASE_STEP, PHASE_TERMINATED } Phase;
+typedef enum { PHASE_CREATED, PHASE_INITIALIZATION, PHASE_EVENT, PHASE_CONTINUOUS, PHASE_STEP, PHASE_TERMINATED, PHASE_BETWEEN } Phase;
 typedef enum { LEVEL_OK, LEVEL_WARNING, LEVEL_ERROR } Level;
 
 /* A saved state: plain data, so a copy restores everything. */
@@ -22,9 +22,10 @@ struct Instance {
     StopsetWork *work; /* what follows from the parameters; nothing in it is part of the state */
     Saved *spare;      /* three states, for derivatives */
     int co_simulation, logging;
+    int event_mode;    /* whether co-simulation has one, FMI 3 */
     void *environment;
     void (*write)(Instance *, Level, const char *message);
-    void *callback;
+    void *callback, *update; /* of messages, and of times within a step */
     char name[256];
 };
 
@@ -41,6 +42,12 @@ Level stopset_get_boolean(Instance *c, const unsigned vr[], size_t n, uint8_t va
 Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double value[]);
 Level stopset_set_integer(Instance *c, const unsigned vr[], size_t n, const int32_t value[]);
 Level stopset_set_boolean(Instance *c, const unsigned vr[], size_t n, const uint8_t value[]);
+/* Elements of variables, arrays' included; access to them, `size` values in all. */
+size_t stopset_elements(const unsigned vr[], size_t n);
+Level stopset_get_reals(Instance *c, const unsigned vr[], size_t n, double value[], size_t size);
+Level stopset_set_reals(Instance *c, const unsigned vr[], size_t n, const double value[], size_t size);
+/* A clock that asks for a stop, 0 STOP 0 to 2 STOP 2, ticks. */
+Level stopset_tick(Instance *c, unsigned clock, int active);
 Level stopset_do_step(Instance *c, double t, double h);
 Level stopset_get_state(Instance *c, void **state);
 Level stopset_set_state(Instance *c, const void *state);
@@ -51,6 +58,8 @@ void stopset_free(Instance *c);
 void stopset_reset(Instance *c);
 /* What the unknowns change by per change of the knowns along `seed`: central differences, friction directions held. */
 Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[], double out[]);
+Level stopset_directional_arrays(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[],
+                                 double out[], size_t seeds, size_t outs);
 /* Model exchange. */
 Level stopset_set_time(Instance *c, double t);
 Level stopset_set_states(Instance *c, const double x[], size_t n);

@@ -22,7 +22,9 @@ SILENT_S = 1.0  # without words: five that should have come
 LARGEST = 1 << 20  # bytes of a message
 MOST = 20_000  # arms; tokens of strangers do not fill the memory
 GONE = "NO DATA"
-ORDER = ("FAULT", "VIOLATION", GONE, "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+ORDER = ("FAULT", "VIOLATION", GONE, "SHUTDOWN", "INIT", "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+
+SENT = {s.name for s in State} - {State.NEVER_SENT.name}
 
 
 class _StopRow(msgspec.Struct):
@@ -52,11 +54,14 @@ class _Arm:
 
 
 class Fleet:
-    """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back."""
+    """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    ``notice``: what somebody should know besides, "" for nothing.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, notice: Callable[[], str] = str) -> None:
         self._arms: dict[str, _Arm] = {}
-        self._clock, self._lock, self.garbled = clock, threading.Lock(), 0
+        self._clock, self._lock, self.garbled, self._notice = clock, threading.Lock(), 0, notice
 
     def take_alive(self, key: str, there: bool) -> None:
         """A token appeared or went."""
@@ -73,7 +78,7 @@ class Fleet:
         except (msgspec.MsgspecError, ValueError, RecursionError):
             words = None
         with self._lock:
-            if words is None or words.state not in State.__members__:
+            if words is None or words.state not in SENT:
                 self.garbled += 1
                 return
             if (arm := self._arm(key)) is not None:
@@ -95,11 +100,17 @@ class Fleet:
             rows = [_row(name, arm, now) for name, arm in self._arms.items()]
         return sorted(rows, key=lambda r: (ORDER.index(r["word"]), _counted(r["arm"])))
 
+    def row(self, name: str) -> dict[str, Any] | None:
+        """Of one arm; None where nobody of that name was heard."""
+        with self._lock:
+            arm = self._arms.get(name)
+            return None if arm is None else _row(name, arm, self._clock())
+
     def snapshot(self, most: int = 400) -> dict[str, Any]:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""
         rows = self.rows()
         counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
-        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled}
+        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled, "notice": self._notice()}
 
 
 def _counted(name: str) -> list[tuple[int, str]]:
