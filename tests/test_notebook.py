@@ -68,9 +68,7 @@ def test_numbers_come_out_as_arrays_frames_and_pictures(altered: Path, monkeypat
         frame(found)
 
 
-def test_a_comparison_leaves_as_mcap_for_foxglove_and_rerun(
-    altered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_comparison_leaves_as_mcap(altered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What it holds is the recording, the bounds about it, and the arm where it was; read back by the format's own library."""
     model, data, file = altered / "m.model.json", altered / "altered.parquet", tmp_path / "c.mcap"
     arm = load_model(model)

@@ -17,8 +17,10 @@ import pytest
 from rich.console import Console
 
 from monitor_arm import known_model
+from page_waits import shows
 from stopset.artifact.store import model_text
 from stopset.cli.main import main
+from stopset.monitor.fleet import Fleet, FleetPage
 from stopset.monitor.layout import State
 from stopset.monitor.report import Turn, _stops
 from stopset.monitor.stopworker import answer_for
@@ -84,10 +86,7 @@ def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
     page.start()
     try:
         browser.get(page.url)
-        end = time.monotonic() + 10
-        while browser.find_element("id", "word").text != word or not browser.find_element("id", "joints").text:
-            assert time.monotonic() < end, browser.find_element("tag name", "body").text
-            time.sleep(0.02)
+        shows(browser, lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
         yield page
     finally:
         browser.get("about:blank")
@@ -206,10 +205,7 @@ def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:
         " + (document.getElementById('stops').innerText.match(/ mm/g) || []).length"
     )
     with shown(view, browser, "OK"):
-        end = time.monotonic() + 5
-        while browser.execute_script(left) < 7:
-            assert time.monotonic() < end, "six bars and a distance while it lives"
-            time.sleep(0.02)
+        shows(browser, lambda: browser.execute_script(left) >= 7)  # six bars and a distance while it lives
         view.ask = None
         living.set()
         begin = time.monotonic()
@@ -259,9 +255,33 @@ def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path
     for name in ("c.html", "all.html"):
         browser.get((tmp_path / name).as_uri())
         browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-        time.sleep(0.5)
+        shows(browser, lambda: browser.execute_script("return [...document.querySelectorAll('.plot')].every(d => d._fullLayout)"))
         assert serious(browser, axe) == [], name
     browser.get("about:blank")
+
+
+def test_the_fleet_is_for_everybody(browser: Any, axe: str) -> None:
+    """Every state at once, arms that are gone among them."""
+    fleet = Fleet()
+    for k, state in enumerate(("OK", "DEGRADED", "VIOLATION", "UNKNOWN", "FAULT", "INIT")):
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", True)
+        words = {
+            "state": state,
+            "why": "said so",
+            "stops": {"0": {"time_s": 0.2, "tcp_m": 0.1}, "1": {"time_s": None, "tcp_m": None}},
+        }
+        fleet.take_json(f"hall/cell{k}/arm/stopset/state/json", json.dumps(words).encode())
+    fleet.take_alive("hall/cell9/arm/stopset/alive", True)
+    page: Any = FleetPage(fleet, "127.0.0.1", 0)
+    page.start()
+    try:
+        browser.get(page.url)
+        shows(browser, lambda: len(browser.find_elements("css selector", "article")) == 7)
+        assert serious(browser, axe) == []
+    finally:
+        browser.get("about:blank")
+        page.shutdown()
+        page.server_close()
 
 
 def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp_path: Path) -> None:
@@ -271,11 +291,8 @@ def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp
     try:
         s.loop.start("compare")
         browser.get(s.url)
-        end = time.monotonic() + 60
-        while not browser.find_elements("css selector", ".heat button") or s.loop.busy:
-            assert time.monotonic() < end
-            time.sleep(0.1)
-        time.sleep(0.7)  # until its buttons know that nothing runs
+        shows(browser, lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy)
+        shows(browser, lambda: "done in" in browser.find_element("id", "jobtext").text)  # its buttons know that nothing runs
         assert serious(browser, axe) == []
     finally:
         browser.get("about:blank")

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from page_waits import shows
 from stopset.monitor.layout import State
 from stopset.monitor.packer import pack
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -240,10 +241,7 @@ def test_a_crowd_does_not_take_the_machine(watch: ViewerPage) -> None:
 
 
 def wait(browser: Any, holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + 10
-    while not holds():
-        assert time.monotonic() < end, browser.execute_script("return document.body.innerText")[:400]
-        time.sleep(0.05)
+    shows(browser, holds)
 
 
 def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: ViewerPage, browser: Any) -> None:

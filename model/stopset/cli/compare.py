@@ -31,9 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="M", help="model file")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--all", action="store_true", help="list every violation, not the worst few")
-    parser.add_argument(
-        "--mcap", type=Path, metavar="FILE.mcap", help="one recording with its predictions, for Foxglove or Rerun"
-    )
+    parser.add_argument("--mcap", type=Path, metavar="FILE.mcap", help="one recording with its predictions, for Foxglove")
     parser.add_argument("--recording", metavar="LABEL", help="which one (default: the one that fails most)")
     add_output_options(parser)
 
@@ -50,7 +48,7 @@ def _export(model: Model, found: Comparison, args: argparse.Namespace) -> None:
         some = ", ".join(r.label for r in found.rows[:3])
         raise RecordingError(f"no recording is called {label!r}; expected one of these, as {some}: give its label")
     save_mcap(args.mcap, model, drawn)
-    say(f"{label}: {args.mcap}, for Foxglove or Rerun")
+    say(f"{label}: {args.mcap}, for Foxglove")
 
 
 def _over(model: Model, found: Comparison) -> str:

@@ -1,4 +1,4 @@
-"""One compared recording as an MCAP file, as Foxglove and Rerun show it: the arm in space, and each joint within its prediction."""
+"""One compared recording as an MCAP file, in topics that Foxglove knows: the arm in space, and each joint within its prediction."""
 
 from __future__ import annotations
 
