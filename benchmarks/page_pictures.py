@@ -141,7 +141,11 @@ def live(camera: Camera, demo: Path, name: str, word: str) -> None:
             until(lambda: _listens(port), "the monitor")
             with running("watch", "--config", str(here / "c.toml"), "--port", str(page), "--reset-as", "A. Smith"):
                 until(lambda: _listens(page), "the live page")
-                camera.take(url, f"live-{name}", f"{says}'{word}' && document.querySelectorAll('#stops tr').length > 1")
+                camera.take(
+                    url,
+                    f"live-{name}",
+                    f"{says}'{word}' && document.querySelectorAll('#stops tr').length > 1 && past.length > 30",
+                )
                 monitor.kill()
                 camera.take(url, f"live-{name}-killed", f"{says}'NO DATA'")
 

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 Thing = Model | Comparison | Diagnosis | StopBound | Recording
-Columns = dict[str, NDArray[Any]]
+ByName = dict[str, NDArray[Any]]
 
 
-def columns(thing: Thing) -> Columns:
+def columns(thing: Thing) -> ByName:
     """The numbers of an answer as numpy columns of one length: a row per joint, of a diagnosis per effect, of a recording per sample.
 
     Names end in the unit; what is not known is nan.
@@ -93,7 +93,7 @@ def _stop(bound: StopBound) -> go.Figure:
     return figure
 
 
-def _figures(joints: tuple[str, ...], errors: Mapping[str, Mapping[str, Any]]) -> Columns:
+def _figures(joints: tuple[str, ...], errors: Mapping[str, Mapping[str, Any]]) -> ByName:
     units = {
         "torque_rmse": "Nm", "torque_rmse_floor": "Nm", "velocity_rmse": "radps", "position_rmse": "rad", "position_rmse_floor": "rad",
     }  # fmt: skip

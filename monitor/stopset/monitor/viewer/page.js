@@ -116,10 +116,10 @@ function tube(c, caption, name, points) {
     g.strokeStyle = '#14532d'; g.lineWidth = 3; g.beginPath(); run.forEach(p => g.lineTo(x(p), y(p.off))); g.stroke();
   });
   g.strokeStyle = '#b00020'; g.lineWidth = 3; g.beginPath(); out.forEach(p => { for (const s of [-6, 6]) { g.moveTo(x(p) - s, y(p.off) - 6); g.lineTo(x(p) + s, y(p.off) + 6); } }); g.stroke();
-  const says = !last ? 'nothing to show' : `${mrad(last.off)} of ± ${mrad(last.half)} mrad` + (out.length ? `, ✕ left ${((now - out[out.length - 1].at) / 1000).toFixed(0)} s ago` : '');
+  const says = !last ? 'nothing to show' : `${mrad(last.off, last.half)} of ± ${mrad(last.half, last.half)} mrad` + (out.length ? `, ✕ left ${((now - out[out.length - 1].at) / 1000).toFixed(0)} s ago` : '');
   caption.replaceChildren(el('b', null, name), ' ' + says); c.setAttribute('aria-label', `${name}: ${says}`);
 }
-const mrad = x => (1000 * x).toPrecision(3).replace(/\.?0+$/, '');
+const mrad = (x, of) => String(Number((1000 * x).toFixed(of < 0.01 ? 2 : of < 0.1 ? 1 : 0)));
 const TOKEN = document.querySelector('meta[name=token]').content;
 $('reset').hidden = !TOKEN;
 $('reset').onsubmit = async e => {
