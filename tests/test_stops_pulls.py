@@ -60,6 +60,14 @@ def test_a_resting_joint_is_pulled() -> None:
     assert sample_stops(s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 40, 2).escaped > 0
 
 
+def test_what_holds_the_energy_is_braked() -> None:
+    """Bounds in which momenta are counted for a third less than they are lose energy that is still there: they are escaped."""
+    s = loaded(ur10e_like())
+    q, dq, tube = tube_from(s, 0, ALL_PARTS._replace(held=0.7))
+    assert tube.end == OK
+    assert sample_stops(s.plant, q, dq, s.noise.radius[:6], s.noise.radius[6:], s.payload_com, tube, 40, 2).escaped > 0
+
+
 def travels(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
     """Largest of sum_i (all of the way of joint i from a knot on) / way_i over sampled stops and knots."""
     n, rng = s.model.n, np.random.default_rng(5)

@@ -544,7 +544,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared, held;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -590,6 +590,10 @@ STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, 
 STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo,
                                       const double *w_hi, const double *B_lo, const double *B_hi, const double *claim, int related,
                                       const StopsetParts *parts, double *out);
+/* What momenta in [p_lo, p_hi] leave of speeds in [v_lo, v_hi], angles in q + [x_lo, x_hi], out (4, n): lo, hi; least momentum of a joint that
+ * does not move backward, largest of one that does not move forward. Infinite: nothing known, or no such motion. */
+STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
+                                     const double *v_hi, const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out);
 /* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);
@@ -597,6 +601,10 @@ STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const doubl
  * speeds within [v_lo, v_hi] point. */
 STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
                                      const double *B_lo, const double *v_lo, const double *v_hi, double *w);
+/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w, speeds lie in [v_lo, v_hi] and no momentum is
+ * larger than P, (n,) each. */
+STOPSET_API int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h,
+                                     double *out);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
  * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows, as in a tube. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,

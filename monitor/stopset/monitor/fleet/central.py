@@ -25,13 +25,13 @@ TURN = 0.2  # [s]
 TOPICS = {"state/json": "state", "event": "event", "health": "health"}
 
 
-class _State(msgspec.Struct):
+class _OnlyState(msgspec.Struct):
     """What of ``state/json`` says whether it is news."""
 
     state: str
 
 
-_state = msgspec.json.Decoder(_State).decode
+_state = msgspec.json.Decoder(_OnlyState).decode
 
 
 @dataclass(slots=True)

@@ -21,7 +21,8 @@ from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
-from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.baseline import settled
+from stopset.offline.diagnose.question import question
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.progress import Progress
@@ -91,21 +92,25 @@ def by_simulation(
     return Judgement(tuple(judged), start, settings, (), judge.division.words)
 
 
+def retained_effects(model: Model) -> tuple[Fitted, ...]:
+    """Effects beyond plain friction that a revision of a model keeps, with their numbers."""
+    return tuple(f for f in settled(model) if not get(f.effect).base)
+
+
 def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
-    base = baseline(judge.model, recordings)
-    had = settled(judge.model)
-    retained = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known, judge.progress)
+    q = question(judge.model, recordings)
+    answer = estimates(q, names, judge.progress)
     found = answer.found
     joints = judge.model.joints
     judge.progress("simulating without and with it")
     wanted = [n for n in names if any(e.name == n for e in found)]
     more = replace(settings, effects=(*settings.effects, *wanted))
+    retained = retained_effects(judge.model)
     taken = (*retained, *(e.fitted for e in found))
     simulated = [dict(first)] if first else [judge.simulated(settings, retained)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
