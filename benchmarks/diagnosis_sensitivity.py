@@ -141,20 +141,26 @@ def asked(path: Path) -> list[str]:
     return [found.verdict, *(r.label for r in found.ranked)]
 
 
-def watch(todo: dict[str, Path], out: Path, until: float) -> None:
-    """Ask sets once, all thresholds watched."""
-    for t in limit.TABLE:
-        value = getattr(limit, t.name)
-        watched = tuple(Watched.of(t.name, v) for v in value) if isinstance(value, tuple) else Watched.of(t.name, value)
-        setattr(limit, t.name, watched)
-    for key, path in todo.items():
-        if time.monotonic() > until:
-            return
+def watch(known: dict[str, Path], out: Path, until: float) -> None:
+    """Ask sets once, all thresholds watched that were not watched in them before."""
+    settled = {t.name: getattr(limit, t.name) for t in limit.TABLE}
+    for key, path in known.items():
+        file = out / f"{key}.watched.json"
+        before = json.loads(file.read_text()) if file.exists() else {"flipped": {}, "leaked": [], "watched": []}
+        new = [name for name in settled if name not in before["watched"]]
+        if not new or time.monotonic() > until:
+            continue
+        for name, value in settled.items():
+            parts = tuple(Watched.of(name, v) for v in value) if isinstance(value, tuple) else Watched.of(name, value)
+            setattr(limit, name, parts if name in new else value)
         FLIPPED.clear()
         LEAKED.clear()
         answer = asked(path)
-        said = {"answer": answer, "flipped": {n: sorted(w) for n, w in FLIPPED.items()}, "leaked": sorted(LEAKED)}
-        (out / f"{key}.watched.json").write_text(json.dumps(said))
+        if before.get("answer", answer) != answer:
+            raise SystemExit(f"{key}: {answer}, but {before['answer']} when it was watched before; expected the same: begin anew")
+        flipped = before["flipped"] | {n: sorted(w) for n, w in FLIPPED.items()}
+        leaked = sorted({*before["leaked"], *LEAKED})
+        file.write_text(json.dumps({"answer": answer, "flipped": flipped, "leaked": leaked, "watched": list(settled)}))
         print(key, answer, flush=True)
 
 
@@ -181,8 +187,8 @@ def read(folders: list[Path], out: Path) -> dict[str, Any]:
 
 
 def open_to(watched: Mapping[str, Any], name: str, change: str) -> bool:
-    """Whether a set's answer may change with a threshold: one that entered a computation, or turned a comparison round."""
-    return name in watched["leaked"] or change in watched["flipped"].get(name, ())
+    """Whether a set's answer may change with a threshold: one that entered a computation, turned a comparison round, or was not watched."""
+    return name not in watched["watched"] or name in watched["leaked"] or change in watched["flipped"].get(name, ())
 
 
 def work(folders: list[Path], out: Path, first: set[str]) -> list[tuple[str, str, str]]:
@@ -240,7 +246,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     known, until = sets(args.sets), time.monotonic() + 60 * args.minutes
     if args.command == "watch":
-        watch({k: p for k, p in known.items() if not (args.out / f"{k}.watched.json").exists()}, args.out, until)
+        watch(known, args.out, until)
     elif args.command == "again":
         again(work(args.sets, args.out, set(filter(None, args.first.split(",")))), known, args.out, until)
     else:

@@ -24,7 +24,7 @@ from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
-from stopset.offline.diagnose.search.foretells import judged
+from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
 from stopset.offline.diagnose.thresholds import BEGINNINGS, QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
@@ -309,7 +309,7 @@ def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_dela
     assert dJ.std is not None and abs(dJ.value - (true - stated)) < 4 * dJ.std + 0.02 * true
 
 
-def test_a_law_that_foretells_nothing_is_no_claim() -> None:
+def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     """A score on fitted rows is not enough: the law must lower the error of motions left out, unless the base takes it up."""
     columns, sd = np.arange(1), np.ones(1)
     cubic, rotor, elastic = (
@@ -327,6 +327,8 @@ def test_a_law_that_foretells_nothing_is_no_claim() -> None:
     assert claimed(cubic, before / np.sqrt(2))  # what raised the residual by 1.4
     assert claimed(rotor, before)
     assert claimed(cubic, before * 0.97, elsewhere) and not claimed(cubic, before * 0.97, beside)  # what an imperfect law leaves
+    cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
+    assert claimed(cable, before * 0.97, spring) and not claimed(spring, before * 0.97, beside)  # a finer form is no second cause
     assert not claimed(elastic, before * 0.93) and claimed(elastic, before * 0.7)
 
 

@@ -15,6 +15,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, Slices, point_motion, slices
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import link_frames
@@ -36,7 +37,7 @@ def tube_from(s: Setting, seed: int, parts: Parts = ALL_PARTS) -> tuple[Array, A
     """A random state up to full speed and its tube with all there is."""
     n, rng = s.model.n, np.random.default_rng(seed)
     q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
-    return q, dq, march_box(s, s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], True, parts)
+    return q, dq, march_box(s, s.plant, Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), parts, energetic=True)
 
 
 @pytest.mark.parametrize("make", [ur10e_like, cobot7_like, lambda: random_arm(7, 1)], ids=["UR10e", "cobot", "random"])

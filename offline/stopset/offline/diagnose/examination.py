@@ -17,7 +17,7 @@ from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
-from stopset.offline.diagnose.search.foretells import Step, step
+from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
@@ -93,7 +93,7 @@ def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
     return now
 
 
-def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], judge: bool) -> list[Step]:
+def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], *, judge: bool) -> list[Step]:
     """Each of ``claims`` beside those before it; ``judge``: those that take too little away are no cause for the next ones."""
     out, before, earlier = list[Step](), found.before, list[Candidate]()
     for claim in claims:

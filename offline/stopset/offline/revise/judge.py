@@ -74,7 +74,7 @@ class Judge:
 
 
 def by_simulation(
-    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
     """Judge effects on compensated torque; ``first``: errors that are known already."""
     errors = start = dict(first) if first else judge.simulated(settings, ())
@@ -84,7 +84,7 @@ def by_simulation(
         more = replace(settings, effects=(*settings.effects, name))
         after = judge.simulated(more, ())
         effect, joints = parse_effect(name, judge.robot)
-        helps = _helps(errors, after, joints, effect.enters in SHIFTS)
+        helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
         why = "" if helps or force else "it does not lower the error on held-out data"
         judged.append(Judged(name, errors, after, helps, entry(effect), why))
         if not why:
@@ -98,7 +98,7 @@ def retained_effects(model: Model) -> tuple[Fitted, ...]:
 
 
 def by_evidence(
-    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
@@ -149,7 +149,7 @@ def _rms(errors: Iterable[float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(errors)))))
 
 
-def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
+def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], *, shift: bool) -> bool:
     """Whether held-out errors fall, over the arm or at the effect's own ``joints``, and none rises as much; a ``shift`` need only not raise them.
 
     A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:

@@ -73,7 +73,7 @@ def add(
     surveyed = survey(campaign.trials)
     judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, progress)
     first = _judged_before(model, campaign)
-    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
+    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force=force)
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)

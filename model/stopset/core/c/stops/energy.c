@@ -227,7 +227,7 @@ double stops_by_power(int n, double y, const double *w, const double *x_lo, cons
         slow[i] = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
         fast[i] = most(size_of(x_lo[i]), size_of(x_hi[i]));
     }
-    const double low = most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), rate = power(n, w, slow, fast, P, low);
+    const double low = least(most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), z), rate = power(n, w, slow, fast, P, low);
     return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 

@@ -15,8 +15,8 @@ from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
-from stopset.offline.diagnose.search.foretells import judged
 from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.settle import added, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted

@@ -52,9 +52,9 @@ def judged(
 
 
 def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:
-    """The share that a claim must lower."""
+    """The share that a claim must lower; a finer form of an earlier claim is no second cause."""
     if candidate.effect.role == "swing":
         return limit.LOWERED_SWING
-    if any(set(candidate.joints) & set(c.joints) for c in earlier):
+    if any(set(candidate.joints) & set(c.joints) and c.effect.name not in candidate.effect.refines for c in earlier):
         return limit.LOWERED_MORE
     return limit.LOWERED
