@@ -134,7 +134,7 @@ def test_silence_is_grey_even_while_the_token_stands() -> None:
 def test_arms_are_counted_as_people_count() -> None:
     fleet = Fleet()
     for k in (10, 2, 1):
-        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", True)
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
     assert [r["arm"] for r in fleet.rows()] == [f"hall/cell{k}/arm" for k in (1, 2, 10)]
 
 

@@ -264,14 +264,14 @@ def test_the_fleet_is_for_everybody(browser: Any, axe: str) -> None:
     """Every state at once, arms that are gone among them."""
     fleet = Fleet()
     for k, state in enumerate(("OK", "DEGRADED", "VIOLATION", "UNKNOWN", "FAULT", "INIT")):
-        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", True)
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
         words = {
             "state": state,
             "why": "said so",
             "stops": {"0": {"time_s": 0.2, "tcp_m": 0.1}, "1": {"time_s": None, "tcp_m": None}},
         }
         fleet.take_json(f"hall/cell{k}/arm/stopset/state/json", json.dumps(words).encode())
-    fleet.take_alive("hall/cell9/arm/stopset/alive", True)
+    fleet.take_alive("hall/cell9/arm/stopset/alive", there=True)
     page: Any = FleetPage(fleet, "127.0.0.1", 0)
     page.start()
     try:
