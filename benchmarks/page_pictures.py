@@ -137,12 +137,17 @@ def live(camera: Camera, demo: Path, name: str, word: str) -> None:
         with (
             running("replay", str(here / f"{name}.parquet"), "--to", f"hub:{hub}", "--wait", "1", "--loop"),
             running("monitor", "--config", str(here / "c.toml")) as monitor,
-            running("watch", "--config", str(here / "c.toml"), "--port", str(page), "--reset-as", "A. Smith"),
         ):
-            until(lambda: _listens(page), "the live page")
-            camera.take(url, f"live-{name}", f"{says}'{word}' && document.querySelectorAll('#stops tr').length > 1")
-            monitor.kill()
-            camera.take(url, f"live-{name}-killed", f"{says}'NO DATA'")
+            until(lambda: _listens(port), "the monitor")
+            with running("watch", "--config", str(here / "c.toml"), "--port", str(page), "--reset-as", "A. Smith"):
+                until(lambda: _listens(page), "the live page")
+                camera.take(
+                    url,
+                    f"live-{name}",
+                    f"{says}'{word}' && document.querySelectorAll('#stops tr').length > 1 && past.length > 30",
+                )
+                monitor.kill()
+                camera.take(url, f"live-{name}-killed", f"{says}'NO DATA'")
 
 
 def _listens(port: int) -> bool:
@@ -188,7 +193,7 @@ def fleet(camera: Camera) -> None:
     ready.wait(PATIENCE)
     with running("fleet", "--connect", f"tcp/127.0.0.1:{port}", "--port", str(page)):
         until(lambda: _listens(page), "the fleet's page")
-        camera.take(f"http://127.0.0.1:{page}/", "fleet", f"document.querySelectorAll('article').length == {HALL}")
+        camera.take(f"http://127.0.0.1:{page}/", "fleet", f"document.querySelectorAll('article.OK').length == {HALL}")
     for process in processes[::-1]:
         process.kill()
 

@@ -60,7 +60,8 @@ API = (
     "stopset.artifact.save_model", "stopset.offline.compare.compare.compare", "stopset.offline.compare.verdict.verdict",
     "stopset.offline.diagnose.diagnose_model", "stopset.offline.revise.revise.add", "stopset.reach.stops.stop",
     "stopset.reach.stops.StopBounds", "stopset.offline.stops.table.stop_table", "stopset.offline.plan.design", "stopset.fmu.export",
-    "stopset.simulation.simulate_stop",
+    "stopset.simulation.simulate_stop", "stopset.offline.notebook.columns", "stopset.offline.notebook.frame", "stopset.offline.notebook.plot",
+    "stopset.offline.compare.mcap_file.save_mcap",
 )  # fmt: skip
 
 
@@ -72,10 +73,12 @@ def python_page() -> str:
         "```python",
         "from stopset.artifact import load_model",
         "from stopset.offline.compare.compare import compare",
+        "from stopset.offline.notebook import frame, plot",
         "from stopset.reach.stops import stop\n",
         'model = load_model("arm.model.json")',
         'found = compare(model, ["other.parquet"])',
         'stop(model, q=model.domain.q.centre, dq=model.domain.dq.hi, category="0")',
+        "plot(found)  # and frame(found) for pandas",
         "```\n",
     ]
     for name in API:

@@ -50,16 +50,22 @@ def test_open_loop_errors_are_those_of_the_prediction(planar) -> None:
     folder, trials, found = planar
     figures = compare(found.model, [folder / "rec.parquet"]).figures
     m = found.model
-    e = np.vstack(
-        [
-            np.hstack([r.q, r.dq])
-            - predict(m.abstraction, m.powered.dt, np.concatenate([r.q[0], r.dq[0]]), m.input(r.q, r.dq, r.tau))
-            for r in trials
-        ]
-    )
+    errors = [
+        np.hstack([r.q, r.dq])
+        - predict(m.abstraction, m.powered.dt, np.concatenate([r.q[0], r.dq[0]]), m.input(r.q, r.dq, r.tau))
+        for r in trials
+    ]
+    e = np.vstack(errors)
+    repeated: dict[int, list[np.ndarray]] = {}
+    for r, own in zip(trials, errors, strict=True):
+        repeated.setdefault(r.suite, []).append(own[:: round(0.2 / m.powered.dt), :2])
+    away = [x - np.mean(of, axis=0) for of in repeated.values() if len(of) > 1 for x in of]
+    free = sum((len(of) - 1) * len(of[0]) for of in repeated.values())
     for k, j in enumerate(JOINTS):
         assert figures[j]["position_rmse"] == pytest.approx(np.sqrt(np.mean(e[:, k] ** 2)), rel=1e-6)
         assert figures[j]["velocity_rmse"] == pytest.approx(np.sqrt(np.mean(e[:, 2 + k] ** 2)), rel=1e-6)
+        scatter = np.sqrt(sum((x[:, k] ** 2).sum() for x in away) / free)
+        assert figures[j]["position_rmse_floor"] == pytest.approx(scatter, rel=1e-6)
         # the hidden torque is +-0.2 N m in steps of 40 ms, averaged over 0.2 s: 0.2 / sqrt(3) / sqrt(5)
         assert figures[j]["torque_rmse"] == pytest.approx(0.052, rel=0.3)
 

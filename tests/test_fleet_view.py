@@ -129,6 +129,13 @@ def test_silence_is_grey_even_while_the_token_stands() -> None:
     assert words(fleet) == {"a/b/c": "NO DATA"}
 
 
+def test_arms_are_counted_as_people_count() -> None:
+    fleet = Fleet()
+    for k in (10, 2, 1):
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
+    assert [r["arm"] for r in fleet.rows()] == [f"hall/cell{k}/arm" for k in (1, 2, 10)]
+
+
 def test_text_of_strangers_is_text(browser: Any) -> None:
     import io
 

@@ -1,17 +1,24 @@
-"""Objects in a notebook: they show themselves in units and words, and no text of theirs becomes markup."""
+"""Objects in a notebook: they show themselves in units and words, no text of theirs becomes markup; their numbers and pictures come out."""
 
 from __future__ import annotations
 
+import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
+from mcap.reader import make_reader
 
 from stopset.artifact import load_model
+from stopset.cli.main import main
+from stopset.errors import NotCovered
 from stopset.offline.compare.compare import compare
 from stopset.offline.diagnose import diagnose_model
+from stopset.offline.notebook import columns, frame, plot
 from stopset.reach.stops import stop
 from stopset.recording import read_recordings
 
@@ -35,3 +42,48 @@ def test_model_comparison_diagnosis_and_stop_show_themselves(altered: Path) -> N
     assert text.startswith("STOP 0") and rows in (0, model.n)
     text, rows = read(replace(bound, time=None, why="<b>no brake</b> & nothing"))
     assert "no stop provable" in text and "<b>no brake</b> & nothing" in text and rows == 0
+
+
+def test_numbers_come_out_as_arrays_frames_and_pictures(altered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pandas = pytest.importorskip("pandas")
+    model, data = load_model(altered / "m.model.json"), altered / "altered.parquet"
+    found, trials = compare(model, [data]), read_recordings([data], model.robot)
+    bound, trial = stop(model, model.domain.q.centre, np.zeros(model.n), "1"), next(iter(trials))
+    for thing, rows in ((model, model.n), (found, model.n), (trial, len(trial.t)), (bound, 0 if bound.time is None else model.n)):
+        told = frame(thing)
+        assert isinstance(told, pandas.DataFrame) and len(told) == rows, type(thing)
+        assert {k: list(v) for k, v in columns(thing).items()}.keys() == {*told.columns}
+    errors = columns(found)
+    assert list(errors["torque_rmse_Nm"]) == [found.figures[j]["torque_rmse"] for j in errors["joint"]]
+    drawn = {bar.name: dict(zip(bar.x, bar.y, strict=True)) for bar in plot(found).data}
+    assert drawn["torque error"] == {j: r["torque_rmse"] for j, r in found.figures.items()}
+    diagnosis = diagnose_model(model, trials)[0]
+    assert list(frame(diagnosis)["effect"]) == [r.effect for r in diagnosis.ranked] and len(plot(diagnosis).data) == 2
+    with pytest.raises(NotCovered, match="nothing was added"):
+        plot(model)
+    with pytest.raises(NotCovered, match="no stop provable: <b>"):
+        plot(replace(bound, forward=None, why="<b>no brake</b>"))
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(NotCovered, match="pandas is not installed"):
+        frame(found)
+
+
+def test_a_comparison_leaves_as_mcap(altered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What it holds is the recording, the bounds about it, and the arm where it was; read back by the format's own library."""
+    model, data, file = altered / "m.model.json", altered / "altered.parquet", tmp_path / "c.mcap"
+    arm = load_model(model)
+    trial = next(r for r in read_recordings([data], arm.robot) if r.phase == "open_loop")
+    asked = ["compare", str(model), "--data", str(data), "--quiet", "--mcap", str(file), "--recording"]
+    assert main([*asked, "no such"]) == 2 and "no recording is called 'no such'" in capsys.readouterr().err and not file.exists()
+    assert main([*asked, trial.label]) in (0, 1)
+    with file.open("rb") as stream:
+        messages = [(channel.topic, m.log_time, json.loads(m.data)) for _, channel, m in make_reader(stream).iter_messages()]
+    for k, j in enumerate(arm.joints):
+        mine = [(t, m) for topic, t, m in messages if topic == f"joint/{j}"]
+        at = np.array([t for t, _ in mine]) * 1e-9
+        assert np.interp(at, trial.t - trial.t[0], trial.q[:, k]) == pytest.approx([m["q_rad"] for _, m in mine], abs=1e-6)
+        inside = [m for _, m in mine if m["lo_rad"] is not None]
+        assert inside and all(m["outside_rad"] == max(m["lo_rad"] - m["q_rad"], m["q_rad"] - m["hi_rad"], 0.0) for m in inside)
+    pictures = [m["entities"][0] for topic, _, m in messages if topic == "arm"]
+    first = np.array([[p[x] for x in "xyz"] for p in pictures[0]["lines"][0]["points"]])
+    assert first == pytest.approx(arm.robot.outline(trial.q[0])) and len(pictures[0]["spheres"]) == arm.n

@@ -17,9 +17,10 @@ import pytest
 from rich.console import Console
 
 from monitor_arm import known_model
-from patience import Granted, wait
+from patience import Granted, shows, wait
 from stopset.artifact.store import model_text
 from stopset.cli.main import main
+from stopset.monitor.fleet import Fleet, FleetPage
 from stopset.monitor.layout import State
 from stopset.monitor.report import Turn, _stops
 from stopset.monitor.stopworker import answer_for
@@ -85,8 +86,7 @@ def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
     page.start()
     try:
         browser.get(page.url)
-        there = wait(lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
-        assert there, browser.find_element("tag name", "body").text
+        shows(browser, lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
         yield page
     finally:
         browser.get("about:blank")
@@ -132,6 +132,39 @@ def test_every_number_is_in_sight_on_a_telephone(browser: Any) -> None:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+def test_positions_are_drawn_within_what_was_predicted_and_what_leaves_it_is_crossed(browser: Any) -> None:
+    """Also for who opens the page later, and in words for who does not see it."""
+    daemon = moving(State.OK)
+    told = json.loads(daemon.words)
+    q = np.array(told["q"])
+    for off in (0.0, 0.005, 0.02):  # of joint 1, within 10 mrad of the middle of its prediction
+        told |= {"q": (q + off * np.eye(6)[0]).tolist(), "tube": {"lo": (q - 0.01).tolist(), "hi": (q + 0.01).tolist()}}
+        daemon.words = json.dumps(told).encode()
+        daemon.speak()
+    told["tube"]["lo"] = told["tube"]["lo"][:3]
+    daemon.words = json.dumps(told).encode()
+    daemon.speak()  # bounds of other joints than it has are not drawn
+    assert [len(p["q"]) for p in daemon.view.traces()] == [6, 6, 6]
+    with shown(daemon.view, browser, "OK"):
+        labels = browser.execute_script(
+            "return [...document.querySelectorAll('#rooms canvas')].map(c => c.getAttribute('aria-label'))"
+        )
+        assert labels[0].startswith("arm_1_joint: 20 of ± 10 mrad, ✕ left"), labels
+        assert labels[1:] == [f"arm_{k}_joint: 0 of ± 10 mrad" for k in range(2, 7)]
+        inked = browser.execute_script(
+            "const red = c => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let n = 0;"
+            " for (let i = 0; i < d.length; i += 4) n += d[i] > 150 && d[i + 1] < 60 && d[i + 3] > 200; return n; };"
+            " return [...document.querySelectorAll('#rooms canvas')].map(red)"
+        )
+        assert inked[0] > 20, "a cross where it left"
+        sizes = browser.execute_script(
+            "return ['#word', '#stops td.n'].map(s => parseFloat(getComputedStyle(document.querySelector(s)).fontSize))"
+        )
+        height = browser.execute_script("return Math.min(innerWidth, innerHeight)")
+        # 9 mm at two metres; a screen of 900 lines is some 300 mm high
+        assert sizes[0] > 9 / 300 * height and sizes[1] > 9 / 300 * height, sizes
+
+
 def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
     """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
     daemon = moving(State.OK)
@@ -172,7 +205,7 @@ def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:
         " + (document.getElementById('stops').innerText.match(/ mm/g) || []).length"
     )
     with shown(view, browser, "OK"):
-        assert wait(lambda: browser.execute_script(left) >= 7), "six bars and a distance while it lives"
+        shows(browser, lambda: browser.execute_script(left) >= 7)  # six bars and a distance while it lives
         view.ask = None
         living.set()
         assert wait(lambda: not browser.execute_script(left) and browser.find_element("id", "word").text == "NO DATA", 1.5)
@@ -218,9 +251,33 @@ def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path
     for name in ("c.html", "all.html"):
         browser.get((tmp_path / name).as_uri())
         browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-        time.sleep(0.5)
+        shows(browser, lambda: browser.execute_script("return [...document.querySelectorAll('.plot')].every(d => d._fullLayout)"))
         assert serious(browser, axe) == [], name
     browser.get("about:blank")
+
+
+def test_the_fleet_is_for_everybody(browser: Any, axe: str) -> None:
+    """Every state at once, arms that are gone among them."""
+    fleet = Fleet()
+    for k, state in enumerate(("OK", "DEGRADED", "VIOLATION", "UNKNOWN", "FAULT", "INIT")):
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
+        words = {
+            "state": state,
+            "why": "said so",
+            "stops": {"0": {"time_s": 0.2, "tcp_m": 0.1}, "1": {"time_s": None, "tcp_m": None}},
+        }
+        fleet.take_json(f"hall/cell{k}/arm/stopset/state/json", json.dumps(words).encode())
+    fleet.take_alive("hall/cell9/arm/stopset/alive", there=True)
+    page: Any = FleetPage(fleet, "127.0.0.1", 0)
+    page.start()
+    try:
+        browser.get(page.url)
+        shows(browser, lambda: len(browser.find_elements("css selector", "article")) == 7)
+        assert serious(browser, axe) == []
+    finally:
+        browser.get("about:blank")
+        page.shutdown()
+        page.server_close()
 
 
 def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp_path: Path) -> None:
@@ -230,8 +287,8 @@ def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp
     try:
         s.loop.start("compare")
         browser.get(s.url)
-        assert wait(lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy, 120.0)
-        time.sleep(0.7)  # until its buttons know that nothing runs
+        shows(browser, lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy)
+        shows(browser, lambda: "done in" in browser.find_element("id", "jobtext").text)  # its buttons know that nothing runs
         assert serious(browser, axe) == []
     finally:
         browser.get("about:blank")

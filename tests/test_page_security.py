@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 import patience
+from patience import shows
 from stopset.monitor.layout import State
 from stopset.monitor.packer import pack
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -245,7 +246,7 @@ def test_a_crowd_does_not_take_the_machine(watch: ViewerPage) -> None:
 
 
 def wait(browser: Any, holds: Callable[[], bool]) -> None:
-    assert patience.wait(holds), browser.execute_script("return document.body.innerText")[:400]
+    shows(browser, holds)
 
 
 def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: ViewerPage, browser: Any) -> None:
@@ -374,7 +375,13 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
     from stopset.monitor.orders import Reset
 
     sent: list[str] = []
-    page = ViewerPage(heard("fine"), "127.0.0.1", 0, lambda reason: sent.append(Reset.of("A. Turner", reason).reason))
+    page = ViewerPage(
+        heard("fine"),
+        "127.0.0.1",
+        0,
+        lambda reason: sent.append(Reset.of("A. Turner", reason).reason),
+        "in the name of <A> Turner",
+    )
     page.start()
 
     def post(token: str, body: bytes) -> bytes:
@@ -396,6 +403,7 @@ def test_only_the_page_itself_clears_a_violation_and_only_where_it_may(browser: 
         assert sent == []
         browser.get(page.url)
         wait(browser, lambda: browser.find_element("id", "reset").is_displayed())
+        assert "in the name of <A> Turner" in browser.find_element("id", "reset").text
         browser.find_element("id", "reason").send_keys("hose refitted")
         browser.find_element("css selector", "#reset button").click()
         wait(browser, lambda: "sent" in browser.find_element("id", "resetsays").text)

@@ -95,7 +95,7 @@ def check_outputs(*paths: str | Path | None) -> None:
 
 
 # what a command may write, by option; everything else that names a file is read
-OUTPUTS = ("out", "json", "report", "csv", "pdf", "keep")
+OUTPUTS = ("out", "json", "report", "csv", "pdf", "keep", "mcap")
 
 
 def check_distinct(args: argparse.Namespace) -> None:

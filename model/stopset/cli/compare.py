@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
@@ -30,7 +31,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="M", help="model file")
     parser.add_argument("--data", required=True, nargs="+", metavar="REC", help="recordings, Parquet or CSV")
     parser.add_argument("--all", action="store_true", help="list every violation, not the worst few")
+    parser.add_argument("--mcap", type=Path, metavar="FILE.mcap", help="one recording with its predictions, for Foxglove")
+    parser.add_argument("--recording", metavar="LABEL", help="which one (default: the one that fails most)")
     add_output_options(parser)
+
+
+def _export(model: Model, found: Comparison, args: argparse.Namespace) -> None:
+    """Write the recording asked for, or the worst. Raises `RecordingError`, `OutputError`."""
+    from stopset.errors import RecordingError
+    from stopset.offline.compare.mcap_file import save_mcap
+    from stopset.offline.workbench.scene import listed, scene
+
+    label = args.recording or listed(found)[0]["label"]
+    drawn = scene(model, found, args.data, label)
+    if drawn is None:
+        some = ", ".join(r.label for r in found.rows[:3])
+        raise RecordingError(f"no recording is called {label!r}; expected one of these, as {some}: give its label")
+    save_mcap(args.mcap, model, drawn)
+    say(f"{label}: {args.mcap}, for Foxglove")
 
 
 def _over(model: Model, found: Comparison) -> str:
@@ -50,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.offline.compare.verdict import by_failure, verdict
     from stopset.offline.description.older import load_model
 
-    check_outputs(args.json, args.report)
+    check_outputs(args.json, args.report, args.mcap)
     model = load_model(args.model)
     with steps("compare", args.data, quiet=args.quiet) as progress:
         found = compare(model, args.data, progress)
@@ -84,4 +102,6 @@ def run(args: argparse.Namespace) -> int:
 
         page(model, found, args.data).save(args.report)
         say(f"report {args.report}")
+    if args.mcap:
+        _export(model, found, args)
     return 1 if found.violations else 0

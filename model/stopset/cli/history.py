@@ -28,9 +28,10 @@ def run(args: argparse.Namespace) -> int:
             if key in r.after:
                 was = f"{r.before[key]:.4g} -> " if key in r.before else ""
                 say(f"    {means:<48}{was}{r.after[key]:.4g} {unit}")
-    floor = [row.get("torque_rmse_floor") for row in model.errors.values()]
-    if all(f is not None for f in floor):
-        say("repeatability floor of the torque, per joint: " + ", ".join(f"{f:.3g}" for f in floor) + " N m")
+    for name, key, unit in (("torque", "torque_rmse_floor", "N m"), ("open-loop position", "position_rmse_floor", "rad")):
+        floor = [row.get(key) for row in model.errors.values()]
+        if all(f is not None for f in floor):
+            say(f"repeatability floor of the {name}, per joint: " + ", ".join(f"{f:.3g}" for f in floor) + f" {unit}")
     if args.json:
         rows = [
             {"number": r.number, "added": r.added, "before": dict(r.before), "after": dict(r.after), "note": r.note}

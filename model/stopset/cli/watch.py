@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         if args.check:
             return _check(view, args.seconds or 2.0)
         if args.port:
-            page = ViewerPage(view, args.host, args.port, _order(link, args))
+            page = ViewerPage(view, args.host, args.port, _order(link, args), _in_whose_name(args))
             page.start()
             say(f"page: {page.url}{'' if loopback(args.host) else OPEN}")
         end = time.monotonic() + (args.seconds or float("inf"))
@@ -105,6 +105,13 @@ def _order(link: ZenohLink, args: argparse.Namespace) -> Callable[[str], None] |
         link.put("reset", (order if key is None else signed(order, look(link), key, passphrase)).text(), must_arrive=True)
 
     return send
+
+
+def _in_whose_name(args: argparse.Namespace) -> str:
+    """What stands beside the page's form."""
+    if args.reset_key is not None:
+        return "signed: the monitor's log will hold the name that belongs to the key"
+    return f"in the name of {args.reset_as}, which nothing proves" if args.reset_as else ""
 
 
 def _hear_model(link: ZenohLink, view: View) -> None:

@@ -13,7 +13,9 @@ const Arm = (() => {
     g.clearRect(0, 0, w, h);
     if (!joints || joints.length < 2) return;
     const reach = Math.max(0.3, joints.slice(1).reduce((s, p, i) => s + Math.hypot(...p.map((v, k) => v - joints[i][k])), 0));
-    const scale = 0.68 * Math.min(w, h) / reach, base = joints[0];
+    // what is swept is shown whole, in steps, so that the picture does not breathe with every bound
+    const base = joints[0], far = Math.max(0, ...sweeps.flatMap(([capsules]) => capsules.flatMap(c => [0, 3].map(k => Math.hypot(c[k] - base[0], c[k + 1] - base[1], 0.6 * (c[k + 2] - base[2])) + c[6]))));
+    const away = 1.3 ** Math.max(0, Math.ceil(Math.log(far / (0.72 * reach)) / Math.log(1.3))), scale = 0.68 * Math.min(w, h) / reach / away;
     const at = p => { const [a, b] = seen(p.map((v, k) => v - base[k])); return [w / 2 + scale * a, 0.72 * h - scale * b]; };
     const line = (from, to) => { g.beginPath(); g.moveTo(...at(from)); g.lineTo(...at(to)); g.stroke(); };
     g.lineCap = 'round';

@@ -6,6 +6,7 @@ proves nothing about their age beyond that words keep coming; whom it matters to
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -97,7 +98,7 @@ class Fleet:
         with self._lock:
             now = self._clock()
             rows = [_row(name, arm, now) for name, arm in self._arms.items()]
-        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), r["arm"]))
+        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), _counted(r["arm"])))
 
     def row(self, name: str) -> dict[str, Any] | None:
         """Of one arm; None where nobody of that name was heard."""
@@ -110,6 +111,11 @@ class Fleet:
         rows = self.rows()
         counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
         return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled, "notice": self._notice()}
+
+
+def _counted(name: str) -> list[tuple[int, str]]:
+    """To sort cell2 before cell10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 
 
 def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:

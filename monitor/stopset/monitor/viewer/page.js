@@ -15,7 +15,8 @@ const MEANS = {
   UNKNOWN: 'cannot be judged here', FAULT: 'the MONITOR or its bus fails: treat as unsafe', 'NO DATA': 'NOTHING is heard: treat as unsafe',
   INIT: 'starting', SHUTDOWN: 'the monitor was ended: treat as unsafe',
 };
-let past = [], last = 0, shownTwin = null, shot = {};
+const WINDOW = 1e4;  // [ms] of positions
+let past = [], told = null, last = 0, shownTwin = null, shot = {};
 
 function show(s) {
   const stale = s.word === 'NO DATA' || !s.fresh || !s.twin;
@@ -29,8 +30,7 @@ function show(s) {
   joints(shownTwin, stale);
   violations(shownTwin);
   drawArm(s, stale);
-  if (!stale && shownTwin.room) past.push([Date.now(), shownTwin.joints.map((j, k) => within(shownTwin, j, k))]);
-  past = past.filter(p => p[0] > Date.now() - 6e4); rooms(shownTwin.joints);
+  remember(s, stale); tubes(shownTwin.joints);
   fill('events', ...(s.events || []).slice().reverse().map(e => el('li', null,
     `${new Date(e.t_ns / 1e6).toLocaleTimeString()} ${e.told}` + (e.count > 1 ? `, ${e.count} times` : ''))));
   const t = shownTwin, h = s.health || {}, late = (h.sync_to_publish_ms || {}).max;
@@ -77,36 +77,49 @@ function joints(t, stale) {
 }
 function violations(t) {
   $('violated').hidden = !t.violations.length;
-  $('cause').textContent = t.violation_class ? t.violation_class.replaceAll('_', ' ') + (t.violation_cause && t.violation_cause.says ? ': ' + t.violation_cause.says : '') : '';
+  $('cause').textContent = t.violation_class === 'unclassed' ? 'not classed yet: the evidence is being looked at' : t.violation_class ? t.violation_class.replaceAll('_', ' ') + (t.violation_cause && t.violation_cause.says ? ': ' + t.violation_cause.says : '') : '';
   fill('violations', heads('joint', 'what', 'excess', 'samples'), ...t.violations.map(v => el('tr', null, el('td', null, v.joint),
     el('td', null, `${v.state === 'q' ? 'position' : 'speed'} ${v.side}: ${v.kind.replaceAll('_', ' ')}${v.in_domain ? '' : ', outside the domain'}`),
     figure(number(v.excess) ? `${v.excess.toPrecision(3)} ${v.unit}` : ''), figure(String(v.samples)))));
 }
 function drawArm(s, stale) {
   const all = shownTwin.stops, of = c => (stale || !all[c] || !all[c].capsules) ? [] : all[c].capsules;
-  const first = of('1 guaranteed').length ? of('1 guaranteed') : of('1'), bad = shownTwin.violations.map(v => shownTwin.joints.indexOf(v.joint));
+  const one = of('1 guaranteed').length ? '1 guaranteed' : '1', first = of(one), bad = shownTwin.violations.map(v => shownTwin.joints.indexOf(v.joint));
   Arm.draw($('arm'), s.arm, [[first, '#7db8e8'], [of('0'), '#f0a202']], bad);
   $('armsays').textContent = !s.arm ? 'no picture: the model has not been heard' : stale ? 'last known pose'
-    : of('0').length || first.length ? "swept by the links' axes; add the links' own size" : 'no volume: no stop is proved';
+    : of('0').length || first.length ? `swept by the links' axes; add the links' own size${one === '1' ? '' : '. STOP 1: as if the ramp failed'}` : 'no volume: no stop is proved';
 }
-// where in its prediction a joint is: 0 on its lower bound, 1 on its upper one
-function within(t, j, k) {
-  const lo = t.tube && t.tube.lo[k], hi = t.tube && t.tube.hi[k];
-  return t.q && number(lo) && number(hi) && hi > lo ? (t.q[k] - lo) / (hi - lo) : number(t.room[j]) ? t.room[j] / 2 : null;
+// the last seconds of each joint; a page that is opened late is told what it has missed
+function remember(s, stale) {
+  const now = performance.now(), t = s.twin;
+  if (s.past) past = s.past.map(p => ({...p, at: now - 1000 * p.ago}));
+  else if (!stale && t && t.q && t.tube && s.told !== told) past.push({at: now, q: t.q, lo: t.tube.lo, hi: t.tube.hi});
+  told = s.told;
+  past = past.filter(p => now - p.at < 1.2 * WINDOW);
 }
-function rooms(names) {
-  if ($('rooms').children.length !== names.length) fill('rooms', ...names.map(j => el('figure', null, el('canvas', {width: 300, height: 90, ariaLabel: `room of ${j} over the last minute`, role: 'img'}), el('figcaption', null, j))));
-  [...$('rooms').children].forEach((f, k) => {
-    const c = f.firstChild, g = c.getContext('2d'), y = v => c.height * (1 - (Math.max(-0.3, Math.min(1.3, v)) + 0.3) / 1.6), x = t => c.width * (1 - (Date.now() - t) / 6e4);
-    g.clearRect(0, 0, c.width, c.height);
-    g.fillStyle = '#e3ece5'; g.fillRect(0, y(1), c.width, y(0) - y(1));
-    g.strokeStyle = '#b00020'; g.setLineDash([5, 4]); g.beginPath(); for (const b of [0, 1]) { g.moveTo(0, y(b)); g.lineTo(c.width, y(b)); } g.stroke(); g.setLineDash([]);
-    g.strokeStyle = '#14532d'; g.lineWidth = 2; g.beginPath();
-    let before = 0;
-    past.forEach(([t, r]) => { const v = r[k]; if (!number(v)) return; if (t - before < 2000) g.lineTo(x(t), y(v)); else g.moveTo(x(t), y(v)); before = t; });
-    g.stroke();
+function tubes(names) {
+  if ($('rooms').children.length !== names.length) fill('rooms', ...names.map(() => el('figure', null, el('canvas', {width: 360, height: 220, role: 'img'}), el('figcaption'))));
+  [...$('rooms').children].forEach((f, k) => tube(f.firstChild, f.lastChild, names[k], past.map(p => number(p.q[k]) && number(p.lo[k]) && number(p.hi[k]) ?
+    {at: p.at, off: p.q[k] - (p.lo[k] + p.hi[k]) / 2, half: (p.hi[k] - p.lo[k]) / 2} : null)));
+}
+// the measurement from the middle of its prediction, both to scale; what has left it is crossed
+function tube(c, caption, name, points) {
+  const seen = points.filter(p => p), g = c.getContext('2d'), now = performance.now(), last = seen[seen.length - 1];
+  const top = 1.15 * Math.max(1e-9, ...seen.map(p => Math.max(p.half, Math.abs(p.off))));
+  const x = p => c.width * (1 - (now - p.at) / WINDOW), y = v => c.height / 2 * (1 - v / top), out = seen.filter(p => Math.abs(p.off) > p.half);
+  g.clearRect(0, 0, c.width, c.height);
+  const runs = []; points.forEach((p, i) => { if (p) { const q = points[i - 1]; if (q && p.at - q.at < 1500) runs[runs.length - 1].push(p); else runs.push([p]); } });
+  runs.forEach(run => {
+    const edge = (sign, list) => list.forEach(p => g.lineTo(x(p), y(sign * p.half)));
+    g.fillStyle = '#e3ece5'; g.beginPath(); edge(1, run); edge(-1, [...run].reverse()); g.fill();
+    g.strokeStyle = '#b00020'; g.lineWidth = 1.5; g.setLineDash([5, 4]); for (const sign of [1, -1]) { g.beginPath(); edge(sign, run); g.stroke(); } g.setLineDash([]);
+    g.strokeStyle = '#14532d'; g.lineWidth = 3; g.beginPath(); run.forEach(p => g.lineTo(x(p), y(p.off))); g.stroke();
   });
+  g.strokeStyle = '#b00020'; g.lineWidth = 3; g.beginPath(); out.forEach(p => { for (const s of [-6, 6]) { g.moveTo(x(p) - s, y(p.off) - 6); g.lineTo(x(p) + s, y(p.off) + 6); } }); g.stroke();
+  const says = !last ? 'nothing to show' : `${mrad(last.off, last.half)} of ± ${mrad(last.half, last.half)} mrad` + (out.length ? `, ✕ left ${((now - out[out.length - 1].at) / 1000).toFixed(0)} s ago` : '');
+  caption.replaceChildren(el('b', null, name), ' ' + says); c.setAttribute('aria-label', `${name}: ${says}`);
 }
+const mrad = (x, of) => String(Number((1000 * x).toFixed(of < 0.01 ? 2 : of < 0.1 ? 1 : 0)));
 const TOKEN = document.querySelector('meta[name=token]').content;
 $('reset').hidden = !TOKEN;
 $('reset').onsubmit = async e => {

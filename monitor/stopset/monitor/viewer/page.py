@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import secrets
 import time
@@ -10,6 +11,7 @@ from typing import Any
 
 from stopset.errors import StopsetError
 from stopset.monitor.viewer.view import View
+from stopset.monitor.viewer.words import plain
 from stopset.serving import Handler, PageServer, own_file
 
 PERIOD = 0.05  # [s] between two looks that are sent
@@ -23,11 +25,11 @@ FILES = {
 class ViewerPage(PageServer):
     """The live page on ``http://host:port/``; raises `BusError` where it cannot be served.
 
-    ``order``: sends an order to clear the latch, given the reason; None: the page only shows.
+    ``order``: sends an order to clear the latch, given the reason; None: the page only shows. ``who``: in whose name, as said beside it.
     """
 
-    def __init__(self, view: View, host: str, port: int, order: Callable[[str], None] | None = None) -> None:
-        self.view, self.order, self.token = view, order, secrets.token_urlsafe(16) if order else ""
+    def __init__(self, view: View, host: str, port: int, order: Callable[[str], None] | None = None, who: str = "") -> None:
+        self.view, self.order, self.who, self.token = view, order, plain(who), secrets.token_urlsafe(16) if order else ""
         super().__init__(host, port, _ViewerHandler)
 
 
@@ -38,9 +40,12 @@ class _ViewerHandler(Handler):
         if path in FILES:
             package, name, kind = FILES[path]
             text = own_file(package, name)
-            self.answer(kind, text.replace("@TOKEN@", self.server.token) if path == "/" else text)
+            if path == "/":
+                text = text.replace("@TOKEN@", self.server.token).replace("@WHO@", html.escape(self.server.who))
+            self.answer(kind, text)
         elif path == "/now":
-            self.answer("application/json", json.dumps(self.server.view.snapshot()))
+            view = self.server.view
+            self.answer("application/json", json.dumps(view.snapshot() | {"past": view.traces()}))
         elif path == "/stream":
             self.head("text/event-stream")
             try:

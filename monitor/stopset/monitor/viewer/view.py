@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
@@ -23,6 +24,7 @@ from stopset.monitor.consumer import MS, SAYS, Consumer, Expected, Fault
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
 
+REMEMBERED = 12.0  # [s] of positions within their predictions, for a page that is opened later
 SLOW = 2.0  # [s] without ``state/json`` before its content is withdrawn
 LARGEST = 1 << 20  # bytes of any message in words
 
@@ -118,6 +120,7 @@ class View:
     events: Grouped = field(default_factory=Grouped)
     consumer: Consumer | None = None
     model: Model | None = None  # for the picture of the arm; whose numbers are believed is `expected`'s business
+    past: deque[tuple[float, list[float], _Tube]] = field(default_factory=deque)  # when heard, positions, between which bounds
     garbled: int = 0  # messages in words that were none
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -141,9 +144,23 @@ class View:
             if self.expected is not None and twin.data_id != self.expected.data_id:
                 return
             self.twin, self.twin_at = msgspec.to_builtins(twin), time.monotonic()
+            self._remember(twin)
             if self.consumer is None:
                 expected = self.expected or Expected(twin.data_id, None, None, None)
                 self.consumer = Consumer(expected, round(self.watchdog_s * 1e9))
+
+    def _remember(self, twin: Twin) -> None:
+        n = len(twin.joints)
+        if twin.q is not None and twin.tube is not None and n == len(twin.q) == len(twin.tube.lo) == len(twin.tube.hi):
+            self.past.append((self.twin_at, twin.q, twin.tube))
+        while self.past and self.twin_at - self.past[0][0] > REMEMBERED:
+            self.past.popleft()
+
+    def traces(self) -> list[dict[str, Any]]:
+        """The last seconds, oldest first: how long ago [s], positions and the bounds that were predicted for them [rad]."""
+        with self._lock:
+            now = time.monotonic()
+            return [{"ago": round(now - at, 3), "q": q, "lo": tube.lo, "hi": tube.hi} for at, q, tube in self.past]
 
     def take_state(self, _key: str, data: bytes) -> None:
         """``state``."""
@@ -229,6 +246,7 @@ class View:
                 "why": why,
                 "twin": self.twin,
                 "fresh": fresh,
+                "told": round(self.twin_at, 3) if self.twin else None,
                 "health": self.health,
                 "events": self.events.last(12),
                 "arm": self._arm(),

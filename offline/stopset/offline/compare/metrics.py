@@ -19,6 +19,7 @@ AVERAGING = (
 )
 KINDS = ("torque", "velocity", "position")
 TOGETHER = 128  # trials simulated side by side
+REPEATED = ("torque", "position")  # whose scatter between repetitions is known
 LONGEST = 5.0  # [s] open-loop predictions are compared up to here
 
 
@@ -36,6 +37,9 @@ def torque_error(abstraction: Abstraction, dt: float, q: Array, dq: Array, u: Ar
     return np.asarray(lacking @ np.linalg.inv(abstraction.Minv).T / (m * dt))
 
 
+Repeats = dict[SuiteKey, list[tuple[int, Array]]]  # errors (W, n) of the trials of a motion, every `AVERAGING`, with their places
+
+
 class Figures:
     """Errors per joint, fed trial by trial; parts fed elsewhere can be merged, with the same bits as fed in one go.
 
@@ -45,7 +49,7 @@ class Figures:
     def __init__(self, abstraction: Abstraction, dt: float, roll: RollOut | None = None) -> None:
         self._abstraction, self._dt, self._roll = abstraction, dt, roll
         self._rows: list[tuple[int, Array]] = []  # (place, sums of squares and counts of one trial)
-        self._repeats: dict[SuiteKey, list[tuple[int, Array]]] = {}
+        self._repeats: dict[str, Repeats] = {kind: {} for kind in REPEATED}
         self._waiting: list[Recording] = []
         self.u: Box | None = None  # hull of the inputs seen
 
@@ -54,8 +58,7 @@ class Figures:
         self.u = Box.hull(u) if self.u is None else self.u | Box.hull(u)
         e = torque_error(self._abstraction, self._dt, r.q, r.dq, u)
         self._put(r.place, "torque", e)
-        if r.phase == "open_loop":
-            self._repeats.setdefault(r.suite_key, []).append((r.place, e))
+        self._repeat("torque", r, e)
         last = min(len(r.t), round(LONGEST / self._dt) + 1)
         if self._roll is None:
             with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away has no open-loop error
@@ -72,42 +75,44 @@ class Figures:
             part._flush()
         out = Figures(self._abstraction, self._dt, self._roll)
         out._rows = self._rows + other._rows
-        for repeats in (self._repeats, other._repeats):
-            for motion, rows in repeats.items():
-                out._repeats.setdefault(motion, []).extend(rows)
+        for kind in REPEATED:
+            for repeats in (self._repeats[kind], other._repeats[kind]):
+                for motion, rows in repeats.items():
+                    out._repeats[kind].setdefault(motion, []).extend(rows)
         out.u = self.u | other.u if self.u is not None and other.u is not None else self.u or other.u
         return out
 
-    def rows(self) -> tuple[list[tuple[int, Array]], dict[SuiteKey, list[tuple[int, Array]]], Box | None]:
-        """All that was taken in: sums by place and kind, window errors by suite and place, hull of the inputs."""
+    def rows(self) -> tuple[list[tuple[int, Array]], dict[str, Repeats], Box | None]:
+        """All that was taken in: sums by place and kind, errors of repeated motions by kind, hull of the inputs."""
         self._flush()
         return self._rows, self._repeats, self.u
 
     @classmethod
     def of(
-        cls, abstraction: Abstraction, dt: float, rows: list[tuple[int, Array]],
-        repeats: dict[SuiteKey, list[tuple[int, Array]]], u: Box | None,
+        cls, abstraction: Abstraction, dt: float, rows: list[tuple[int, Array]], repeats: dict[str, Repeats], u: Box | None,
     ) -> Figures:  # fmt: skip
         """What `rows` gave, to merge with figures of later trials."""
         out = cls(abstraction, dt)
-        out._rows, out._repeats, out.u = rows, repeats, u
+        out._rows, out.u = rows, u
+        out._repeats |= repeats
         return out
 
     def result(self, joints: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-        """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse`` (SI).
+        """Per joint ``torque_rmse, torque_rmse_floor, velocity_rmse, position_rmse, position_rmse_floor`` (SI).
 
         Velocity and position are those of the open-loop prediction from each trial's start, at most `LONGEST` long; the
-        floor is the scatter between repetitions of the same torques, null without repetitions.
+        floors are the scatter between repetitions of the same torques, null without repetitions.
         """
         self._flush()
         rms = {name: self._rms(name) for name in ("torque", "velocity", "position")}
-        floor = self._floor()
+        floor = {kind: self._floor(kind) for kind in REPEATED}
         return {
             j: {
                 "torque_rmse": _finite(rms["torque"], k),
-                "torque_rmse_floor": _finite(floor, k),
+                "torque_rmse_floor": _finite(floor["torque"], k),
                 "velocity_rmse": _finite(rms["velocity"], k),
                 "position_rmse": _finite(rms["position"], k),
+                "position_rmse_floor": _finite(floor["position"], k),
             }
             for k, j in enumerate(joints)
         }
@@ -116,10 +121,16 @@ class Figures:
         # one row per trial and kind, summed in campaign order at the end: the sum does not depend on who added what
         self._rows.append((3 * place + KINDS.index(name), np.concatenate([(e**2).sum(axis=0), [len(e)]])))
 
+    def _repeat(self, kind: str, r: Recording, e: Array) -> None:
+        if r.phase == "open_loop":
+            self._repeats[kind].setdefault(r.suite_key, []).append((r.place, e))
+
     def _open_loop(self, r: Recording, x: Array) -> None:
         n = r.q.shape[1]
         with np.errstate(over="ignore", invalid="ignore"):
-            self._put(r.place, "position", x[:, :n] - r.q)
+            away = x[:, :n] - r.q
+            self._put(r.place, "position", away)
+            self._repeat("position", r, away[:: max(1, round(AVERAGING / self._dt))])
             self._put(r.place, "velocity", x[:, n:] - r.dq)
 
     def _flush(self) -> None:
@@ -133,11 +144,11 @@ class Figures:
         total = np.sum(rows, axis=0) if rows else np.zeros(1)
         return np.asarray(np.sqrt(total[:-1] / total[-1])) if total[-1] > 0 else None
 
-    def _floor(self) -> Array | None:
+    def _floor(self, kind: str) -> Array | None:
         """RMS deviation from the mean of the repetitions (n,), None without repetitions."""
         freedom, spread = 0.0, np.zeros(self._abstraction.n)
-        for motion in sorted(self._repeats):
-            rows = [e for _, e in sorted(self._repeats[motion], key=lambda p: p[0])]
+        for _, trials in sorted(self._repeats[kind].items()):
+            rows = [e for _, e in sorted(trials, key=lambda p: p[0])]
             m = min(len(e) for e in rows)
             if len(rows) >= 2 and m > 0:
                 block = np.stack([e[:m] for e in rows])

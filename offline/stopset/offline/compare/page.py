@@ -48,8 +48,8 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     return out
 
 
-def _errors(out: Page, model: Model, found: Comparison) -> None:
-    out.heading("Errors per joint, the one that fails most first")
+def bars(found: Comparison) -> go.Figure:
+    """Torque error of each joint over what its repetitions differ by, the one that fails most first."""
     rows = by_failure(found)
     figure = go.Figure(
         [
@@ -62,9 +62,15 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
     )  # fmt: skip
     figure.update_yaxes(title_text="torque RMS [N m]", rangemode="tozero")
     figure.update_layout(height=300, legend={"orientation": "h", "y": 1.15})
+    return figure
+
+
+def _errors(out: Page, model: Model, found: Comparison) -> None:
+    out.heading("Errors per joint, the one that fails most first")
+    rows = by_failure(found)
     fails = [j for j, r in rows if (above(r) or 0.0) > AT_THE_FLOOR][:1]
     with out.beside():
-        out.figure(figure, least_width=420)
+        out.figure(bars(found), least_width=420)
         out.picture(
             drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=fails),
             f"Where the model fails most: {fails[0]}."

@@ -32,7 +32,7 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
         joints = list(dict.fromkeys(j for r in found.ranked for j in r.joints))
         with out.beside():
             out.figure(
-                _bars(found),
+                ranking(found),
                 "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
                 420,
             )
@@ -159,7 +159,7 @@ def _caption(found: Diagnosis) -> str:
     return "Score: twice the log Bayes factor. Errors: RMS on motions the fit has not seen; each row follows those above it."
 
 
-def _bars(found: Diagnosis) -> go.Figure:
+def ranking(found: Diagnosis) -> go.Figure:
     """Held-out error of each effect's joint before and after it, on an axis from zero."""
     ranked = found.ranked[::-1]
     names = [r.label for r in ranked]

@@ -21,6 +21,8 @@ FIGURES = (
     ("sum_U_width_without_margin", "sum of U widths without margin [N m]"),
     ("stop0_angle", "STOP 0 angle bound at full speed [rad]"),
 )
+# the scatter between repetitions that is under each figure
+FLOORS = {"held_out_torque_rmse": "torque_rmse_floor", "held_out_position_rmse": "position_rmse_floor"}
 
 
 def page(model: Model) -> Page:
@@ -53,13 +55,18 @@ def _outcome(j: Judged) -> str:
     return f"is added ({j.enters})" + ("" if j.helps else ", though it does not lower the error on held-out data")
 
 
-def floor(model: Model) -> dict[str, Any] | None:
-    """The repeatability floor of the torque error [N m], of the ``arm`` (RMS over joints) and of its ``joints``; None: unknown."""
-    joints = {j: row.get("torque_rmse_floor") for j, row in model.errors.items()}
-    known = [f for f in joints.values() if f is not None]
-    if not known or len(known) < len(joints):
-        return None
-    return {"arm": float(np.sqrt(np.mean(np.square(known)))), "joints": joints}
+def floors(model: Model) -> dict[str, dict[str, Any]]:
+    """What no model gets below, by figure: the scatter of repetitions, of the ``arm`` (RMS over joints) and of its ``joints``.
+
+    A figure without one is left out: repetitions tell nothing of sets and stops, nor of anything where nothing is repeated.
+    """
+    out = {}
+    for figure, key in FLOORS.items():
+        joints = {j: row.get(key) for j, row in model.errors.items()}
+        known = [f for f in joints.values() if f is not None]
+        if known and len(known) == len(joints):
+            out[figure] = {"arm": float(np.sqrt(np.mean(np.square(known)))), "joints": joints}
+    return out
 
 
 def _history(out: Page, model: Model) -> None:
@@ -70,13 +77,12 @@ def _history(out: Page, model: Model) -> None:
         out.next(
             "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
         )
-    chains = ((key, title, *_chain(model, key)) for key, title in FIGURES)
-    shown = [(key, title, names, values) for key, title, names, values in chains if len(values) > 1]
-    if shown:
+    if (figure := waterfalls(model)) is not None:
         out.figure(
-            _waterfalls(model, shown),
-            "Each figure after each revision, from zero; dotted: the repeatability floor.",
-            190 * len(shown),
+            figure,
+            "Each figure after each revision, from zero; dotted: what repetitions of the same torques differ by, below which no model "
+            "without a new variable gets. Of sets and stops they tell none.",
+            950,
         )
     keys = [k for k, _ in FIGURES]
     with out.fold("Every revision"):
@@ -128,9 +134,13 @@ def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
     return names, values
 
 
-def _waterfalls(model: Model, shown: list[tuple[str, str, list[str], list[float]]]) -> go.Figure:
-    """All figures side by side, one bar per revision."""
-    lowest = floor(model)
+def waterfalls(model: Model) -> go.Figure | None:
+    """All figures side by side, one bar per revision; None where nothing was added."""
+    chains = ((key, title, *_chain(model, key)) for key, title in FIGURES)
+    shown = [(key, title, names, values) for key, title, names, values in chains if len(values) > 1]
+    if not shown:
+        return None
+    lowest = floors(model)
     figure = make_subplots(rows=1, cols=len(shown), subplot_titles=[t.replace(" [", "<br>[") for _, t, _, _ in shown])
     for k, (key, _, names, values) in enumerate(shown, 1):
         colours = [*["#b8c4ce"] * (len(values) - 1), COLOURS[0]]
@@ -140,8 +150,8 @@ def _waterfalls(model: Model, shown: list[tuple[str, str, list[str], list[float]
         figure.add_trace(bars, row=1, col=k)
         ticks = [n.replace(":", "<br>").replace("first identification", "first") for n in names]
         figure.update_xaxes(tickvals=list(range(len(values))), ticktext=ticks, row=1, col=k)
-        if key == "held_out_torque_rmse" and lowest is not None:
-            figure.add_hline(y=lowest["arm"], line_dash="dot", row=1, col=k)
+        if key in lowest:
+            figure.add_hline(y=lowest[key]["arm"], line_dash="dot", row=1, col=k)
     figure.update_yaxes(rangemode="tozero")
     figure.update_annotations(font_size=11)
     figure.update_layout(height=360, margin={"t": 70})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -22,7 +22,7 @@ from stopset.files import write_bytes
 from stopset.offline.campaign.independence import Ends
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
-from stopset.offline.compare.metrics import Figures
+from stopset.offline.compare.metrics import Figures, Repeats
 from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
 from stopset.offline.conform.gather import RetainedSums, SetForm, Sums
@@ -41,7 +41,8 @@ from stopset.types import Array
 
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"
-SCHEMA = 5
+SCHEMA = 6
+REPEATS = {"torque": "repeats", "position": "paths"}  # errors of repeated motions, by kind, and their name here
 SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
@@ -228,13 +229,16 @@ def _pack_sums(sums: Sums, arrays: Arrays) -> dict[str, Any]:
     rows, repeats, u = sums.figures.rows()
     assert u is not None
     arrays["figure_rows"] = np.vstack([x for _, x in rows])
-    errors = [e for trials in repeats.values() for _, e in trials]
-    arrays["repeats"] = np.vstack(errors) if errors else np.zeros((0, u.dim))
+    for kind, name in REPEATS.items():
+        errors = [e for trials in repeats[kind].values() for _, e in trials]
+        arrays[name] = np.vstack(errors) if errors else np.zeros((0, u.dim))
     arrays["hull_u"] = _edges(u)
     return {
         "gathered": _pack_gathered(sums.gathered, arrays),
         "figures": [key for key, _ in rows],
-        "repeats": [[*s, [[place, len(e)] for place, e in trials]] for s, trials in repeats.items()],
+    } | {
+        name: [[*s, [[place, len(e)] for place, e in trials]] for s, trials in repeats[kind].items()]
+        for kind, name in REPEATS.items()
     }
 
 
@@ -276,6 +280,10 @@ def _sums(
         {k: {m: envelope(f"band_{k}_{m}", labels) for m, labels in of} for k, of in g["bands"]},
     )  # fmt: skip
     rows = list(zip(head["figures"], arrays["figure_rows"], strict=True))
-    pieces = iter(_pieces(arrays["repeats"], [length for *_, trials in head["repeats"] for _, length in trials]))
-    repeats = {_key(*s): [(place, next(pieces)) for place, _ in trials] for *s, trials in head["repeats"]}
+    repeats = {kind: _repeats(head[name], arrays[name]) for kind, name in REPEATS.items()}
     return Sums(gathered, Figures.of(nominal.abstraction, dt, rows, repeats, _box(arrays["hull_u"])))
+
+
+def _repeats(listed: Sequence[Any], errors: Array) -> Repeats:
+    pieces = iter(_pieces(errors, [length for *_, trials in listed for _, length in trials]))
+    return {_key(*s): [(place, next(pieces)) for place, _ in trials] for *s, trials in listed}

@@ -3,7 +3,14 @@
 const num = x => x == null ? '–' : String(Number(Number(x).toPrecision(3)));
 const Draw = (() => {
   const span = v => { let lo = Infinity, hi = -Infinity; for (const x of v) { if (x < lo) lo = x; if (x > hi) hi = x; } return hi > lo ? [lo, hi] : [lo - 1, lo + 1]; };
+  // as many points as the place has, so that words are as large as those beside it
+  function fit(c) {
+    c.dataset.shape ??= c.height / c.width;
+    const w = Math.round(Math.max(480, Math.min(2000, 1.6 * c.clientWidth)));
+    if (c.clientWidth && c.width !== w) { c.width = w; c.height = Math.round(w * c.dataset.shape); }
+  }
   function axes(c, [x0, x1], [y0, y1], unit) {
+    fit(c);
     const g = c.getContext('2d'), w = c.width, h = c.height, L = 84, B = 40, T = 14, R = 18;
     const X = x => L + (w - L - R) * (x - x0) / (x1 - x0), Y = y => h - B - (h - B - T) * (y - y0) / (y1 - y0);
     g.clearRect(0, 0, w, h); g.font = '20px system-ui,sans-serif'; g.lineWidth = 1; g.strokeStyle = '#e4e9ee'; g.fillStyle = '#4d5866';

@@ -21,7 +21,7 @@ from stopset.offline.compare.dependence import partial_residual
 from stopset.offline.description.older import load_model
 from stopset.offline.report.page import DISCLAIMER
 from stopset.offline.report.thin import spread
-from stopset.offline.revise.page import FIGURES, floor
+from stopset.offline.revise.page import FIGURES, floors
 from stopset.offline.revise.page import page as history_page
 from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Job, Message, Order, RevisionWritten, Says
 from stopset.offline.workbench.opened import Opened
@@ -303,7 +303,7 @@ class Loop:
                 "recordings": recordings,
                 "effects": names(),
                 "figures": [{"key": key, "title": title} for key, title in FIGURES],
-                "floor": floor(model),
+                "floors": floors(model),
                 "models": [m.shown() for m in self._models],
                 "reports": sorted(f"{name}-{k}" for k, m in enumerate(self._models) for name in m.pages),
                 "notice": DISCLAIMER,

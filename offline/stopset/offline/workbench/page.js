@@ -50,7 +50,7 @@ function show(s) {
   }
   $('says').textContent = a.verdict ? a.verdict.text : 'not compared yet: Compare tells where the model fails';
   $('says').className = a.verdict ? a.verdict.kind : '';
-  fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, f.key === 'held_out_torque_rmse' ? s.floor : null)));
+  fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, s.floors[f.key])));
   compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); stage(s, a); added(a.add, s.figures);
   recordings(s.recordings); sides(s);
   const base = x => x.file.split('/').pop();
@@ -99,11 +99,13 @@ $('lefthand').onchange = $('righthand').onchange = () => state && sides(state);
 function compare(c, full) {
   fill('comparelink', full);
   if (!c) return fill('compare', small('not asked yet for this revision'));
-  const ratio = r => r.torque_rmse && r.torque_rmse_floor ? r.torque_rmse / r.torque_rmse_floor : null;
+  // with all the model knows, as its verdict has it: what the abstraction leaves out besides is in U
+  const inFull = r => r.torque_rmse_known || r.torque_rmse, ratio = r => inFull(r) && r.torque_rmse_floor ? inFull(r) / r.torque_rmse_floor : null;
   return fill('compare', el('p', null, el('b', {className: c.violations ? 'bad' : ''}, `${c.violations} of ${c.recordings} recordings leave the sets`), `, ${c.outside_domain} leave the domain.`),
-    table('Errors per joint', ['joint', 'torque error [N m]', 'repeatability floor [N m]', 'times the floor', 'velocity [rad/s]', 'position [rad]'],
-      Object.entries(c.joints).sort((x, y) => (ratio(y[1]) || 0) - (ratio(x[1]) || 0)).map(([j, r]) => [words(j), figure(num(r.torque_rmse)), figure(num(r.torque_rmse_floor)),
-        figure(el('span', {className: ratio(r) >= 2 ? 'bad' : ''}, ratio(r) == null ? '–' : ratio(r).toFixed(1))), figure(num(r.velocity_rmse)), figure(num(r.position_rmse))])),
+    table('Errors per joint', ['joint', 'torque error [N m]', 'in full [N m]', 'floor [N m]', 'times the floor'],
+      Object.entries(c.joints).sort((x, y) => (ratio(y[1]) || 0) - (ratio(x[1]) || 0)).map(([j, r]) => [words(j), figure(num(r.torque_rmse)), figure(num(inFull(r))), figure(num(r.torque_rmse_floor)),
+        figure(el('span', {className: ratio(r) >= 2 ? 'bad' : ''}, ratio(r) == null ? '–' : ratio(r).toFixed(1)))])),
+    small('Floor: what repetitions of the same torques differ by. In full: with all the model knows; what the abstraction leaves out besides is in U.'),
     small(c.guarantee.motions ? `A new motion leaves the sets with probability of at most ${(Math.ceil(1000 * c.guarantee.upper_bound - 1e-9) / 10).toFixed(1)} %, at ${Math.round(100 * c.guarantee.confidence)} % confidence; the full page explains it beside its curve.` : c.guarantee.text));
 }
 function heat(d, joints) {
@@ -124,8 +126,8 @@ async function partial(joint, variable) {
   const r = await fetch(`/partial/${encodeURIComponent(joint + '/' + variable)}`);
   if (!r.ok) return;
   const p = await r.json(), c = $('cloud');
-  Draw.cloud(c, p.x, p.y, p.line);
   $('partial').hidden = false;
+  Draw.cloud(c, p.x, p.y, p.line);
   $('cloudsays').textContent = `${p.joint}: torque error [N m] over ${p.variable}${p.other ? ', less what ' + p.other + ' explains' : ''}; line: mean within twelfths.`;
   c.setAttribute('aria-label', $('cloudsays').textContent);
 }
