@@ -65,7 +65,7 @@ def panel(x: float, title: str, r: Run) -> str:
         else f"she is hit: the tool goes {-100 * gap:.0f} cm into her"
     )
     parts.append(text(14, 378, f"asked for at {at:.2f} rad and {r.dq[asked]:.1f} rad/s, at rest at {end:.2f} rad;"))
-    parts.append(text(14, 397, f"its edge of her is at {EDGE:.2f} rad"))
+    parts.append(text(14, 397, f"she begins at {EDGE:.2f} rad"))
     parts.append(text(14, 420, said, colour, 16))
     return "".join([*parts, "</g>"])
 
