@@ -70,9 +70,13 @@ def _logged(cell: Cell, job: Measurement, rate: float, trouble: Trouble) -> Reco
     tau = reported(cell, log)[::every]
     tau = tau + rng.normal(0.0, 1.0, tau.shape) * cell.torque_noise
     tau[:, 0] += trouble.drift * (t / t[-1] - 0.5)
-    kept = rng.random(len(t)) >= trouble.lost
-    stamps = np.maximum.accumulate(t + trouble.scatter * rng.normal(0.0, 1.0, len(t)))[kept] + 1e-9 * np.arange(kept.sum())
-    return Recording("closed_loop", job.suite, 0, job.suite, stamps, log.q[::every][kept], log.dq[::every][kept], tau[kept])
+    received = rng.random(len(t)) >= trouble.lost
+    stamps = np.maximum.accumulate(t + trouble.scatter * rng.normal(0.0, 1.0, len(t)))[received] + 1e-9 * np.arange(
+        received.sum()
+    )
+    return Recording(
+        "closed_loop", job.suite, 0, job.suite, stamps, log.q[::every][received], log.dq[::every][received], tau[received]
+    )
 
 
 CASES: dict[str, tuple[tuple[float, ...], Trouble]] = {

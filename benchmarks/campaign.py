@@ -70,7 +70,7 @@ def identify(*words: str | Path) -> tuple[float, float, float]:
     return time.monotonic() - start, processor, used.ru_maxrss / 1024.0
 
 
-def kept(folder: Path, old: Path, new: Path, how: str) -> None:
+def retained(folder: Path, old: Path, new: Path, how: str) -> None:
     """What keeping costs, and what an update by the trials in ``new``."""
     state, model = folder / how, folder / f"{how}.json"
     seconds, processor, memory = identify("--robot", "lwa4p", "--data", old, "--out", model, "--keep", state, "--keep-as", how)
@@ -84,7 +84,7 @@ def kept(folder: Path, old: Path, new: Path, how: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=2280)
-    parser.add_argument("--kept", action="store_true", help="measure --keep and --update too")
+    parser.add_argument("--kept", dest="retained", action="store_true", help="measure --keep and --update too")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -96,10 +96,10 @@ def main() -> None:
                 f"peak {memory:6.0f} MiB",
                 flush=True,
             )
-        if args.kept:
+        if args.retained:
             new = record(folder / "new.parquet", args.trials // 10, seed=7)
             for how in ("sums", "signals"):
-                kept(folder, data, new, how)
+                retained(folder, data, new, how)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class Watched:
 
     @staticmethod
     def of(name: str, value: Any) -> Watched:
-        return Watched(value, {(name, way): varied(value, f) for way, f in FACTORS.items()})
+        return Watched(value, {(name, change): varied(value, f) for change, f in FACTORS.items()})
 
     def _leak(self) -> Any:
         LEAKED.update(name for name, _ in self.other)
@@ -102,9 +102,9 @@ def applied(op: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
     others = {key: op(at(a, key), at(b, key)) for key in keys}
     if op not in COMPARE:
         return Watched(result, others)
-    for (name, way), other in others.items():
+    for (name, change), other in others.items():
         if np.any(other != result):
-            FLIPPED.setdefault(name, set()).add(way)
+            FLIPPED.setdefault(name, set()).add(change)
     return result
 
 
@@ -152,15 +152,15 @@ def watch(todo: dict[str, Path], out: Path) -> None:
         print(key, answer, flush=True)
 
 
-def vary(name: str, way: str, todo: dict[str, Path], out: Path) -> None:
+def vary(name: str, change: str, todo: dict[str, Path], out: Path) -> None:
     """Ask sets again with one threshold another."""
-    setattr(limit, name, varied(getattr(limit, name), FACTORS[way]))
+    setattr(limit, name, varied(getattr(limit, name), FACTORS[change]))
     for key, path in todo.items():
         try:
             answer = asked(path)
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # a value that the code cannot work with
             answer = [f"no answer: {error}"]
-        (out / f"{key}.{name}.{way}.json").write_text(json.dumps(answer))
+        (out / f"{key}.{name}.{change}.json").write_text(json.dumps(answer))
 
 
 def read(folders: list[Path], out: Path) -> dict[str, Any]:
@@ -174,12 +174,12 @@ def work(folders: list[Path], out: Path, few: set[str]) -> Iterator[tuple[str, s
     watched = read(folders, out)
     leaked = {n for w in watched.values() for n in w["leaked"]} | {t.name for t in limit.SETTLED if isinstance(t.value, tuple)}
     for t in limit.SETTLED:
-        for way in FACTORS:
+        for change in FACTORS:
             keys = [
                 key for key, w in watched.items()
-                if (key in few or not few if t.name in leaked else way in w["flipped"].get(t.name, ()))
+                if (key in few or not few if t.name in leaked else change in w["flipped"].get(t.name, ()))
             ]  # fmt: skip
-            yield t.name, way, keys
+            yield t.name, change, keys
 
 
 def parts(todo: dict[str, Path], count: int) -> list[dict[str, Path]]:
@@ -193,12 +193,12 @@ def table(folders: list[Path], out: Path) -> str:
     rows, still, later = [], [], []
     for t in limit.SETTLED:
         cells, fewest, changes = [], len(watched), 0
-        for way in FACTORS:
-            files = {key: out / f"{key}.{t.name}.{way}.json" for key in watched}
+        for change in FACTORS:
+            files = {key: out / f"{key}.{t.name}.{change}.json" for key in watched}
             new = {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
             known = set(new)
             if t.name not in leaked:  # without a comparison that comes out otherwise the answer is the same
-                known |= {key for key, w in watched.items() if way not in w["flipped"].get(t.name, ())}
+                known |= {key for key, w in watched.items() if change not in w["flipped"].get(t.name, ())}
             changed = [f"{key.partition('.')[2]} {_words(watched[key]['answer'])} → {_words(a)}"
                        for key, a in new.items() if a != watched[key]["answer"]]  # fmt: skip
             fewest, changes = min(fewest, len(known)), changes + len(changed)
@@ -236,8 +236,8 @@ def main() -> None:
     if args.command == "_watch":
         return watch({k: known[k] for k in args.job.split(",")}, args.out)
     if args.command == "_vary":
-        name, way, keys = args.job.split(":")
-        return vary(name, way, {k: known[k] for k in keys.split(",")}, args.out)
+        name, change, keys = args.job.split(":")
+        return vary(name, change, {k: known[k] for k in keys.split(",")}, args.out)
     if args.command == "table":
         text = PAGE.read_text(encoding="utf-8")
         mark = "<!-- sensitivity: made by benchmarks/diagnosis_sensitivity.py -->\n"
@@ -252,9 +252,9 @@ def main() -> None:
         jobs = [("_watch", ",".join(part)) for part in parts(todo, args.parallel) if part]
     else:
         jobs = []
-        for name, way, keys in work(args.sets, args.out, set(filter(None, args.few.split(",")))):
-            keys = [k for k in keys if not (args.out / f"{k}.{name}.{way}.json").exists()]
-            jobs += [("_vary", f"{name}:{way}:{','.join(keys)}")] if keys else []
+        for name, change, keys in work(args.sets, args.out, set(filter(None, args.few.split(",")))):
+            keys = [k for k in keys if not (args.out / f"{k}.{name}.{change}.json").exists()]
+            jobs += [("_vary", f"{name}:{change}:{','.join(keys)}")] if keys else []
     running: list[subprocess.Popen[bytes]] = []
     for k, (command, job) in enumerate(jobs):
         print(f"{k + 1} of {len(jobs)}: {job[:100]}", flush=True)

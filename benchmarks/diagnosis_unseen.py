@@ -90,7 +90,7 @@ def make(arms: Sequence[Arm], wanted: Sequence[tuple[str, str]], seed: int, fold
             merged.append(e)
     return {
         "verdict": "unknown" if outside else "missing" if effects else "none", "effects": merged, "seed": seed,
-        "arm": healthy.arm.name, "exact": healthy.told is healthy.arm,
+        "arm": healthy.arm.name, "exact": healthy.described is healthy.arm,
     }  # fmt: skip
 
 

@@ -34,7 +34,7 @@ LOOK: dict[str, tuple[str, Callable[[Signals], Array]]] = {
     "temp * direction of dq": ("(temp - 30 degC) sign(dq) [K]", lambda s: s.temp * np.sign(s.dq)),
     "place in the session * dq": ("warm dq [rad/s]", lambda s: s.warm * s.dq),
     "abs(load) * direction of dq": ("|load| sign(dq) [N m]", lambda s: abs(s.load) * np.sign(s.dq)),
-    "way since the last reversal": ("way since the reversal, with its direction [rad]", lambda s: way(s.q, s.dq)),
+    "way since the last reversal": ("way since the reversal, with its direction [rad]", lambda s: travel(s.q, s.dq)),
     "acceleration of the link torque": ("second derivative of the link torque [N m/s^2]", lambda s: bend(s.link)),
     "gravity load, joint 1 over q of joint 1": ("q [rad]", lambda s: s.q),
     "gravity load of all joints": ("gravity load [N m]", lambda s: s.load),
@@ -51,7 +51,7 @@ UNITS = {
 }
 
 
-def way(q: Array, dq: Array) -> Array:
+def travel(q: Array, dq: Array) -> Array:
     """Way since the last reversal [rad], signed by the direction."""
     turn = np.maximum.accumulate(np.where(np.r_[True, np.diff(np.sign(dq)) != 0], np.arange(len(q)), 0))
     return q - q[turn]
@@ -90,7 +90,7 @@ def with_memory(effect: Effect, s: Signals) -> Signals:
     out, x = np.zeros((SAMPLES, len(effect.states))), np.zeros(len(effect.states))
     for k in range(SAMPLES):
         out[k] = x
-        now = Signals(**{f: float(v[k]) for f, v in fields.items()}, way=float(np.sign(s.dq[k])))
+        now = Signals(**{f: float(v[k]) for f, v in fields.items()}, given_direction=float(np.sign(s.dq[k])))
 
         def rate(y: Array, now: Signals = now) -> Array:
             return np.array(effect.rates(replace(now, memory=tuple(y)), {}))
@@ -185,7 +185,7 @@ def page(effect: Effect, v: dict[str, float], labels: tuple[str, str]) -> str:
         "| symbol | unit | meaning | admissible range | drawn with |", "|---|---|---|---|---|", *rows, "",
         f"- Acts on: {effect.scope}", f"- Signals it needs: {', '.join(f'`{n}`' for n in effect.needs)}",
         f"- Enters the model in: {entry(effect)}", f"- Look at: {effect.look_at}", f"- Looks like: {rivals}",
-        f"- Telling them apart: {effect.tell_apart}", f"- Source: {reference(effect.source)}", "",
+        f"- Telling them apart: {effect.distinguished_by}", f"- Source: {reference(effect.source)}", "",
         "## Curve", "", f"![torque of the law over {labels[0]}]({effect.name}-curve.svg)", "",
         "## How it looks in your residuals", "", f"![residual over {labels[1]}]({effect.name}-residuals.svg)", "",
         f"Simulated: first joint of a made-up two-joint arm on a multisine, torque noise {NOISE:g} N m, a model without this effect.",

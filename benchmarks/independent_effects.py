@@ -16,13 +16,13 @@ from independent_sets import Truth, jittered
 
 
 def _asymmetric(t: Truth, j: int, x: float, u: Array) -> Truth:
-    fc, way = float(t.T[j, FC_POS]), 1.0 if u[0] < 0.5 else -1.0
-    return put(t, j, FC_POS=fc * (1 + way * x), FC_NEG=fc * (1 - way * x))
+    fc, side = float(t.T[j, FC_POS]), 1.0 if u[0] < 0.5 else -1.0
+    return put(t, j, FC_POS=fc * (1 + side * x), FC_NEG=fc * (1 - side * x))
 
 
 def _cubic(t: Truth, j: int, x: float, u: Array) -> Truth:
-    fv, way = float(t.T[j, FV]), -1.0 if u[0] < 0.6 else 1.0
-    return put(t, j, CUBIC=way * x * fv)
+    fv, side = float(t.T[j, FV]), -1.0 if u[0] < 0.6 else 1.0
+    return put(t, j, CUBIC=side * x * fv)
 
 
 def _payload(t: Truth, j: int, x: float, u: Array) -> Truth:
@@ -33,8 +33,8 @@ def _payload(t: Truth, j: int, x: float, u: Array) -> Truth:
 
 
 def _rotor(t: Truth, j: int, x: float, u: Array) -> Truth:
-    told = replace(t.told, rotor=replaced(t.told.rotor, j, t.arm.rotor[j] * (1 - x if u[0] < 0.7 else 1 + x)))
-    return replace(t, told=told)
+    described = replace(t.described, rotor=replaced(t.described.rotor, j, t.arm.rotor[j] * (1 - x if u[0] < 0.7 else 1 + x)))
+    return replace(t, described=described)
 
 
 def _elastic(t: Truth, j: int, x: float, u: Array) -> Truth:
@@ -102,8 +102,8 @@ def _hardening(t: Truth, j: int, x: float, u: Array) -> Truth:
 
 def _payload_on_wrong(t: Truth, j: int, x: float, u: Array) -> Truth:
     """The description is wrong besides, the same way for every size."""
-    told = jittered(t.arm, np.random.default_rng([t.seed, 7]), 0.0, 0.0, 0.04, wrong=True)
-    return replace(_payload(t, j, x, u), told=told)
+    described = jittered(t.arm, np.random.default_rng([t.seed, 7]), 0.0, 0.0, 0.04, wrong=True)
+    return replace(_payload(t, j, x, u), described=described)
 
 
 OTHER_LAWS: dict[str, Hidden] = {

@@ -19,8 +19,8 @@ def _trapezoid(length: float, speed: float, acceleration: float) -> Array:
     n = max(2, round(ramp / DT))
     rise = 0.5 * (1 - np.cos(np.pi * np.arange(n) / n))
     v = speed * np.concatenate([rise, np.ones(max(0, round(cruise / DT))), rise[::-1]])
-    way = np.cumsum(v) * DT
-    return np.asarray(way * (length / way[-1]))
+    path = np.cumsum(v) * DT
+    return np.asarray(path * (length / path[-1]))
 
 
 def point_to_point(reach: Array, speed: float, duration: float, rng: Generator) -> Array:

@@ -152,11 +152,11 @@ def simulate(R0, p, axis, pi, rotor, gravity, T, C, sc, sv, temp, extra, ff, qd,
                 else:
                     th[i], dth[i] = q[i], dq[i]
                 if T[i, DAHL] > 0:
-                    way = np.sign(dth[i])
+                    side = np.sign(dth[i])
                     fc = T[i, FC_POS]
                     if T[i, BOUC] > 0:  # Bouc and Wen's curve: stiff until close to sliding
-                        F[i] += T[i, DAHL] * (1 - np.sign(F[i] * way) * (abs(F[i]) / fc) ** T[i, BOUC]) * dth[i] * h
+                        F[i] += T[i, DAHL] * (1 - np.sign(F[i] * side) * (abs(F[i]) / fc) ** T[i, BOUC]) * dth[i] * h
                         F[i] = min(max(F[i], -fc), fc)
                     else:
-                        F[i] = way * fc + (F[i] - way * fc) * np.exp(-T[i, DAHL] / fc * abs(dth[i]) * h)
+                        F[i] = side * fc + (F[i] - side * fc) * np.exp(-T[i, DAHL] / fc * abs(dth[i]) * h)
     return Q, V, U

@@ -41,10 +41,10 @@ Columns = dict[str, Array]
 
 @dataclass(frozen=True)
 class Truth:
-    """What really is: ``arm`` with what was hidden in it, ``told`` what the description says, laws of friction and sensors."""
+    """What really is: ``arm`` with what was hidden in it, ``described`` what the description says, laws of friction and sensors."""
 
     arm: Arm
-    told: Arm
+    described: Arm
     T: Array  # (n, COLUMNS)
     C: Array  # (n, n) viscous coupling
     gain: Array  # (n,) true over reported torque
@@ -71,7 +71,7 @@ def _scaled(arm: Arm, s: float) -> Arm:
 
 def _with_twist(arm: Arm, k: int) -> Arm:
     """One joint more: link ``k`` is cut in half and turns about its own length there."""
-    way = arm.p[k + 1] / np.linalg.norm(arm.p[k + 1])
+    axis_of_link = arm.p[k + 1] / np.linalg.norm(arm.p[k + 1])
     m, c, J = centred(arm.pi[k])
     near = about_origin(m / 2, c / 2, J / 3)
     far = about_origin(m / 2, c / 2, J / 3)
@@ -81,7 +81,7 @@ def _with_twist(arm: Arm, k: int) -> Arm:
     twin = {name: np.insert(getattr(arm, name), k + 1, 0.7 * getattr(arm, name)[k]) for name in ("rotor", "limit")}
     return replace(
         arm, name=arm.name + "_7", joints=(*arm.joints[: k + 1], f"{arm.joints[k]}_twist", *arm.joints[k + 1 :]),
-        R0=np.insert(arm.R0, k + 1, np.eye(3), axis=0), p=p, axis=np.insert(arm.axis, k + 1, way, axis=0), pi=pi,
+        R0=np.insert(arm.R0, k + 1, np.eye(3), axis=0), p=p, axis=np.insert(arm.axis, k + 1, axis_of_link, axis=0), pi=pi,
         gear=np.insert(arm.gear, k + 1, arm.gear[k]), **twin,
     )  # fmt: skip
 
@@ -95,7 +95,7 @@ def random_truth(template: Arm, seed: int, other_arm: bool) -> Truth:
         if arm.n == 6 and rng.random() < 0.4:
             arm = _with_twist(arm, 1)
     arm = jittered(arm, rng, 0.08, 0.005, 0.08)
-    told = arm if rng.random() < 0.7 else jittered(arm, rng, 0.0, 0.0, 0.04, wrong=True)
+    described = arm if rng.random() < 0.7 else jittered(arm, rng, 0.0, 0.0, 0.04, wrong=True)
     T = np.zeros((arm.n, COLUMNS))
     fc = 0.42 * arm.limit**0.65 * rng.uniform(0.8, 1.25, arm.n)
     T[:, FC_POS] = T[:, FC_NEG] = fc
@@ -103,7 +103,7 @@ def random_truth(template: Arm, seed: int, other_arm: bool) -> Truth:
     T[:, [V_S, RES_WIDTH, BUMP_WIDTH]] = 1.0
     reach = np.where(arm.limit > 0.9 * arm.limit.max(), rng.uniform(1.0, 1.25, arm.n), rng.uniform(1.35, 2.2, arm.n))
     return Truth(
-        arm, told, T, np.zeros((arm.n, arm.n)), np.ones(arm.n), np.zeros(arm.n), np.zeros((arm.n, 2)),
+        arm, described, T, np.zeros((arm.n, arm.n)), np.ones(arm.n), np.zeros(arm.n), np.zeros((arm.n, 2)),
         0.037 * fc * rng.uniform(0.88, 1.15, arm.n), rng.uniform(13, 23, arm.n), reach, seed,
     )  # fmt: skip
 
@@ -135,8 +135,8 @@ def _run(
     """Closed-loop trial along the reference ``q`` (N, n), feed-forward from the description and nominal friction."""
     dq = np.gradient(q, DT, axis=0)
     ddq = np.gradient(dq, DT, axis=0)
-    told, T = truth.told, truth.T
-    ff = torques(told, q, dq, ddq) + T[:, FC_POS] * np.tanh(dq / 0.02) + T[:, FV] * dq
+    described, T = truth.described, truth.T
+    ff = torques(described, q, dq, ddq) + T[:, FC_POS] * np.tanh(dq / 0.02) + T[:, FV] * dq
     kp, kd = _gains(truth)
     dq0 = dq[0] if start is None else start
     return _simulate(truth, temp, sc, sv, extra, ff, q, dq, kp, kd, q[0], dq0)
@@ -173,8 +173,8 @@ def _trial(truth: Truth, rng: Generator, warm: float, N: int, worn: float = 1.0)
 
 def _contact(rng: Generator, N: int) -> Array:
     """(N,) one push of up to a second at some time of two trials in three."""
-    at, wide, way = rng.uniform(0, N), rng.uniform(0.1, 0.3) / DT, rng.choice([-1.0, 0.0, 1.0])
-    return np.asarray(way * np.exp(-(((np.arange(N) - at) / wide) ** 4)))
+    at, wide, sense = rng.uniform(0, N), rng.uniform(0.1, 0.3) / DT, rng.choice([-1.0, 0.0, 1.0])
+    return np.asarray(sense * np.exp(-(((np.arange(N) - at) / wide) ** 4)))
 
 
 def _measured(truth: Truth, rng: Generator, q: Array, dq: Array, tau: Array, temp: Array) -> Columns:
@@ -274,7 +274,7 @@ def static(truth: Truth) -> list[tuple[int, int, Columns]]:
     kp, _ = _gains(truth)
     for k in range(150):
         pose = rng.uniform(-1, 1, n) * truth.reach
-        for side, way in enumerate((1.0, -1.0)):
+        for side, sense in enumerate((1.0, -1.0)):
             temp, sc, _, extra = _trial(truth, rng, 0.45 + 0.5 * k / 150, 4, 0.0)
             built = 1 - 0.03 * rng.exponential(size=n)
             link, z = pose.copy(), np.zeros(n)
@@ -286,7 +286,7 @@ def static(truth: Truth) -> list[tuple[int, int, Columns]]:
             for j in range(n):
                 row = truth.T[j].copy()
                 row[[FV, DAHL]] = 0.0
-                held[j] = built[j] * friction(row, 0.012 * way, pose[j], 0.0, load[j], sc[j], 1.0, 0.0)[0]
+                held[j] = built[j] * friction(row, 0.012 * sense, pose[j], 0.0, load[j], sc[j], 1.0, 0.0)[0]
                 tau[j] = load[j] + held[j] + position_torque(row, pose[j])
             q = np.tile(pose - held / kp, (4, 1))
             out.append((k, side, _measured(truth, rng, q, np.zeros((4, n)), tau + extra, temp)))
@@ -315,12 +315,14 @@ def write_set(truth: Truth, folder: Path) -> None:
     table = {k: np.concatenate(v) for k, v in rows.items()}  # type: ignore[arg-type]
     single = {k: v.astype(np.float32) if "_" in k and k != "stop_trigger" else v for k, v in table.items()}
     pq.write_table(pa.table(single), folder / "recording.parquet")
-    (folder / "robot.urdf").write_text(urdf(truth.told))
+    (folder / "robot.urdf").write_text(urdf(truth.described))
     joints = {
         name: {"gear_ratio": int(a.gear[j]), "motor_inertia_kgm2": float(a.rotor[j] / a.gear[j] ** 2), "torque_limit_Nm": float(a.limit[j])}
-        for a in (truth.told,) for j, name in enumerate(a.joints)
+        for a in (truth.described,) for j, name in enumerate(a.joints)
     }  # fmt: skip
-    (folder / "robot.json").write_text(json.dumps({"robot": truth.told.name, "sample_rate_Hz": 250, "joints": joints}, indent=1))
+    (folder / "robot.json").write_text(
+        json.dumps({"robot": truth.described.name, "sample_rate_Hz": 250, "joints": joints}, indent=1)
+    )
 
 
 def urdf(arm: Arm) -> str:

@@ -26,7 +26,7 @@ TRIES = 6
 def residual(truth: Truth, fit: str, mask: str, joint: int, trials: list[tuple[int, int, Columns]] | None = None) -> Array:
     """(n,) residual RMS [N m] of the base model on the closed-loop trials; infinite where the arm can't be controlled."""
     b, a = butter(4, 10.0 / (0.5 / DT))
-    told, parts = truth.told, []
+    described, parts = truth.described, []
     for _, _, c in trials or closed_loop(truth):
         q, tau = (filtfilt(b, a, c[k], axis=0) for k in ("q", "tau"))
         dq = np.gradient(q, DT, axis=0)
@@ -35,11 +35,11 @@ def residual(truth: Truth, fit: str, mask: str, joint: int, trials: list[tuple[i
         parts.append([x[inside] for x in (q, dq, np.gradient(dq, DT, axis=0), tau, clear)])
     q, dq, ddq, tau, clear = (np.concatenate([p[k] for p in parts]) for k in range(5))
     if not all(np.isfinite(x).all() for x in (q, dq, ddq, tau)):
-        return np.full(told.n, np.inf)  # so large that the controller lost the arm
-    Y = np.asarray(regressor(told.R0, told.p, told.axis, told.gravity, q, dq, ddq))
-    n = told.n
+        return np.full(described.n, np.inf)  # so large that the controller lost the arm
+    Y = np.asarray(regressor(described.R0, described.p, described.axis, described.gravity, q, dq, ddq))
+    n = described.n
     moving = [clear[:, j] > 0.02 for j in range(n)]
-    y = tau - np.einsum("knp,p->kn", Y, told.pi.ravel()) - told.rotor * ddq
+    y = tau - np.einsum("knp,p->kn", Y, described.pi.ravel()) - described.rotor * ddq
     own = [np.stack([np.sign(dq[:, j]), dq[:, j], *([ddq[:, j]] if fit == "b" else [])], axis=1) for j in range(n)]
     wide, k = 10 * n if fit == "b" else 0, own[0].shape[1]
     A, target, joints = [], [], []

@@ -106,8 +106,8 @@ class Desk(StopDesk):
     def _start(self) -> None:
         n, a = self.n, np.full(self.n, 0.1)
         for category, c in self.counters.items():
-            for k in range(c.narrow.kept):  # a full shelf, of which the last holds the arm
-                wide = np.full(2 * n, 10.0 if k == c.narrow.kept - 1 else 1e-6)
+            for k in range(c.narrow.capacity):  # a full shelf, of which the last holds the arm
+                wide = np.full(2 * n, 10.0 if k == c.narrow.capacity - 1 else 1e-6)
                 c.narrow.put(Certificate(category, -wide, wide, Numbers(a, a, a, 0.02, np.full(n, True)), 0.001, 0.001))
             c.wide.put(c.narrow.answers[-1])
         self._ready = True
@@ -266,12 +266,12 @@ def main() -> None:
         write_recordings(recording, meta(), [motion(s, 1000, s) for s in range(3)])
         torque_path = folder / "torque.model.json"
         save_model(torque_input(), torque_path)
-        told = cycle_cost(torque_path, motion(0, CYCLES), before)
-        told["many"] = many_arms(torque_path, motion(0, CYCLES), 12)
+        results = cycle_cost(torque_path, motion(0, CYCLES), before)
+        results["many"] = many_arms(torque_path, motion(0, CYCLES), 12)
     else:
-        told = cycle_cost(model_path, next(iter(read_recordings(recording))), before)
+        results = cycle_cost(model_path, next(iter(read_recordings(recording))), before)
     if args.json:
-        args.json.write_text(json.dumps(told))
+        args.json.write_text(json.dumps(results))
     for speed in () if args.no_live else (1.0, 4.0):
         live(model_path, recording, 3, speed)
 

@@ -43,12 +43,12 @@ def never_twice(model: Model, seconds: float, seed: int = 3) -> tuple[Array, Arr
     top = TOP * np.minimum(-seen.lo[n:], seen.hi[n:])
     at, q, dq = middle, [middle[None]], [np.zeros((1, n))]
     while sum(len(x) for x in q) * dt < seconds:
-        way = middle + half * rng.uniform(-1.0, 1.0, n) - at
-        takes = max(SHORTEST, float(np.max(1.875 * np.abs(way) / top)))
+        displacement = middle + half * rng.uniform(-1.0, 1.0, n) - at
+        takes = max(SHORTEST, float(np.max(1.875 * np.abs(displacement) / top)))
         z = np.arange(dt, takes, dt)[:, None] / takes
-        q.append(at + way * (10 * z**3 - 15 * z**4 + 6 * z**5))
-        dq.append(way * (30 * z**2 - 60 * z**3 + 30 * z**4) / takes)
-        at = at + way
+        q.append(at + displacement * (10 * z**3 - 15 * z**4 + 6 * z**5))
+        dq.append(displacement * (30 * z**2 - 60 * z**3 + 30 * z**4) / takes)
+        at = at + displacement
     return np.concatenate(q)[: round(seconds / dt)], np.concatenate(dq)[: round(seconds / dt)]
 
 

@@ -32,7 +32,7 @@ def lives(job: tuple[Path, range]) -> tuple[list[str], Counter[str]]:
     for seed in seeds:
         world = World(seed, path, model).live()
         found += broken(world)
-        states.update(State(t.m["state"]).name for t in world.told)
+        states.update(State(t.m["state"]).name for t in world.published)
     return found, states
 
 

@@ -71,8 +71,8 @@ def rest_of(ramp: Ramp, noise: Box, r: Recording) -> float:
     """[s] time to rest of a controlled stop from the state measured at its request; nan where the ramp does not tell."""
     k, n = trigger_of(r), r.dq.shape[1]
     assert k is not None
-    told = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
-    return np.nan if told is None else float(told.max())
+    rest = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
+    return np.nan if rest is None else float(rest.max())
 
 
 def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Row]:

@@ -143,7 +143,7 @@ def steps(page: str) -> list[list[str]]:
     return [[line for line in block.splitlines() if line.strip() and not line.startswith("#")] for block in blocks]
 
 
-def told(command: str, folder: Path) -> str:
+def output_of(command: str, folder: Path) -> str:
     """Run a line of a tutorial in ``folder``; what it says on standard output.
 
     Raises:
@@ -163,7 +163,7 @@ def tutorial(page: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
 
         def step(found: re.Match[str]) -> str:
-            said = "".join(told(c, Path(folder)) for c in steps(found.group(0))[0]).rstrip().splitlines()
+            said = "".join(output_of(c, Path(folder)) for c in steps(found.group(0))[0]).rstrip().splitlines()
             shown = [line[:WIDTH] + ("..." if len(line) > WIDTH else "") for line in said[:LINES]]
             more = ["..."] if len(said) > LINES else []
             return f"```sh\n{found.group(1)}```\n" + (f"\n```text\n{chr(10).join(shown + more)}\n```\n" if said else "")

@@ -202,13 +202,13 @@ class Laws:
                 s = replace(signals[i], warm=b.warm[at], dq_other=dq[at][:, partner], memory=tuple(x[at] for x in states))
                 if effect.role == "friction":
                     s = replace(s, load=gear[:, i])
-                way = np.where(dq[at][:, i] == 0.0, 1.0, np.sign(dq[at][:, i]))
-                ahead, back = (self._torque(effect, s, w, mine) for w in (way, -way))
-                odd, even = 0.5 * way * (ahead - back), 0.5 * (ahead + back)
+                direction = np.where(dq[at][:, i] == 0.0, 1.0, np.sign(dq[at][:, i]))
+                ahead, back = (self._torque(effect, s, w, mine) for w in (direction, -direction))
+                odd, even = 0.5 * direction * (ahead - back), 0.5 * (ahead + back)
                 drift = b.drift[at][:, i] if effect.role == "friction" else 1.0
                 dry[at, i] += drift * odd
                 push[at, i] -= drift * even
-                for x, rate in zip(states, effect.rates(replace(s, way=way), mine), strict=True):
+                for x, rate in zip(states, effect.rates(replace(s, given_direction=direction), mine), strict=True):
                     x[at] += PIECE * rate
         return np.maximum(dry, 0.0), push + np.where(dry < 0.0, -dry * np.sign(dq), 0.0) * self._drives()
 
@@ -217,8 +217,8 @@ class Laws:
         return float(any(e.role != "friction" for e, *_ in self.rows))
 
     @staticmethod
-    def _torque(effect: Effect, s: Signals, way: Array, values: dict[str, Array]) -> Array:
-        return np.asarray(effect.torque(replace(s, way=way, dq=np.abs(s.dq) * way), values))
+    def _torque(effect: Effect, s: Signals, direction: Array, values: dict[str, Array]) -> Array:
+        return np.asarray(effect.torque(replace(s, given_direction=direction, dq=np.abs(s.dq) * direction), values))
 
 
 def escapes(

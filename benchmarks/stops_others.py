@@ -91,9 +91,12 @@ def main() -> None:
                 x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, args.stops, k)
                 assert x.escaped == 0
                 worst = np.maximum(x.forward, x.back)
-                ways = {**predictions(s.plant, q, dq), "our bound": np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0))}
-                for word, way in ways.items():
-                    rows.setdefault(word, []).extend((worst / way)[np.abs(dq) > FAST * top].tolist())
+                predicted = {
+                    **predictions(s.plant, q, dq),
+                    "our bound": np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)),
+                }
+                for word, bound in predicted.items():
+                    rows.setdefault(word, []).extend((worst / bound)[np.abs(dq) > FAST * top].tolist())
             print(f"{name}, {load:.3g} kg, {len(rows['our bound'])} joints in motion:", flush=True)
             for word, values in rows.items():
                 ratio = np.array(values)

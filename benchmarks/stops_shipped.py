@@ -71,11 +71,11 @@ def measure(model: Model, load: tuple[float, float], states: int) -> str:
 
 def tables() -> None:
     """One line for every category, and for the guaranteed one with either way of taking the power."""
-    kept, watched = Ramp.stated(6, time=0.5, off_after=0.6), Ramp.stated(6, time=0.3, monitored=True)
+    timed, watched = Ramp.stated(6, time=0.5, off_after=0.6), Ramp.stated(6, time=0.3, monitored=True)
     model = shipped()
     for c in CATEGORIES:
-        StopBounds.of(model, ramp=kept).bound(np.zeros(6), np.full(6, 0.1), c)
-    for c, ramp in [*((c, kept) for c in CATEGORIES), ("1 guaranteed", watched)]:
+        StopBounds.of(model, ramp=timed).bound(np.zeros(6), np.full(6, 0.1), c)
+    for c, ramp in [*((c, timed) for c in CATEGORIES), ("1 guaranteed", watched)]:
         begin = time.process_time()
         table = stop_table(model, Question(ramp=ramp, categories=(c,)))
         how = "SS1-r, 0.3 s" if ramp.monitored else "SS1-t, ramp 0.5 s, power off after 0.6 s"

@@ -92,7 +92,7 @@ def run(case: Case, number: int, stops: int, seen: dict[str, Any], until: float)
     return True
 
 
-def told(seen: dict[str, Any]) -> dict[str, Any]:
+def summary(seen: dict[str, Any]) -> dict[str, Any]:
     """What was counted, and 5/50/95 % points of what was compared."""
 
     def points(x: list[float]) -> list[float]:
@@ -114,16 +114,16 @@ def coverage(model: Model, payload: tuple[float, float], top: float, pieces: int
     return tight / states, good / states
 
 
-def sampled(stops: int, kept: Path | None, seconds: float) -> tuple[dict[str, Any], bool]:
+def sampled(stops: int, store: Path | None, seconds: float) -> tuple[dict[str, Any], bool]:
     """Results by case, and whether all are done; those of an earlier piece are read and gone on with."""
     results: dict[str, Any] = {"code": code(), "stops": stops}
-    if kept and kept.exists():
-        before = json.loads(kept.read_text())
+    if store and store.exists():
+        before = json.loads(store.read_text())
         if (before["code"], before["stops"]) != (results["code"], stops):
             was = f"{before['stops']} stops of code {before['code']}"
-            raise SystemExit(f"{kept} holds {was}; expected {stops} of {results['code']}: name another file")
+            raise SystemExit(f"{store} holds {was}; expected {stops} of {results['code']}: name another file")
         results = before
-    until, done = time.monotonic() + (seconds if kept else np.inf), True
+    until, done = time.monotonic() + (seconds if store else np.inf), True
     for number, case in enumerate([*CASES, *STRONG], 1):
         none = {
             "drawn": 0,
@@ -138,9 +138,9 @@ def sampled(stops: int, kept: Path | None, seconds: float) -> tuple[dict[str, An
         }
         seen = results.setdefault(case[0], none)
         done &= run(case, number, stops, seen, until)
-        print(f"{case[0]}: {told(seen)}", flush=True)
-        if kept:
-            kept.write_text(json.dumps(results) + "\n")
+        print(f"{case[0]}: {summary(seen)}", flush=True)
+        if store:
+            store.write_text(json.dumps(results) + "\n")
         if not done:
             break
     return results, done
@@ -150,12 +150,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stops", type=int, default=1_000_000)
     parser.add_argument("--states", type=int, default=40, help="for coverage; 0: none")
-    parser.add_argument("--kept", type=Path, help="go on with what this file holds, and keep there what is added")
+    parser.add_argument("--kept", dest="store", type=Path, help="go on with what this file holds, and keep there what is added")
     parser.add_argument("--seconds", type=float, default=150.0, help="of one piece, with --kept")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    results, done = sampled(args.stops, args.kept, args.seconds)
-    cases = {name: told(x) for name, x in results.items() if isinstance(x, dict)}
+    results, done = sampled(args.stops, args.store, args.seconds)
+    cases = {name: summary(x) for name, x in results.items() if isinstance(x, dict)}
     total, escapes = (sum(x[key] for x in cases.values()) for key in ("stops", "escapes"))
     print(f"{total} stops, {escapes} escapes of code {results['code']}{'' if done else ', not done'}", flush=True)
     if not done:

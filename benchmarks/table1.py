@@ -61,20 +61,20 @@ def exact_ddq(chain: Chain, pi: Array, rotor: Array, viscous: Array, q: Array, d
 def motion(rng: np.random.Generator, n: int, top: float, N: int, family: str) -> Callable[[float], tuple[Array, Array, Array]]:
     """``t -> q, dq, ddq`` (N, n): N random trajectories of quintic point-to-point moves, every axis reaching ``top`` in each."""
     T = SECONDS / MOVES
-    way = top * T / 1.875  # a quintic's top speed is 1.875 times its mean speed
+    length = top * T / 1.875  # a quintic's top speed is 1.875 times its mean speed
     direction = rng.choice([-1.0, 1.0], (N, n))
-    start = rng.uniform(-1.0, 1.0, (N, n)) if family == "anywhere" else rng.uniform(-0.3, 0.3, (N, n)) - 0.5 * way * direction
+    start = rng.uniform(-1.0, 1.0, (N, n)) if family == "anywhere" else rng.uniform(-0.3, 0.3, (N, n)) - 0.5 * length * direction
     # moves alternate, so that the arm keeps to the middle of its range
     turn = [direction * (-1) ** k for k in range(MOVES)]
 
     def at(t: float) -> tuple[Array, Array, Array]:
         k = min(int(t / T), MOVES - 1)
         x = t / T - k
-        here = start + way * sum(turn[:k], np.zeros((N, n)))
+        here = start + length * sum(turn[:k], np.zeros((N, n)))
         s = x**3 * (10 - 15 * x + 6 * x * x)
         ds = 30 * x * x * (1 - x) ** 2 / T
         dds = 60 * x * (1 - x) * (1 - 2 * x) / T**2
-        return here + way * turn[k] * s, way * turn[k] * ds, way * turn[k] * dds
+        return here + length * turn[k] * s, length * turn[k] * ds, length * turn[k] * dds
 
     return at
 
@@ -180,13 +180,13 @@ def text(answer: dict) -> str:
         for m, s in columns:
             c = cells.get((s, f"model {m}", p))
             paper = PAPER[s][m][ORDERS.index(p)] if p in ORDERS else None
-            told = "" if paper is None else f" [{'∞' if np.isinf(paper) else f'{paper:.4f}'}]"
+            paper_says = "" if paper is None else f" [{'∞' if np.isinf(paper) else f'{paper:.4f}'}]"
             if c is None:
-                row.append("--" + told)
+                row.append("--" + paper_says)
             elif c["diverged"]:
-                row.append(f"∞ ({c['diverged']} of {answer['trajectories']})" + told)
+                row.append(f"∞ ({c['diverged']} of {answer['trajectories']})" + paper_says)
             else:
-                row.append(f"{c['error']:.2g}" + told if c["error"] < 5e-5 else f"{c['error']:.4f}" + told)
+                row.append(f"{c['error']:.2g}" + paper_says if c["error"] < 5e-5 else f"{c['error']:.4f}" + paper_says)
         lines.append(f"| {p} | " + " | ".join(row) + " |")
     exact = ", ".join(f"{s} {cells[(s, 'exact', None)]['error']:.1e}" for s in ("slow", "fast"))
     d = answer["maximal_degrees"]

@@ -30,12 +30,12 @@ def body(model: Model) -> dict[str, object]:
     return {k: x for k, x in json.loads(model_text(model)).items() if k not in ("sha256", "revisions")}
 
 
-def updated(robot: Robot, old: Path, new: Path, kept: Keep, folder: Path) -> tuple[Model, float]:
+def updated(robot: Robot, old: Path, new: Path, how: Keep, folder: Path) -> tuple[Model, float]:
     """The model of ``old`` with ``new`` added, and the state's size [kB]."""
-    found = identify(robot, [old], keep=kept)
+    found = identify(robot, [old], keep=how)
     model, state = save_model(found.model, folder / "m.json"), folder / "m.state"
-    assert found.kept is not None
-    save_state(state, found.kept, model)
+    assert found.retained is not None
+    save_state(state, found.retained, model)
     return update(model, load_state(state, model), [new]).model, state.stat().st_size / 1e3
 
 
@@ -62,9 +62,9 @@ def main() -> None:
             pq.write_table(table.filter(first), old)
             pq.write_table(table.filter(~first), new)
             whole = identify(robot, [old, new]).model
-            for kept in KINDS:
-                model, size = updated(robot, old, new, kept, folder)
-                print(row(f"{cut}, {kept}", model, whole, size), flush=True)
+            for how in KINDS:
+                model, size = updated(robot, old, new, how, folder)
+                print(row(f"{cut}, {how}", model, whole, size), flush=True)
 
 
 if __name__ == "__main__":

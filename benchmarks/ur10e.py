@@ -60,11 +60,11 @@ POLYNOMIAL = Effect(
 
 def _quadrants(s: Any, shape: Any) -> tuple[Any, ...]:
     out = []
-    for way in (-1.0, 1.0):
-        here = 0.5 * (absolute(s.direction) + way * s.direction)  # 1 while moving this way
+    for toward in (-1.0, 1.0):
+        here = 0.5 * (absolute(s.direction) + toward * s.direction)  # 1 while moving this way
         for side in (-1.0, 1.0):
-            inside = here * 0.5 * (1.0 + side * way * sign(s.load))
-            out += [way * inside, way * inside * absolute(s.load)]
+            inside = here * 0.5 * (1.0 + side * toward * sign(s.load))
+            out += [toward * inside, toward * inside * absolute(s.load)]
     return tuple(out)
 
 

@@ -151,10 +151,10 @@ def main() -> None:
         "near the known figures": near, "all": found,
         "none of the shortest recordings": [s for s in found if not SHORT & {*s["fit"], *s["test"]}],
     }  # fmt: skip
-    told = {}
+    answers = {}
     for name, some in groups.items():
         e = np.array([s["stopset"] for s in some])
-        told[name] = {
+        answers[name] = {
             "splits": len(e),
             "median": float(np.median(e)),
             "largest": float(e.max()),
@@ -164,7 +164,7 @@ def main() -> None:
             f"{name}: {len(e)} splits, median {np.median(e):.2f}, largest {e.max():.2f}, {int((e <= TARGET).sum())} at most {TARGET}"
         )
     if args.json:
-        args.json.write_text(json.dumps({"groups": told, "near": near}, indent=1))
+        args.json.write_text(json.dumps({"groups": answers, "near": near}, indent=1))
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class Acting:
-    """Torque of an effect on ``m`` joints, ``way (dry + viscous |dq|) + push``: each (m, 2) lower and upper ends [N m, N m s/rad]."""
+    """Torque of an effect on ``m`` joints, ``direction (dry + viscous |dq|) + push``: each (m, 2) lower and upper ends [N m, N m s/rad]."""
 
     dry: Array
     viscous: Array
@@ -107,13 +107,13 @@ def _signals(effect: Effect, sight: Sight, shapes: Mapping[str, Interval]) -> Si
         load: Any = Slope.constant(Interval(ends[:, :3], ends[:, 1:]))
     else:
         load = seen(sight.load, "load")
-    way = np.array([1.0, -1.0])[:, None, None]
+    direction = np.array([1.0, -1.0])[:, None, None]
     other = None if sight.other is None else Interval(-sight.other, sight.other)
     tilt = (Unbounded("tilt"),) * 2 if sight.tilt is None else tuple(seen(x, "tilt") for x in sight.tilt)
     # a signal that nothing here bounds is never taken for zero: who looks at it is refused
     every: dict[str, Any] = {f.name: Unbounded(f.name) for f in fields(Signals)}
     bounded = {
-        "q": seen(sight.q, "q"), "dq": Slope.variable(sight.speed[:, None], way), "way": Slope.constant(way), "load": load,
+        "q": seen(sight.q, "q"), "dq": Slope.variable(sight.speed[:, None], direction), "given_direction": Slope.constant(direction), "load": load,
         "temp": seen(sight.temp, "temp, and no temperature was recorded"), "stiff": seen(sight.stiff, "stiff"),
         "warm": Slope.constant(Interval(np.array(0.0), np.array(1.0))), "tip": (Unbounded("tip"),) * 10, "tilt": tilt,
         "inertia": seen(sight.inertia, "inertia"), "coriolis": seen(sight.coriolis, "coriolis"), "dq_other": seen(other, "dq_other"),
@@ -170,14 +170,16 @@ def _hulls(x: Interval) -> Array:
 def _at_rest(effect: Effect, values: Sequence[Interval], shapes: Mapping[str, Interval], sight: Sight) -> Array:
     """(m, 2) all torque of the law where the joint stands, whatever direction its friction takes [N m]."""
     s = _signals(effect, sight, shapes)
-    any_way = Slope.constant(Interval(np.array(-1.0), np.array(1.0)))
-    columns = effect.columns(replace(s, dq=Slope.constant(0.0), way=any_way), {k: Slope.constant(x) for k, x in shapes.items()})
+    any_direction = Slope.constant(Interval(np.array(-1.0), np.array(1.0)))
+    columns = effect.columns(
+        replace(s, dq=Slope.constant(0.0), given_direction=any_direction), {k: Slope.constant(x) for k, x in shapes.items()}
+    )
     total = _sum([c.all if isinstance(c, Slope) else c for c in columns], values)
     return _hulls(Interval(*(x + np.zeros((len(sight.speed), 1)) for x in (total.lo, total.hi))))
 
 
 def _split(effect: Effect, plus: Array, minus: Array) -> tuple[Array, Array]:
-    """Torques forward and backward, (m, 2) ends each, as ``way * odd + even``: what opposes the motion, and what does not."""
+    """Torques forward and backward, (m, 2) ends each, as ``direction * odd + even``: what opposes the motion, and what does not."""
     if effect.role == "friction":
         odd = np.column_stack([np.minimum(plus[:, 0], -minus[:, 1]), np.maximum(plus[:, 1], -minus[:, 0])])
         return odd, np.zeros_like(odd)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 from monitor_arm import DT
-from monitor_world import LOOK, RECOVER, VALID, Told, World
+from monitor_world import LOOK, RECOVER, VALID, Published, World
 from stopset.monitor.daemon import PATIENCE
 from stopset.monitor.layout import Flag, State
 
@@ -18,11 +18,11 @@ HEARTBEAT = PATIENCE + 2 * DT + 0.02  # [s] longest silence of a daemon that is 
 SLACK = 20 * LOOK  # [s] from the look at the clock to the message
 
 
-def lives(world: World) -> Iterator[list[Told]]:
+def lives(world: World) -> Iterator[list[Published]]:
     """The messages of each start."""
     for life in range(1, world.life + 1):
-        if told := [t for t in world.told if t.life == life]:
-            yield told
+        if published := [t for t in world.published if t.life == life]:
+            yield published
 
 
 def nothing_comes_out_of_the_daemon(world: World) -> Iterator[str]:
@@ -30,7 +30,7 @@ def nothing_comes_out_of_the_daemon(world: World) -> Iterator[str]:
 
 
 def never_ok_on_old_data(world: World) -> Iterator[str]:
-    for t in world.told:
+    for t in world.published:
         if t.m["state"] in GOOD and t.at - t.sampled > VALID + SLACK + t.stood:
             yield f"{t.at:.3f}: {State(t.m['state']).name} on data {t.at - t.sampled:.3f} s old"
 
@@ -42,31 +42,31 @@ def no_consumer_believes_old_data(world: World) -> Iterator[str]:
 
 
 def never_ok_when_a_drive_is_not_good(world: World) -> Iterator[str]:
-    for before, t in pairwise(world.told):
+    for before, t in pairwise(world.published):
         # the word of the drive came a whole cycle before, to a daemon that was listening
         if not before.drives_good and before.life == t.life and t.m["state"] in GOOD and t.at - before.at < 1.0:
-            known = [x for x in world.told if not x.drives_good and x.life == t.life]
+            known = [x for x in world.published if not x.drives_good and x.life == t.life]
             if t.at - known[0].at > 5 * DT + VALID:
                 yield f"{t.at:.3f}: {State(t.m['state']).name} with a drive in an emergency or stopped"
 
 
 def heartbeat_is_never_late(world: World) -> Iterator[str]:
-    for told in lives(world):
-        for a, b in pairwise(told):
+    for published in lives(world):
+        for a, b in pairwise(published):
             if b.at - a.at > HEARTBEAT + b.stood:
                 yield f"{b.at:.3f}: silent for {b.at - a.at:.3f} s"
 
 
 def messages_are_numbered(world: World) -> Iterator[str]:
-    for told in lives(world):
-        if [t.m["seq"] for t in told] != list(range(len(told))) or len({t.m["boot_id"] for t in told}) != 1:
-            yield f"life {told[0].life}: numbers or boot id are not those of one life"
+    for published in lives(world):
+        if [t.m["seq"] for t in published] != list(range(len(published))) or len({t.m["boot_id"] for t in published}) != 1:
+            yield f"life {published[0].life}: numbers or boot id are not those of one life"
 
 
 def the_latch_is_never_lost(world: World) -> Iterator[str]:
     latched, cleared = False, 0
     saved_all = world.faults.disk_error == 0.0
-    for a, t in pairwise(world.told):
+    for a, t in pairwise(world.published):
         latched |= bool(a.m["flags"] & Flag.VIOLATION_LATCHED)
         if latched and not t.m["flags"] & Flag.VIOLATION_LATCHED and t.resets > cleared:
             latched, cleared = False, t.resets
@@ -81,16 +81,16 @@ def the_latch_is_never_lost(world: World) -> Iterator[str]:
 def a_good_arm_is_not_accused(world: World) -> Iterator[str]:
     if world.torn:
         return
-    for t in world.told:
+    for t in world.published:
         if t.m["flags"] & Flag.VIOLATION_LATCHED and t.at < world.altered_at:
             yield f"{t.at:.3f}: a violation, and the arm is as it was identified"
             return
 
 
 def ok_comes_back_only_after_good_cycles(world: World) -> Iterator[str]:
-    for told in lives(world):
-        since = told[0].at
-        for t in told:
+    for published in lives(world):
+        since = published[0].at
+        for t in published:
             if t.m["state"] not in GOOD and not t.m["flags"] & Flag.RECOVERING:
                 since = t.at
             if t.m["state"] == State.OK and t.at - since < RECOVER - SLACK:
@@ -98,7 +98,7 @@ def ok_comes_back_only_after_good_cycles(world: World) -> Iterator[str]:
 
 
 def numbers_are_withdrawn(world: World) -> Iterator[str]:
-    for t in world.told:
+    for t in world.published:
         if t.m["stop0_provable"] and t.m["state"] not in (*GOOD, State.UNKNOWN):
             yield f"{t.at:.3f}: proven numbers in state {State(t.m['state']).name}"
 

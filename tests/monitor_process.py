@@ -19,10 +19,11 @@ from typing import Any
 
 import pytest
 
+from patience import wait
 from stopset.artifact import load_model
 from stopset.monitor.authentication import Keys
 from stopset.monitor.config import load_config
-from stopset.monitor.consumer import MS, Consumer, Doubt, Expected
+from stopset.monitor.consumer import MS, Consumer, Expected, Fault
 from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.zenoh_link import ZenohLink
 
@@ -66,16 +67,6 @@ def running(*words: str, **more: str) -> Iterator[subprocess.Popen[str]]:
             process.communicate()
 
 
-def wait(what: Callable[[], Any], seconds: float = 20.0) -> bool:
-    """Until ``what`` holds; whether it did in time."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if what():
-            return True
-        time.sleep(0.02)
-    return bool(what())
-
-
 def expected(config: Path, keys: Keys | None = None) -> Expected:
     """What a consumer of the monitor of ``config`` is told."""
     c = load_config(config)
@@ -86,7 +77,7 @@ class Reading:
     """A consumer at work: ``said`` holds (time, state, doubt) of every look, once per few milliseconds."""
 
     def __init__(self, ask: Callable[[bytes], None]) -> None:
-        self.said: list[tuple[float, State, int]] = [(time.monotonic(), State.FAULT, int(Doubt.NO_MESSAGE))]
+        self.said: list[tuple[float, State, int]] = [(time.monotonic(), State.FAULT, int(Fault.NO_MESSAGE))]
         self.ask = ask
         self.on = True
         self.thread = threading.Thread(target=self.work, daemon=True)
@@ -106,9 +97,9 @@ class Reading:
         before = [s for at, s, _ in self.said if at < t]
         return {*before[-1:], *(s for at, s, _ in self.said if at >= t)}
 
-    def doubts(self, t: float) -> set[Doubt]:
+    def faults(self, t: float) -> set[Fault]:
         """Doubts told after ``t``."""
-        return {Doubt(d) for at, _, d in self.said if at >= t and d}
+        return {Fault(d) for at, _, d in self.said if at >= t and d}
 
     def close(self) -> None:
         self.on = False
@@ -132,11 +123,11 @@ class PythonReading(Reading):
             with self.lock:
                 nonce = self.consumer.challenge(time.monotonic_ns(), secrets.randbits(64))
                 state = self.consumer.state(time.monotonic_ns())
-                doubt = int(self.consumer.why)
+                fault = int(self.consumer.why)
             if nonce:
                 self.ask(nonce)
-            if (state, doubt) != self.said[-1][1:]:
-                self.said.append((time.monotonic(), state, doubt))
+            if (state, fault) != self.said[-1][1:]:
+                self.said.append((time.monotonic(), state, fault))
             time.sleep(0.002)
 
     @property
@@ -202,19 +193,20 @@ def compiled(folder: Path, *source: str | Path, words: tuple[str, ...] = ()) -> 
     return binary
 
 
+def listens(port: int) -> bool:
+    """Whether somebody does."""
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=1):
+            return True
+    except OSError:
+        return False
+
+
 class Ear:
     """A zenoh subscriber to everything a monitor publishes."""
 
     def __init__(self, port: int) -> None:
-        end = time.monotonic() + 20
-        while True:  # until the monitor listens
-            try:
-                with socket.create_connection(("127.0.0.1", port), timeout=1):
-                    break
-            except OSError:
-                if time.monotonic() > end:
-                    raise
-                time.sleep(0.05)
+        assert wait(lambda: listens(port)), "the monitor never listened"
         self.link = ZenohLink(PREFIX, mode="client", connect=[f"tcp/127.0.0.1:{port}"])
         self.raw: list[bytes] = []
         self.twins: list[dict[str, Any]] = []
@@ -229,7 +221,7 @@ class Ear:
     def states(self) -> list[State]:
         return [State(unpack(d)["state"]) for d in list(self.raw)]
 
-    def wait(self, what: Any, seconds: float = 20.0) -> bool:
+    def wait(self, what: Any, seconds: float = 60.0) -> bool:
         return wait(what, seconds)
 
     def __enter__(self) -> Ear:

@@ -66,7 +66,7 @@ class Faults:
 
 
 @dataclass
-class Told:
+class Published:
     """A message as the daemon sent it, and how the world was then."""
 
     at: float  # true time [s]
@@ -80,14 +80,14 @@ class Told:
 
 @dataclass
 class World:
-    """One life of a cell, of ``seconds``; `live` runs it. What was said is in ``told``, what a consumer believed in ``believed``."""
+    """One life of a cell, of ``seconds``; `live` runs it. What was said is in ``published``, what a consumer believed in ``believed``."""
 
     seed: int
     model_path: Path
     model: Model = field(default_factory=lambda: known_model(horizon=0.1))
     seconds: float = 0.7
     fault: Fault | None = None  # of the arm itself, and then nothing else goes wrong
-    told: list[Told] = field(default_factory=list)
+    published: list[Published] = field(default_factory=list)
     believed: list[tuple[float, State, float]] = field(default_factory=list)  # time, state, when the data were sampled
     errors: list[str] = field(default_factory=list)
 
@@ -241,7 +241,7 @@ class World:
             self.pass_time(LOOK)
             self.recorder.turn()  # which a thread does otherwise
             m = unpack(data)
-            self.told.append(Told(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
+            self.published.append(Published(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
             self.stood = 0.0
             if rng.random() < f.rubbish:
                 self.order(rng.choice(["reset", "challenge"]), rng.choice([b"", b"\xff" * 100, b'{"name": "\xff"}', b"[" * 5000]))

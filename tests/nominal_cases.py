@@ -93,10 +93,10 @@ def poses(truth: Truth, count: int, seed: int, sides: int = 2) -> list[Recording
     t = np.arange(4) * 0.004
     for k in range(count):
         q = rng.uniform(-1.5, 1.5, 3)
-        for trial, way in list(enumerate((1.0, -1.0)))[:sides]:
-            rows = np.tile(q + 0.01 * way, (4, 1))
+        for trial, direction in list(enumerate((1.0, -1.0)))[:sides]:
+            rows = np.tile(q + 0.01 * direction, (4, 1))
             load = gravity_torques(r.chain, r.pi, rows)
-            tau = load + truth.friction(np.full_like(rows, way * 1e-9), load) + 0.1 * rng.normal(size=rows.shape)
+            tau = load + truth.friction(np.full_like(rows, direction * 1e-9), load) + 0.1 * rng.normal(size=rows.shape)
             out.append(Recording("static", k, trial, 2 * k + trial, t, rows, 0 * rows, tau))
     return out
 

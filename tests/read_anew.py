@@ -13,26 +13,26 @@ from stopset.offline.campaign.survey import STOPS, Tally
 from stopset.offline.conform.gather import RetainedSums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.revise.revise import settings_of
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 
 
 def from_scratch(
-    model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell = silent, scheduler: str | None = None
+    model: Model, retained: RetainedSums, paths: Sequence[str | Path], progress: Progress = silent, scheduler: str | None = None
 ) -> Identification:
     """Sets of the nominal part of ``model`` from all of ``paths``, read anew; what an update must equal.
 
-    ``paths`` begin with the files that the model was made from; of ``kept`` only what belongs to the nominal model counts.
+    ``paths`` begin with the files that the model was made from; of ``retained`` only what belongs to the nominal model counts.
     """
     settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
     meta, source = (campaign := campaign_of(robot, paths)).meta, campaign.trials
-    tell("reading the recordings")
-    tally = Tally(kept.tally.phase)
+    progress("reading the recordings")
+    tally = Tally(retained.tally.phase)
     stops = []
     for r in source():
         tally.add(r)
         if r.phase in STOPS:
             stops.append(r)
-    found = tally.survey(kept.learnt, kept.session, kept.dt)
+    found = tally.survey(retained.learnt, retained.session, retained.dt)
     run = Run(robot, meta, source, found, settings)
-    sums = sums_of(run, kept.nominal, kept.form, keep=True, scheduler=scheduler)
-    return stopped(concluded(run, kept.nominal, kept.form, sums, tally), stops, tell)
+    sums = sums_of(run, retained.nominal, retained.form, keep=True, scheduler=scheduler)
+    return stopped(concluded(run, retained.nominal, retained.form, sums, tally), stops, progress)

@@ -32,7 +32,12 @@ class Controller:
         self._server = socket.create_server((host, port))
         self.port = int(self._server.getsockname()[1])
         self._sockets: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._threads: list[threading.Thread] = []
+        self._start(self._accept)
+
+    def _start(self, work: Callable[..., None], *about: Any) -> None:
+        self._threads.append(threading.Thread(target=work, args=about, daemon=True))
+        self._threads[-1].start()
 
     def _accept(self) -> None:
         while self.open:
@@ -41,7 +46,7 @@ class Controller:
             except OSError:
                 return
             self._sockets.append(s)
-            threading.Thread(target=self._serve, args=(s,), daemon=True).start()
+            self._start(self._serve, s)
 
     def _serve(self, s: socket.socket) -> None:
         names: list[str] = []
@@ -59,7 +64,7 @@ class Controller:
                     self._send(s, kind, bytes(["NOT_FOUND" not in types]) + ",".join(types).encode())
                 elif kind == ord("S"):
                     self._send(s, kind, b"\1")
-                    threading.Thread(target=self._feed, args=(s, names), daemon=True).start()
+                    self._start(self._feed, s, names)
                 elif kind == ord("P"):
                     self._send(s, kind, b"\1")
                 else:
@@ -68,8 +73,8 @@ class Controller:
     def _feed(self, s: socket.socket, names: list[str]) -> None:
         begin = time.monotonic() - self.k * self.cycle
         text = b"hello from the controller"
-        self._send(s, ord("M"), bytes([len(text)]) + text + bytes([3]) + b"arm" + b"\1")
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # the client, or `close`, has hung up
+            self._send(s, ord("M"), bytes([len(text)]) + text + bytes([3]) + b"arm" + b"\1")
             while self.open:
                 time.sleep(max(0.0, begin + self.k * self.cycle - time.monotonic()))
                 row = {"timestamp": (1000.0 + self.k * self.cycle,), **self.state(self.k)}
@@ -105,4 +110,7 @@ class Controller:
         with contextlib.suppress(OSError):
             self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
+        self._threads[0].join()  # who is let in after this is hung up on too
         self.hang_up()
+        for thread in self._threads:
+            thread.join()

@@ -37,7 +37,7 @@ def _upper(
 ) -> tuple[NDArray[np.int_], Array, Array]:
     """Of the upper curves from ``speed`` (n,): the first knot at which they are at rest for good, how far, how fast in size."""
     h, U, K = t[1] - t[0], speed, len(forward)
-    way, far, fast, last = np.zeros_like(U), np.zeros_like(U), np.abs(U), np.zeros(len(U), int)
+    travel, far, fast, last = np.zeros_like(U), np.zeros_like(U), np.abs(U), np.zeros(len(U), int)
     with np.errstate(invalid="ignore"):
         for k in range(K):
             moving = U + h * forward[k]
@@ -46,8 +46,8 @@ def _upper(
             new = np.where(U > 0.0, ahead, np.where(back >= 0.0, h * np.maximum(0.0, forward[k]), back))
             # rates of a direction the whole box cannot take are infinite; the tube itself bounds those steps
             new = np.where(new < np.inf, new, np.maximum(v_hi[k], v_hi[k + 1]))
-            way = way + h * np.where((U < 0.0) & (new >= 0.0), new, 0.5 * (U + new))
-            far, fast = np.maximum(far, way), np.maximum(fast, np.abs(new))
+            travel = travel + h * np.where((U < 0.0) & (new >= 0.0), new, 0.5 * (U + new))
+            far, fast = np.maximum(far, travel), np.maximum(fast, np.abs(new))
             U = np.minimum(new, v_hi[k + 1])
             last = np.where(U != 0.0, k + 2, last)
     return np.minimum(last, K), far, fast

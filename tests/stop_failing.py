@@ -83,8 +83,8 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
         ended = len(shares) * DT + (DT * (len(moving) - 1 - int(np.argmax(moving[::-1]))) if moving.any() else 0.0)
         R0, o0 = link_frames(chain, q0)
         p0 = o0[-1] + R0[-1] @ s.payload_com
-        way = np.array([_tool(chain, q0 + row, s.payload_com) for row in d[:: max(1, len(d) // 40)]]) - p0
-        far = float(np.linalg.norm(way, axis=1).max())
+        travel = np.array([_tool(chain, q0 + row, s.payload_com) for row in d[:: max(1, len(d) // 40)]]) - p0
+        far = float(np.linalg.norm(travel, axis=1).max())
         angle, time, tcp = np.maximum(angle, np.abs(d).max(axis=0)), max(time, ended), max(tcp, far)
         inside = (
             np.all(d.max(axis=0) <= bound.forward + ANGLE_ERROR)
@@ -92,8 +92,8 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
             and np.all(np.abs(v).max(axis=0) <= bound.speed + SPEED_ERROR)
             and ended <= float(bound.time.max()) + DT
             and far <= bound.tcp + 1e-6
-            and np.all(way <= bound.tcp_box[:, 1] + 1e-6)
-            and np.all(way >= bound.tcp_box[:, 0] - 1e-6)
+            and np.all(travel <= bound.tcp_box[:, 1] + 1e-6)
+            and np.all(travel >= bound.tcp_box[:, 0] - 1e-6)
         )
         escaped += not inside
     return Failed(count, escaped, angle, time, tcp)

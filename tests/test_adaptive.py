@@ -40,7 +40,7 @@ class Campaign:
     model: Model
     state: Path
 
-    def kept(self, model: Model | None = None) -> RetainedSums:
+    def retained(self, model: Model | None = None) -> RetainedSums:
         return load_state(self.state, model or self.model)
 
     def write(self, name: str, trials: list[Recording]) -> Path:
@@ -51,8 +51,8 @@ def campaign(folder: Path, suites: int, settings: Settings | None = None, **more
     old = save_trials(folder / "old.parquet", recordings(J, v, suites, **more), JOINTS)
     found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, folder / "old.model.json")
-    assert isinstance(found.kept, RetainedSums)
-    save_state(folder / "old.state", found.kept, model)
+    assert isinstance(found.retained, RetainedSums)
+    save_state(folder / "old.state", found.retained, model)
     return Campaign(folder, old, model, folder / "old.state")
 
 
@@ -80,8 +80,8 @@ def same(a: Identification, b: Identification) -> None:
 
 
 def check(c: Campaign, new: list[Path]) -> Identification:
-    added = update(c.model, c.kept(), new)
-    same(added, from_scratch(c.model, c.kept(), [c.old, *new]))
+    added = update(c.model, c.retained(), new)
+    same(added, from_scratch(c.model, c.retained(), [c.old, *new]))
     return added
 
 
@@ -105,12 +105,12 @@ def test_new_motions_give_the_bits_of_all_recordings_read_together(nine: Campaig
 def test_one_by_one_equals_at_once(nine: Campaign) -> None:
     first = nine.write("first.parquet", recordings(J, v, 2, seed=11))
     second = nine.write("second.parquet", recordings(J, v, 2, seed=12))
-    step = update(nine.model, nine.kept(), [first])
+    step = update(nine.model, nine.retained(), [first])
     model = save_model(step.model, nine.folder / "step.model.json")
-    assert isinstance(step.kept, RetainedSums)
-    save_state(nine.folder / "step.state", step.kept, model)
+    assert isinstance(step.retained, RetainedSums)
+    save_state(nine.folder / "step.state", step.retained, model)
     twice = update(load_model(nine.folder / "step.model.json"), load_state(nine.folder / "step.state", model), [second])
-    same(twice, update(nine.model, nine.kept(), [first, second]))
+    same(twice, update(nine.model, nine.retained(), [first, second]))
     assert [r.number for r in twice.model.revisions] == [0, 1, 2]
     assert sum(x.startswith("updated: ") for x in twice.model.notes) == 1
 
@@ -136,8 +136,8 @@ def test_two_old_motions_that_prove_to_be_one_are_merged(tmp_path: Path) -> None
     found = identify(ROBOT, [path], keep="sums")
     assert len(set(found.survey.motion.values())) == 6
     model = save_model(found.model, tmp_path / "m.json")
-    assert isinstance(found.kept, RetainedSums)
-    save_state(tmp_path / "s.state", found.kept, model)
+    assert isinstance(found.retained, RetainedSums)
+    save_state(tmp_path / "s.state", found.retained, model)
     c = Campaign(tmp_path, path, model, tmp_path / "s.state")
     bridge = c.write("bridge.parquet", long)
     added = check(c, [bridge])
@@ -162,8 +162,8 @@ def test_bands_positions_and_a_fixed_margin_are_updated_too(tmp_path: Path) -> N
     warming(old, seed=1)
     found = identify(ROBOT, [old], settings, keep="sums")
     model = save_model(found.model, tmp_path / "m.json")
-    assert isinstance(found.kept, RetainedSums)
-    save_state(tmp_path / "s.state", found.kept, model)
+    assert isinstance(found.retained, RetainedSums)
+    save_state(tmp_path / "s.state", found.retained, model)
     new = tmp_path / "new.parquet"
     warming(new, seed=2, hottest=60.0)
     added = check(Campaign(tmp_path, old, model, tmp_path / "s.state"), [new])
@@ -193,11 +193,11 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
     moving = recordings(J, v, 3, seed=71)
     old = save_trials(tmp_path / "old.parquet", [*moving, *stops("stop1", 10, 1)], JOINTS, effort="motor_torque")
     found = identify(ROBOT, [old], keep="sums")
-    assert isinstance(found.kept, RetainedSums) and len(found.kept.stops) == 10
+    assert isinstance(found.retained, RetainedSums) and len(found.retained.stops) == 10
     model = save_model(found.model, tmp_path / "m.json")
-    save_state(tmp_path / "s.state", found.kept, model)
-    kept = load_state(tmp_path / "s.state", model)
-    for a, b in zip(kept.stops, found.kept.stops, strict=True):
+    save_state(tmp_path / "s.state", found.retained, model)
+    retained = load_state(tmp_path / "s.state", model)
+    for a, b in zip(retained.stops, found.retained.stops, strict=True):
         assert a.key == b.key and a.place == b.place and a.stop_trigger is not None and b.stop_trigger is not None
         assert np.array_equal(a.q, b.q) and np.array_equal(a.dq, b.dq) and np.array_equal(a.stop_trigger, b.stop_trigger)
     both = save_trials(
@@ -205,12 +205,12 @@ def test_stops_are_folded_in_with_the_bits_of_all_read_together(tmp_path: Path) 
     )
     alone = save_trials(tmp_path / "alone.parquet", stops("stop1", 8, 3), JOINTS, effort="motor_torque")
     for new, count in ((both, 16), (alone, 18)):
-        added, whole = update(model, kept, [new]), from_scratch(model, kept, [old, new])
+        added, whole = update(model, retained, [new]), from_scratch(model, retained, [old, new])
         same(added, whole)
         line = [x for x in added.model.notes if x.startswith("STOP 1:")]
         assert len(line) == 1 and line == [x for x in whole.model.notes if x.startswith("STOP 1:")]
         assert line != [x for x in model.notes if x.startswith("STOP 1:")], "it rests on more stops than before"
-        assert isinstance(added.kept, RetainedSums) and len(added.kept.stops) == count
+        assert isinstance(added.retained, RetainedSums) and len(added.retained.stops) == count
         assert f"{count - 10} stops added to 10" in added.model.revisions[-1].note
 
 
@@ -220,8 +220,8 @@ def motor(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     old = save_trials(folder / "old.parquet", recordings(J, v, 6, seconds=2.0, bias=0.0, seed=81), JOINTS, effort="motor_torque")
     found = identify(ROBOT, [old], keep="sums")
     model = save_model(found.model, folder / "m.json")
-    assert isinstance(found.kept, RetainedSums)
-    save_state(folder / "s.state", found.kept, model)
+    assert isinstance(found.retained, RetainedSums)
+    save_state(folder / "s.state", found.retained, model)
     return Campaign(folder, old, model, folder / "s.state")
 
 
@@ -230,26 +230,26 @@ def test_the_nominal_models_sums_fold_to_those_of_all_recordings(motor: Campaign
     new = save_trials(
         motor.folder / "more.parquet", recordings(J, v, 3, seconds=2.0, bias=0.0, seed=82), JOINTS, effort="motor_torque"
     )
-    kept = motor.kept()
-    assert kept.nominal.data is not None
+    retained = motor.retained()
+    assert retained.nominal.data is not None
     # of what was kept alone it is the model's own nominal model
-    assert np.all(staleness.apart(kept.nominal.data, ROBOT, motor.model) < 1e-6)
-    added = update(motor.model, kept, [new])
-    assert isinstance(added.kept, RetainedSums) and added.kept.nominal.data is not None
+    assert np.all(staleness.torque_difference(retained.nominal.data, ROBOT, motor.model) < 1e-6)
+    added = update(motor.model, retained, [new])
+    assert isinstance(added.retained, RetainedSums) and added.retained.nominal.data is not None
     held = added.survey.held_out
     read = [r for r in stream_recordings([motor.old, new], ROBOT) if r.suite_key not in held]
     whole = identify_nominal(ROBOT, read)
-    again = solve_nominal(ROBOT, added.kept.nominal.data)
+    again = solve_nominal(ROBOT, added.retained.nominal.data)
     spread = np.sqrt(np.diag(whole.covariance))
     assert np.all(np.abs(whole.theta - again.theta) <= 1e-6 * spread + 1e-9)
-    assert added.kept.nominal.data.recordings == kept.nominal.data.recordings + len(read) - 24
+    assert added.retained.nominal.data.recordings == retained.nominal.data.recordings + len(read) - 24
 
 
 @pytest.mark.parametrize(("friction", "due"), [((4.0, 2.0), False), ((6.0, 3.0), True)])
 def test_an_update_says_when_the_nominal_model_is_out_of_date(motor: Campaign, friction: tuple[float, float], due: bool) -> None:
     trials = recordings(J, friction, 4, seconds=2.0, bias=0.0, seed=83)
     new = save_trials(motor.folder / f"drift_{due}.parquet", trials, JOINTS, effort="motor_torque")
-    note = update(motor.model, motor.kept(), [new]).model.revisions[-1].note
+    note = update(motor.model, motor.retained(), [new]).model.revisions[-1].note
     assert "a nominal model of all recordings would differ by" in note
     assert (staleness.DUE in note) == due, note
 
@@ -257,7 +257,7 @@ def test_an_update_says_when_the_nominal_model_is_out_of_date(motor: Campaign, f
 def test_an_update_of_compensated_torque_compares_errors(nine: Campaign) -> None:
     for friction, due in ((v, False), ((6.0, 3.0), True)):
         new = nine.write(f"drift_{due}.parquet", recordings(J, friction, 2, seed=84))
-        note = update(nine.model, nine.kept(), [new]).model.revisions[-1].note
+        note = update(nine.model, nine.retained(), [new]).model.revisions[-1].note
         assert "times that on the old ones" in note and "a nominal model of all" not in note
         assert (staleness.DUE in note) == due, note
 
@@ -320,10 +320,10 @@ def test_the_same_recording_twice_is_refused_under_any_name(nine: Campaign) -> N
     copy = nine.folder / "copy.parquet"
     copy.write_bytes(nine.old.read_bytes())
     with pytest.raises(RecordingError, match=r"copy.parquet .* is part of this model already, as old.parquet"):
-        update(nine.model, nine.kept(), [copy])
+        update(nine.model, nine.retained(), [copy])
     new = nine.write("pair.parquet", recordings(J, v, 1, seed=31))
     with pytest.raises(RecordingError, match="part of this model already"):
-        update(nine.model, nine.kept(), [new, new])
+        update(nine.model, nine.retained(), [new, new])
 
 
 def test_new_files_of_an_old_name_are_told_apart(nine: Campaign) -> None:
@@ -337,18 +337,18 @@ def test_new_files_of_an_old_name_are_told_apart(nine: Campaign) -> None:
 def test_recordings_without_powered_motion_or_of_another_torque_are_refused(nine: Campaign) -> None:
     still = nine.write("static.parquet", [replace(r, phase="static") for r in recordings(J, v, 1, seed=51)])
     with pytest.raises(RecordingError, match=r"hold only static trials .*; expected open_loop trials or stops"):
-        update(nine.model, nine.kept(), [still])
+        update(nine.model, nine.retained(), [still])
     other = save_trials(nine.folder / "motor.parquet", recordings(J, v, 1, seed=52), JOINTS, effort="motor_torque")
     with pytest.raises(RecordingError, match="hold motor_torque, the model was identified from compensated_torque"):
-        update(nine.model, nine.kept(), [other])
+        update(nine.model, nine.retained(), [other])
 
 
 def test_a_foreign_damaged_or_hostile_state_is_refused(nine: Campaign, tmp_path: Path) -> None:
     with pytest.raises(ModelFileError, match="belongs to the model"):
-        nine.kept(replace(nine.model, sha256="0" * 64))
+        nine.retained(replace(nine.model, sha256="0" * 64))
     changed = dict(nine.model.provenance["settings"]) | {"conform": "position"}
     with pytest.raises(ModelFileError, match="other settings"):
-        nine.kept(replace(nine.model, provenance={**nine.model.provenance, "settings": changed}))
+        nine.retained(replace(nine.model, provenance={**nine.model.provenance, "settings": changed}))
     whole = nine.state.read_bytes()
     with np.load(io.BytesIO(whole)) as file:
         arrays = {k: file[k] for k in file.files}

@@ -41,8 +41,8 @@ def updated(folder: Path, robot: Robot, old: list[Path], new: list[Path], settin
     """Identified from ``old``, kept, old files removed, and updated with ``new``."""
     found = identify(robot, old, settings, keep="signals")
     model = save_model(found.model, folder / "old.model.json")
-    assert isinstance(found.kept, RetainedSignals)
-    save_state(folder / "old.state", found.kept, model)
+    assert isinstance(found.retained, RetainedSignals)
+    save_state(folder / "old.state", found.retained, model)
     away = [p.rename(p.with_suffix(".away")) for p in old]
     try:
         return update(load_model(folder / "old.model.json"), load_state(folder / "old.state", model), new).model
@@ -112,16 +112,16 @@ def test_file_by_file_is_at_once(tmp_path: Path) -> None:
         model = save_model(
             found.model if model is None else replace(found.model, revisions=found.model.revisions), tmp_path / "m"
         )
-        assert isinstance(found.kept, RetainedSignals)
-        save_state(tmp_path / "m.state", found.kept, model)
+        assert isinstance(found.retained, RetainedSignals)
+        save_state(tmp_path / "m.state", found.retained, model)
         if path is not None:
             found = update(model, load_state(tmp_path / "m.state", model), [path])
     assert model is not None and body(model) == body(identify(ROBOT, paths).model)
     assert [r.number for r in model.revisions] == [0, 1, 2]
     state = load_state(tmp_path / "m.state", model)
     assert isinstance(state, RetainedSignals)
-    for kept, read in zip(state.campaign.trials(), stream_recordings(paths, ROBOT), strict=True):
-        exact(kept, read)
+    for retained, read in zip(state.campaign.trials(), stream_recordings(paths, ROBOT), strict=True):
+        exact(retained, read)
 
 
 def exact(a: Recording, b: Recording) -> None:
@@ -146,11 +146,11 @@ def test_what_is_read_back_is_what_was_kept_to_the_last_bit(tmp_path: Path, monk
         )
     old = save_trials(tmp_path / "old.parquet", recordings(J, v, 2), JOINTS)
     found = identify(ROBOT, [old], keep="signals")
-    assert isinstance(found.kept, RetainedSignals)
-    kept = replace(found.kept, campaign=replace(found.kept.campaign, trials=lambda: iter(trials)))
-    save_state(tmp_path / "s", kept, found.model)
+    assert isinstance(found.retained, RetainedSignals)
+    retained = replace(found.retained, campaign=replace(found.retained.campaign, trials=lambda: iter(trials)))
+    save_state(tmp_path / "s", retained, found.model)
     back = load_state(tmp_path / "s", found.model)
-    assert isinstance(back, RetainedSignals) and back.campaign.meta == kept.campaign.meta and back.places == kept.places
+    assert isinstance(back, RetainedSignals) and back.campaign.meta == retained.campaign.meta and back.places == retained.places
     for a, b in zip(back.campaign.trials(), trials, strict=True):
         exact(a, b)
 
@@ -162,9 +162,9 @@ def test_numbers_of_an_effect_that_were_given_are_given_again(tmp_path: Path) ->
     given = (Fitted("spring", "axis_2", {"k": 0.2, "c": 0.1}, {}),)
     settings = Settings(effects=("spring:axis_2",))
     found = identify(ROBOT, [old], settings, known=given, keep="signals")
-    assert isinstance(found.kept, RetainedSignals)
+    assert isinstance(found.retained, RetainedSignals)
     model = save_model(found.model, tmp_path / "m")
-    save_state(tmp_path / "s", found.kept, model)
+    save_state(tmp_path / "s", found.retained, model)
     after = update(model, load_state(tmp_path / "s", model), [new]).model
     assert body(after) == body(identify(ROBOT, [old, new], settings, known=given).model)
     assert [f for f in after.effects if f.effect == "spring"] == list(given)
@@ -196,8 +196,8 @@ def test_a_foreign_or_damaged_file_or_a_recording_twice_is_refused(tmp_path: Pat
     old = save_trials(tmp_path / "old.parquet", recordings(J, v, 9, 8), JOINTS)
     found = identify(ROBOT, [old], keep="signals")
     model = save_model(found.model, tmp_path / "m")
-    assert isinstance(found.kept, RetainedSignals)
-    save_state(tmp_path / "s", found.kept, model)
+    assert isinstance(found.retained, RetainedSignals)
+    save_state(tmp_path / "s", found.retained, model)
     whole = (tmp_path / "s").read_bytes()
     (tmp_path / "cut").write_bytes(whole[: len(whole) // 2])
     flipped = bytearray(whole)

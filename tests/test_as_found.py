@@ -80,8 +80,8 @@ def test_one_motion_is_held_out_in_time_with_a_guard(motion: Recording) -> None:
     fitted = [(x.t[0], x.t[-1]) for x in in_time().fitted(motion)]
     judged = [(x.t[0], x.t[-1]) for x in in_time().judged(motion)]
     assert len(fitted) >= 3 and len(judged) >= 3
-    apart = [max(a[0] - b[1], b[0] - a[1]) for a in fitted for b in judged]
-    assert min(apart) >= GUARD - 0.02
+    gaps = [max(a[0] - b[1], b[0] - a[1]) for a in fitted for b in judged]
+    assert min(gaps) >= GUARD - 0.02
 
 
 def test_the_loop_closes_on_one_file_without_phase_or_suite(tmp_path: Path, motion: Recording) -> None:
@@ -159,10 +159,10 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     for k, (name, truth) in enumerate(made.items()):
         paths.append(tmp_path / f"{name}.parquet")
         write_recordings(paths[-1], META, [moving(truth, k, 24.0 - k, 1.0, seed=11)])
-    told = [[f for f in i.findings if f.kind == "contradiction"] for i in inspect_recordings(paths, arm())]
-    assert told[0] == told[1] == [] and len(told[2]) == 1
-    found = re.search(r"as if about ([\d.]+) kg more", told[2][0].says)
-    assert found and 1.5 < float(found[1]) < 4.0, told[2][0].says
+    found_by_file = [[f for f in i.findings if f.kind == "contradiction"] for i in inspect_recordings(paths, arm())]
+    assert found_by_file[0] == found_by_file[1] == [] and len(found_by_file[2]) == 1
+    found = re.search(r"as if about ([\d.]+) kg more", found_by_file[2][0].says)
+    assert found and 1.5 < float(found[1]) < 4.0, found_by_file[2][0].says
 
 
 def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:

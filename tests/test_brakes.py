@@ -16,7 +16,7 @@ from stopset.errors import RecordingError
 from stopset.offline.brakes import divide, identify_stops, judge_stop0, judge_stop1, with_stops
 from stopset.offline.brakes.bands import RISK, band, beyond, farther, hull
 from stopset.offline.brakes.impulse import Impulse, impulses
-from stopset.offline.brakes.timing import tell
+from stopset.offline.brakes.timing import brake_estimate
 from stopset.offline.description import load_robot
 from stopset.reach.stops import Ramp, StopBounds, ramp_of
 from stopset.reach.stops.setting import setting_of
@@ -98,17 +98,17 @@ def test_true_brakes_are_found_and_held_out_stops_enclosed(tmp_path: Path) -> No
     assert b.delay.lo.max() - PERIOD <= DELAY[0] and DELAY[1] <= b.delay.hi.min() + PERIOD
     assert (b.delay.hi - b.delay.lo).max() < 0.04
     # one delay for all joints of a stop: what remains apart is the error of the estimates
-    assert b.apart is not None and b.apart < 0.010
+    assert b.delay_spread is not None and b.delay_spread < 0.010
     assert fit.stop0.violated == 0 and fit.stop0.motions == 8
     assert 0 < fit.stop0.upper_bound < 0.35 and "held-out" in fit.stop0.text
     assert fit.stop1 is not None and fit.stop1.violated == 0
     known = with_stops(model, fit)
     back = load_model(_saved(known, tmp_path))
-    assert back.brakes is not None and back.brakes.apart == b.apart
+    assert back.brakes is not None and back.brakes.delay_spread == b.delay_spread
     ramp = ramp_of(back)
     assert ramp is not None and ramp.kind == "time" and ramp.value.lo[0] <= 0.29 and ramp.value.hi[0] >= 0.31
-    told = StopBounds.of(back).bound(np.zeros(6) + 0.3, np.full(6, 0.8), "1")
-    assert told.certified and told.forward.max() >= 0.8 * 0.5 * 0.3
+    bound_ = StopBounds.of(back).bound(np.zeros(6) + 0.3, np.full(6, 0.8), "1")
+    assert bound_.certified and bound_.forward.max() >= 0.8 * 0.5 * 0.3
     # the test has teeth: other brakes and another ramp are refuted by the same held-out stops
     held = divide(stops)[1]
     fast = replace(b, delay=Box.of(np.full(6, 0.002), np.full(6, 0.012)))
@@ -148,25 +148,29 @@ def test_windows_hold_every_stop_true_to_the_words_and_few_others(lag: np.ndarra
     joints' intervals lie."""
     setting = setting_of(prbt_like((0.0, 0.0)))
     assert setting is not None
-    rng, apart = np.random.default_rng(2), 0.006
+    rng, delay_spread = np.random.default_rng(2), 0.006
     for _ in range(20):
         lo = 0.02 + rng.uniform(0.0, 0.03, 6) + lag
         plant = setting.plant._replace(delay_lo=lo, delay_hi=lo + rng.uniform(0.02, 0.06, 6))
-        parts = windows(plant, apart, lag)
+        parts = windows(plant, delay_spread, lag)
 
         def held(delay: np.ndarray, parts: list = parts) -> bool:  # type: ignore[type-arg]
             return any(np.all((p.delay_lo <= delay + 1e-12) & (delay <= p.delay_hi + 1e-12)) for p in parts)
 
-        true = rng.uniform(0.0, 0.12, (20_000, 1)) + apart * rng.uniform(0.0, 1.0, (20_000, 6)).round(rng.integers(0, 3)) + lag
+        true = (
+            rng.uniform(0.0, 0.12, (20_000, 1))
+            + delay_spread * rng.uniform(0.0, 1.0, (20_000, 6)).round(rng.integers(0, 3))
+            + lag
+        )
         true = true[np.all((true >= plant.delay_lo) & (true <= plant.delay_hi), axis=1)]
         assert all(held(d) for d in true)
         assert len(true) > 0 or len(parts) == 1
         # and one late brake among five early ones is in none, nor anything outside the joints' own intervals
         far = np.where(np.arange(6) == 2, plant.delay_hi, plant.delay_lo)
-        assert np.ptp(far - lag) < 3 * apart or not held(far)
+        assert np.ptp(far - lag) < 3 * delay_spread or not held(far)
         assert all(np.all(p.delay_lo >= plant.delay_lo) and np.all(p.delay_hi <= plant.delay_hi) for p in parts)
     alike = plant._replace(delay_lo=0.02 + lag, delay_hi=0.07 + lag)
-    assert len(windows(alike, apart, lag)) > 3 and len(windows(alike, apart, lag, 2)) == 2
+    assert len(windows(alike, delay_spread, lag)) > 3 and len(windows(alike, delay_spread, lag, 2)) == 2
     assert windows(alike, None) == [alike] and windows(alike, 0.06, lag) == [alike]
 
 
@@ -176,7 +180,7 @@ def test_brakes_cut_together_are_bounded_where_independent_ones_are_not() -> Non
     late = replace(b, delay=Box.of(np.full(n, 0.02), np.full(n, 0.09)))
     q, dq = np.array([0.3, 0.9, -0.8, 0.4, 0.7, 0.1]), np.array([1.2, -1.1, 1.2, -1.2, 1.1, 1.2])
     alone = StopBounds.of(replace(model, brakes=late), pieces=2).bound(q, dq)
-    together = StopBounds.of(replace(model, brakes=replace(late, apart=0.004)), pieces=2).bound(q, dq)
+    together = StopBounds.of(replace(model, brakes=replace(late, delay_spread=0.004)), pieces=2).bound(q, dq)
     assert together.certified
     assert not alone.certified or together.angle.max() < alone.angle.max()
     assert any("apart" in a for a in together.assumptions)
@@ -219,7 +223,7 @@ def test_a_joint_at_rest_before_its_brake_tells_no_delay() -> None:
         taken = 0.4 * t + torque * np.where(x < rise, 0.5 * x * x / rise, x - 0.5 * rise) + rng.normal(0.0, noise, len(t))
         return Impulse(t[:until], taken[:until] - taken[0], noise, 1.0, 10.0)
 
-    seen, early = tell(curve(20), 70.0, 1.0), tell(curve(7), 70.0, 1.0)
+    seen, early = brake_estimate(curve(20), 70.0, 1.0), brake_estimate(curve(7), 70.0, 1.0)
     assert abs(seen.delay - delay) < 4e-3 and seen.torque == pytest.approx(torque, rel=0.15)
     assert np.isnan(early.delay) and np.isnan(early.torque)
 
@@ -229,8 +233,8 @@ def test_a_ramp_slows_a_motion_that_was_itself_changing_its_speed() -> None:
     ramp = Ramp("time", Box.point(np.full(2, lasts)), Box.point(np.zeros(2)), np.full(2, 1e-6), np.full(2, 1e-6))
     t = np.arange(140) * PERIOD
     s = np.clip(t / lasts, 0.0, 1.0)
-    way = lasts * (s - 0.5 * s * s)
-    q, v = v0 * (way + 0.5 * pace * way**2)[:, None], v0 * ((1.0 - s) * (1.0 + pace * way))[:, None]
+    path_time = lasts * (s - 0.5 * s * s)
+    q, v = v0 * (path_time + 0.5 * pace * path_time**2)[:, None], v0 * ((1.0 - s) * (1.0 + pace * path_time))[:, None]
     before = np.arange(-30, 0) * PERIOD
     q = np.vstack([v0 * (before + 0.5 * pace * before**2)[:, None], q])
     v = np.vstack([v0 * (1.0 + pace * before)[:, None], v])
@@ -248,8 +252,14 @@ def test_without_brake_data_there_is_one_sentence_and_no_number() -> None:
     model = arm()
     drives = tuple(replace(d, brake_torque=np.nan) for d in model.robot.drives)
     bare = replace(model, brakes=None, robot=replace(model.robot, drives=drives))
-    told = StopBounds.of(bare).bound(np.zeros(6), np.full(6, 0.5))
-    assert not told.certified and told.time is None and told.forward is None and "brake" in told.why and "\n" not in told.why
+    bound_ = StopBounds.of(bare).bound(np.zeros(6), np.full(6, 0.5))
+    assert (
+        not bound_.certified
+        and bound_.time is None
+        and bound_.forward is None
+        and "brake" in bound_.why
+        and "\n" not in bound_.why
+    )
     # stops so slow that every joint rests before its brake closes tell no torque either
     slow = [replace(r, dq=0.02 * r.dq) for r in recorded_stop0(model, 12, 7)]
     fit = identify_stops(bare, slow)

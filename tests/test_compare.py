@@ -14,7 +14,7 @@ from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.offline.compare.compare import answer, compare
-from stopset.offline.compare.dependence import Explained, partial_residual, telling_first
+from stopset.offline.compare.dependence import Explained, partial_residual, strongest_first
 from stopset.offline.compare.verdict import verdict
 from stopset.reach.flowpipe import deviation_tube, predict
 from stopset.recording import Meta, read_recordings, write_recordings
@@ -84,11 +84,11 @@ def test_a_joints_own_variable_is_named_where_others_do_as_well() -> None:
     names = ("q", "dq", "q of axis_1", "q of axis_2")
     share = np.array([[0.70, 0.1, 0.0, 0.72], [0.10, 0.1, 0.60, 0.0]])
     found = Explained(names, share, np.zeros((1, 2)), ())
-    assert names[found.telling(0)] == "q", "0.72 is no more than 0.70"
-    assert names[found.telling(1)] == "q of axis_1", "0.6 is more than 0.1"
-    assert [names[k] for k in telling_first(found)][:2] == ["q", "q of axis_2"]
+    assert names[found.strongest(0)] == "q", "0.72 is no more than 0.70"
+    assert names[found.strongest(1)] == "q of axis_1", "0.6 is more than 0.1"
+    assert [names[k] for k in strongest_first(found)][:2] == ["q", "q of axis_2"]
     twice = Explained((*names, "time"), np.hstack([share, share[:, :1]]), np.zeros((1, 2)), ())
-    assert [twice.variables[k] for k in telling_first(twice)].count("time") == 0
+    assert [twice.variables[k] for k in strongest_first(twice)].count("time") == 0
 
 
 def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

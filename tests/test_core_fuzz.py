@@ -22,9 +22,9 @@ from stopset.ring.tape import STEPS, TANH, Tape
 from stopset.robot.rigid import (
     Chain,
     gravity_torques,
-    levers,
     link_frames,
     mass_matrices,
+    moment_arms,
     regressors,
     torques,
 )
@@ -53,7 +53,7 @@ def test_rigid_body(seed: int) -> None:
         gravity_torques(chain, pi, q),
         mass_matrices(chain, pi, q),
         regressors(chain, q, dq, ddq),
-        levers(chain, pi, q),
+        moment_arms(chain, pi, q),
         link_frames(chain, q),
     )
     point_jacobian(chain, q[0], int(rng.integers(n)), drawn(rng, 3))

@@ -30,7 +30,9 @@ RANGES = {
     "inertia": (0.2, 2.0),
     "coriolis": (-3.0, 3.0),
 }
-SEEN = [SIGNALS.index(k) for k in ("q", "dq", "way", "load", "temp", "warm", "stiff", "inertia", "coriolis", "dq_other")] + [
+SEEN = [
+    SIGNALS.index(k) for k in ("q", "dq", "given_direction", "load", "temp", "warm", "stiff", "inertia", "coriolis", "dq_other")
+] + [
     TILT,
     TILT + 1,
 ]
@@ -86,11 +88,11 @@ def sampled(law: ActingLaw, rng: np.random.Generator, rest: bool) -> tuple[Array
     def some(lo: float, hi: float) -> Array:
         return np.where(rng.random(ROWS) < 0.4, rng.choice([lo, hi], ROWS), rng.uniform(lo, hi, ROWS))
 
-    way = rng.uniform(-1.0, 1.0, ROWS) if rest else rng.choice([-1.0, 1.0], ROWS)
+    direction = rng.uniform(-1.0, 1.0, ROWS) if rest else rng.choice([-1.0, 1.0], ROWS)
     speed = np.zeros(ROWS) if rest else some(0.0, SPEED)
     for name, (lo, hi) in RANGES.items():
         s[SIGNALS.index(name)] = some(lo, hi) if name != "load" or law.role != lib.STOPSET_RUBS else some(-GEAR, GEAR)
-    s[SIGNALS.index("dq")], s[SIGNALS.index("way")] = way * speed, way
+    s[SIGNALS.index("dq")], s[SIGNALS.index("given_direction")] = direction * speed, direction
     s[SIGNALS.index("warm")], s[SIGNALS.index("dq_other")] = some(0.0, 1.0), some(-OTHER, OTHER)
     s[TILT], s[TILT + 1] = some(-4.0, 9.0), some(0.0, 3.0)
     numbers, torque = law.columns.numbers, np.zeros(ROWS)
@@ -101,7 +103,7 @@ def sampled(law: ActingLaw, rng: np.random.Generator, rest: bool) -> tuple[Array
         lib.stopset_law(program, ROWS, view(s), view(column))
         torque += column * rng.choice([lo, hi])
     fine = ~np.isnan(torque)  # an angle beyond all is no number to a law, and any cosine to its bound
-    return torque[fine], way[fine], speed[fine]
+    return torque[fine], direction[fine], speed[fine]
 
 
 @settings(max_examples=600, deadline=None)
@@ -114,14 +116,14 @@ def test_a_law_at_random_stays_within_its_bound_or_has_none(seed: int) -> None:
         return
     assert np.all(np.isfinite(got)) and np.all(got[:, 0] <= got[:, 1])
     for rest in (False, True):
-        torque, way, speed = sampled(law, rng, rest)
+        torque, direction, speed = sampled(law, rng, rest)
         if rest:  # friction at rest takes what it can, in either direction
             if law.straight or law.role == lib.STOPSET_RUBS:
                 continue
             held = max(got[0, 1], 0.0)
-            lo, hi = np.full(len(way), got[2, 0] - held), np.full(len(way), got[2, 1] + held)
+            lo, hi = np.full(len(direction), got[2, 0] - held), np.full(len(direction), got[2, 1] + held)
         else:
-            odd = np.sort(way * (got[0, :, None] + got[1, :, None] * speed), axis=0)
+            odd = np.sort(direction * (got[0, :, None] + got[1, :, None] * speed), axis=0)
             lo, hi = odd[0] + got[2, 0], odd[1] + got[2, 1]
         size = 1e-9 * (1.0 + np.abs(got).max() + np.abs(torque))
         assert np.all((torque >= lo - size) & (torque <= hi + size)), (law.columns.steps.tolist(), got, torque)
@@ -137,7 +139,7 @@ def one(
     return replace(law, **more)
 
 
-SIGN, DQ, WAY, Q = t.SIGN, SIGNALS.index("dq"), SIGNALS.index("way"), SIGNALS.index("q")
+SIGN, DQ, DIRECTION, Q = t.SIGN, SIGNALS.index("dq"), SIGNALS.index("given_direction"), SIGNALS.index("q")
 
 
 def test_what_has_no_number_somewhere_in_its_intervals_has_no_bound() -> None:
@@ -150,7 +152,7 @@ def test_what_has_no_number_somewhere_in_its_intervals_has_no_bound() -> None:
     assert acted(one((t.SIGNAL, DQ, 0), (t.DIV, 0, 0))) is None  # at rest, or at once
     assert acted(one(q, numbers=((0.0, 0.0),)), q=(math.nan, math.nan)) is None
     # at rest alone: 1 / (1.5 - way) has a number in both directions, 1 / (0.5 - way) has none between them
-    between = (number, (t.SIGNAL, WAY, 0), (t.SUB, 0, 1), (t.DIV, 0, 2))
+    between = (number, (t.SIGNAL, DIRECTION, 0), (t.SUB, 0, 1), (t.DIV, 0, 2))
     assert acted(one(*between, numbers=((1.5, 1.5),), straight=False)) is not None
     assert acted(one(*between, numbers=((0.5, 0.5),), straight=False)) is None
 

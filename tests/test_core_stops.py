@@ -96,8 +96,8 @@ def test_ways_that_outgrow_every_claim_are_not_told() -> None:
     q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
     r, v = s.noise.radius[:n], s.noise.radius[n:]
     tube = march_box(s, s.plant, q, dq, r, v, True)
-    known = np.isfinite(tube.way).all(axis=1)
-    assert tube.end == OK and known.any() and np.all(np.isinf(tube.way[~known]))
+    known = np.isfinite(tube.travel_left).all(axis=1)
+    assert tube.end == OK and known.any() and np.all(np.isinf(tube.travel_left[~known]))
     assert sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, 1).escaped == 0
 
 
@@ -125,22 +125,22 @@ def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
 # ---- whole stops: the brakes' windows
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.05])
-def test_brakes_that_close_together_are_one_window_or_two(apart: float) -> None:
+@pytest.mark.parametrize("delay_spread", [0.0, 0.05])
+def test_brakes_that_close_together_are_one_window_or_two(delay_spread: float) -> None:
     """Delays farther apart than they are long say nothing (0.05 s); all at once (0 s) is tighter; both as Python has them."""
-    bounds, any_ = bounds_of(cut_together(apart)), core_stop(bounds_of(replace_apart(None)))
+    bounds, any_ = bounds_of(cut_together(delay_spread)), core_stop(bounds_of(with_delay_spread(None)))
     core, n = core_stop(bounds), 4
     for q, dq in states(bounds.model, 4, 3):
         want, got, free = bounds.bound(q, dq, "0", np.zeros(n), np.zeros(n)), core(q, dq), any_(q, dq)
         assert got is not None and free is not None and want.forward is not None
         assert np.array_equal(got.forward, want.forward) and np.array_equal(got.back, want.back)
-        assert np.all(got.forward <= free.forward) and (apart == 0.0 or np.array_equal(got.forward, free.forward))
+        assert np.all(got.forward <= free.forward) and (delay_spread == 0.0 or np.array_equal(got.forward, free.forward))
 
 
-def replace_apart(apart: float | None) -> Any:
+def with_delay_spread(delay_spread: float | None) -> Any:
     model = cut_together(0.0)
     assert model.brakes is not None
-    return replace(model, brakes=replace(model.brakes, apart=apart))
+    return replace(model, brakes=replace(model.brakes, delay_spread=delay_spread))
 
 
 @pytest.mark.parametrize("rotor", [8.0, 0.3])

@@ -11,7 +11,7 @@ import pytest
 
 from float32 import outward
 from stopset.artifact.inputs import InputMap, effect_torques, law_signals, memories_along
-from stopset.artifact.taped import SIGNALS, Kept
+from stopset.artifact.taped import SIGNALS, Pinned
 from stopset.core.library import ffi, lib, view
 from stopset.effects import Fitted
 from stopset.effects.memory import coefficients, stepped
@@ -42,8 +42,10 @@ def plainly(m: InputMap, q: Array, dq: Array, tau: Array, temp: Array, warm: flo
     if m.effort == "compensated_torque":
         return moving
     ahead, back = (
-        effect_torques(m.robot, m.effects, Samples(q, np.zeros_like(dq), None, temp, warm), direction=way, memories=memories)
-        for way in (1.0, -1.0)
+        effect_torques(
+            m.robot, m.effects, Samples(q, np.zeros_like(dq), None, temp, warm), direction=direction, memories=memories
+        )
+        for direction in (1.0, -1.0)
     )
     held = np.clip(u, np.minimum(ahead, back), np.maximum(ahead, back))
     return np.where(np.abs(dq) <= m.standstill, u - held, moving)
@@ -284,9 +286,9 @@ def test_rows_passed_over_say_nothing_else(seed: int) -> None:
         e[rng.integers(rows), rng.integers(m)] = rng.choice([np.nan, np.inf, -np.inf])
     foreign, row, seen = np.zeros(rows, bool), np.zeros((2, m), np.int64), ffi.new("int64_t[2]")
     middle, reach, room, nearest = np.empty((ages, m)), np.empty((ages, m)), np.empty(m), np.full(m, -1)
-    kept = Kept([])
+    pinned = Pinned([])
     struct = ffi.new("StopsetPredictions *", (
-        m, rows, ages, *map(kept.shared, (e, w, age, foreign, A, np.zeros((m, n)), lo, hi, middle, reach, room, nearest, row)),
+        m, rows, ages, *map(pinned.shared, (e, w, age, foreign, A, np.zeros((m, n)), lo, hi, middle, reach, room, nearest, row)),
     ))  # fmt: skip
     lib.stopset_centre(struct)
     for _ in range(5):
@@ -334,7 +336,7 @@ def watched(effort: str = "compensated_torque", windows: str = "sliding", hot: b
     return watch, watch._struct, r
 
 
-def told(watch, row: Array, temp: Array | None = None) -> int:  # type: ignore[no-untyped-def]
+def taken(watch, row: Array, temp: Array | None = None) -> int:  # type: ignore[no-untyped-def]
     watch._here[:3] = row
     if temp is not None:
         watch._here[3] = temp
@@ -345,15 +347,15 @@ def test_readings_that_cannot_be_are_no_samples() -> None:
     """Not a number, beyond any robot, all zero: a code, and nothing of the check has moved on. So for temperatures, where there are some."""
     watch, s, r = watched()
     rows = np.stack([r.q, r.dq, r.tau], axis=1)
-    assert told(watch, rows[0]) == told(watch, rows[1]) == lib.STOPSET_OK and s.known and s.live == 1
-    kept = watch._x.copy()
+    assert taken(watch, rows[0]) == taken(watch, rows[1]) == lib.STOPSET_OK and s.known and s.live == 1
+    untouched = watch._x.copy()
     for place, bad in (((0, 0), math.nan), ((1, 5), math.inf), ((2, 3), -math.inf), ((2, 3), 1e300)):
         row = rows[2].copy()
         row[place] = bad
-        assert told(watch, row) == lib.STOPSET_NOT_A_NUMBER
-    assert told(watch, 0.0 * rows[2]) == lib.STOPSET_ALL_ZERO
-    assert told(watch, rows[2], np.full(6, math.nan)) == lib.STOPSET_NOT_A_NUMBER
-    assert np.array_equal(watch._x, kept) and told(watch, rows[2], np.full(6, 25.0)) == lib.STOPSET_OK
+        assert taken(watch, row) == lib.STOPSET_NOT_A_NUMBER
+    assert taken(watch, 0.0 * rows[2]) == lib.STOPSET_ALL_ZERO
+    assert taken(watch, rows[2], np.full(6, math.nan)) == lib.STOPSET_NOT_A_NUMBER
+    assert np.array_equal(watch._x, untouched) and taken(watch, rows[2], np.full(6, 25.0)) == lib.STOPSET_OK
     for n in (0, 33):
         s.monitor.map.arm.n = n
         assert lib.stopset_readable(s, 0) == lib.stopset_look(s, 0) == lib.STOPSET_TOO_MANY_JOINTS
@@ -364,7 +366,7 @@ def test_a_temperature_is_looked_at_where_the_domain_has_one(hot: bool) -> None:
     watch, s, r = watched(hot=hot)
     row = np.stack([r.q[0], r.dq[0], r.tau[0]])
     for temp, beyond in ((None, 0), (np.full(6, 30.0), 0), (np.array([30.0, 50, 30, 30, 10, 30]), 2 if hot else 0)):
-        assert told(watch, row, temp) == lib.STOPSET_OK and s.outside == beyond
+        assert taken(watch, row, temp) == lib.STOPSET_OK and s.outside == beyond
 
 
 def test_from_the_start_alone_one_prediction_starts() -> None:
@@ -374,7 +376,7 @@ def test_from_the_start_alone_one_prediction_starts() -> None:
         watch, s, r = watched(windows=windows)
         live[windows] = []
         for k in range(20):
-            assert told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
+            assert taken(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
             live[windows].append(s.live)
     assert live["start"] == [0, *[1] * 19] and live["sliding"] == list(range(20))
 
@@ -382,9 +384,9 @@ def test_from_the_start_alone_one_prediction_starts() -> None:
 def test_an_arm_that_leaves_its_model_is_refuted_and_predicts_nothing() -> None:
     watch, s, r = watched()
     for k in range(10):
-        told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
+        taken(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
     before = s.place
-    assert not s.seen[1] and told(watch, np.stack([r.q[10] + 0.1, r.dq[10], r.tau[10]])) == lib.STOPSET_OK
+    assert not s.seen[1] and taken(watch, np.stack([r.q[10] + 0.1, r.dq[10], r.tau[10]])) == lib.STOPSET_OK
     assert s.seen[1] >= 6 and s.place == before and s.seen[0] == 10
 
 
@@ -392,7 +394,7 @@ def test_predictions_start_as_often_as_they_are_asked_to() -> None:
     watch, s, r = watched()
     s.every, live = 4, []
     for k in range(13):
-        assert told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
+        assert taken(watch, np.stack([r.q[k], r.dq[k], r.tau[k]])) == lib.STOPSET_OK
         live.append(s.live)
     assert live == [0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3]
 
@@ -404,7 +406,7 @@ def test_widening_by_what_is_known_exactly_changes_nothing() -> None:
         watch, s, r = watched()
         s.widen = widen
         for k in range(20):
-            told(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
+            taken(watch, np.stack([r.q[k], r.dq[k], r.tau[k]]))
         rooms.append(watch.tubes.room.copy())
     assert np.array_equal(*rooms)
 
@@ -416,12 +418,12 @@ def test_what_is_not_known_of_a_state_widens_the_tube() -> None:
 
     model, r = known_model(), motion(1, 60)
     rigid = Watch(replace(model, effort="motor_torque"))
-    assert told(rigid, np.stack([r.q[0], r.dq[0], r.tau[0]])) == lib.STOPSET_OK and not rigid._du.any(), "nothing is remembered"
+    assert taken(rigid, np.stack([r.q[0], r.dq[0], r.tau[0]])) == lib.STOPSET_OK and not rigid._du.any(), "nothing is remembered"
     held = Fitted("hysteresis", model.joints[0], {"F_h": 0.05, "delta": 0.02}, {})
     watch = Watch(replace(model, effort="motor_torque", effects=(held,)))
     du = []
     for k in range(40):
         row = np.stack([r.q[k], r.dq[k], r.tau[k] + gravity_torques(model.robot.chain, model.robot.pi, r.q[k : k + 1])[0]])
-        assert told(watch, row) == lib.STOPSET_OK
+        assert taken(watch, row) == lib.STOPSET_OK
         du.append(watch._du[0, 0])
     assert not watch._struct.monitor.plain and du[0] == pytest.approx(0.05) and du[-1] < du[0] and not watch._du[0, 1:].any()

@@ -197,5 +197,5 @@ def test_joints_that_disagree_speak_against_the_description_not_the_drives() -> 
     pi = 1.15 * described.pi
     _, alike, _ = drive_gain(described, described.with_parameters(pi), reach)
     pi[-1] *= 1.5
-    gain, apart, _ = drive_gain(described, described.with_parameters(pi), reach)
-    assert 1.0 < gain < 1.3 and 1.2 * alike < apart <= DRIVES
+    gain, differs, _ = drive_gain(described, described.with_parameters(pi), reach)
+    assert 1.0 < gain < 1.3 and 1.2 * alike < differs <= DRIVES

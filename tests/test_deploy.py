@@ -35,8 +35,8 @@ def units(tmp_path: Path) -> Path:
 def test_systemd_takes_the_units(units: Path) -> None:
     files = [units / name for name in (*UNITS, "stopset-expiry.timer", "stopset.slice")]
     done = sh("systemd-analyze", "verify", "--man=no", "--recursive-errors=no", *files)
-    told = [line for line in done.stderr.splitlines() if "stopset" in line]
-    assert told == [] and done.returncode == 0, done.stderr
+    reported = [line for line in done.stderr.splitlines() if "stopset" in line]
+    assert reported == [] and done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -68,8 +68,8 @@ def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
     assert build[0] == ("FROM", "${BASE} AS build") and final[0] == ("FROM", "${BASE}")
     installs = " ".join(rest for word, rest in build if word == "RUN")
     assert "--require-hashes" in installs and "--no-deps --no-index" in installs and "cyclonedx-py" in installs
-    kept = " ".join(rest for word, rest in final if word == "RUN")
-    assert not re.search(r"gcc|pip|apt-get|compiler", kept)
+    shipped = " ".join(rest for word, rest in final if word == "RUN")
+    assert not re.search(r"gcc|pip|apt-get|compiler", shipped)
     assert [rest for word, rest in final if word == "USER"] == ["10001"]
     health = next(rest for word, rest in final if word == "HEALTHCHECK")
     assert '"--check"' in health and '"--config"' in health

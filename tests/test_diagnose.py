@@ -63,15 +63,15 @@ def test_kernel_is_exact_on_quadratics() -> None:
 def test_whitening_makes_sensor_noise_independent_and_is_invertible() -> None:
     rng = np.random.default_rng(0)
     kernel, step, s_tau, s_acc = Kernel.gaussian(0.004, 0.012), 5, 0.3, 5e-5
-    n, louder = 120_000, 3.0  # the controller's own jitter, in every other run
+    n, noisier = 120_000, 3.0  # the controller's own jitter, in every other run
     noise = (
         np.convolve(rng.normal(0, s_tau, n), kernel.h, "valid")[::step],
         np.convolve(rng.normal(0, s_acc, n), kernel.h2, "valid")[::step],
     )
     kind = np.arange(len(noise[0])) // 37 % 2
-    rows = (noise[0] * np.where(kind, louder, 1.0) + noise[1])[:, None]
+    rows = (noise[0] * np.where(kind, noisier, 1.0) + noise[1])[:, None]
     start = np.arange(len(rows)) % 37 == 0
-    whiten = Whitening.of(start, kind, [autocovariance(kernel, step, s, s_acc) for s in (s_tau, louder * s_tau)])
+    whiten = Whitening.of(start, kind, [autocovariance(kernel, step, s, s_acc) for s in (s_tau, noisier * s_tau)])
     w = whiten(rows)[:, 0]
     error = 4 / np.sqrt(len(w))  # four standard deviations of a correlation estimate
     assert np.var(w) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(w)))

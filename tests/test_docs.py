@@ -82,9 +82,9 @@ def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_the_tutorial_runs_as_written(tmp_path: Path) -> None:
-    told = reference_pages()
-    typed = [command for block in told.steps(told.TUTORIAL.read_text(encoding="utf-8")) for command in block]
-    said = {command.split()[1]: told.told(command, tmp_path) for command in typed}
+    pages = reference_pages()
+    typed = [command for block in pages.steps(pages.TUTORIAL.read_text(encoding="utf-8")) for command in block]
+    said = {command.split()[1]: pages.output_of(command, tmp_path) for command in typed}
     assert {
         "simulate",
         "inspect",

@@ -53,14 +53,14 @@ def test_the_doubt_covers_the_torque_error_elsewhere(motions: int, tmp_path: Pat
         trials = recorded(tmp_path / "r.parquet", motions, seed)
         cad = arm(mass=1.03, shift=0.003)
         nominal = identify_nominal(cad, trials)
-        doubt = of_regression(cad, nominal, trials)
+        uncertainty = of_regression(cad, nominal, trials)
         q, dq, ddq = recombined(trials)
         assert q.shape == (STATES, 3)
         Y = regressors(true.chain, q, dq, ddq)
         rigid = Y @ (nominal.pi - true.pi).ravel() + ddq * (nominal.rotor - true.rotor)
         F = np.array([[nominal.value(e, j)[k] for j in JOINTS] for e, k in (("coulomb", "F_c"), ("viscous", "F_v"))])
         error = rigid + (F[0] - F_C) * np.sign(dq) + (F[1] - F_V) * dq
-        inside.append(np.mean(np.abs(error) <= doubt))
+        inside.append(np.mean(np.abs(error) <= uncertainty))
     assert np.mean(inside) > 0.8, inside
 
 

@@ -88,7 +88,7 @@ def test_story_and_parameters_are_complete(effect: Effect) -> None:
     symbols = [t.symbol for t in effect.terms] + [p.symbol for p in effect.shapes]
     assert len(set(symbols)) == len(symbols)
     assert set(effect.looks_like) <= set(catalogue()) - {effect.name}
-    assert effect.looks_like and effect.tell_apart.endswith(".") and effect.says.endswith(".")
+    assert effect.looks_like and effect.distinguished_by.endswith(".") and effect.says.endswith(".")
     assert bool(effect.states) == (effect.flow is not None)
 
 
@@ -109,8 +109,8 @@ def test_law_does_nothing_without_its_signals(effect: Effect) -> None:
     s, values = drawn(effect, rng)
     reads = set(effect.needs)
     groups = {"tip": [f"tip{k}" for k in range(10)], "tilt": ["tilt0", "tilt1"], "memory": [k for k in s if k[:6] == "memory"]}
-    kept = {x for need in reads for x in groups.get(need, [need])}
-    other = {k: (v if k in kept else rng.permutation(v) * 3.7 + 1.0) for k, v in s.items()}
+    used = {x for need in reads for x in groups.get(need, [need])}
+    other = {k: (v if k in used else rng.permutation(v) * 3.7 + 1.0) for k, v in s.items()}
     for a, b in zip(effect.columns(signals(s, effect), values), effect.columns(signals(other, effect), values), strict=True):
         assert np.array_equal(np.broadcast_to(a, 50), np.broadcast_to(b, 50)), f"{effect.name} reads more than it says"
 
@@ -138,13 +138,13 @@ def test_c_text_computes_the_same(effect: Effect) -> None:
     sig = replace(signals(s, effect), ddq_other=0.0)  # no sample of the core holds it
     rows = np.zeros((lib.STOPSET_SIGNALS, 50))
     for k, name in enumerate(SIGNALS):
-        rows[k] = np.broadcast_to(getattr(sig, name) if name != "way" else np.sign(sig.dq), 50)
+        rows[k] = np.broadcast_to(getattr(sig, name) if name != "given_direction" else np.sign(sig.dq), 50)
     for k, x in enumerate([*sig.tilt, *sig.tip, *sig.memory]):
         rows[TILT + k] = x
     wanted = [(-1, effect.torque(sig, values)), *enumerate(effect.rates(sig, values))]
     for which, numeric in wanted:
         tape = recorded(effect, other, which)
-        assert tape.apart and parameters_of(effect, other) == list(values)
+        assert tape.parametric and parameters_of(effect, other) == list(values)
         numbers = np.array([*values.values(), *tape.numbers[len(values) :]])
         law = ffi.new("StopsetProgram *", (len(tape.steps), ffi.from_buffer("int32_t[]", tape.steps), view(numbers)))
         out = np.empty(50)

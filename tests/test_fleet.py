@@ -76,8 +76,8 @@ def test_two_workers_give_the_same_bits_and_a_killed_one_loses_nothing(
 ) -> None:
     address, workers = cluster
     alone = identify(data, tmp_path / "alone.json")
-    told = capsys.readouterr().err
-    assert [f"{k * TRIALS // 10} of {TRIALS} trials" in told for k in range(1, 11)] == [True] * 10, told
+    reported = capsys.readouterr().err
+    assert [f"{k * TRIALS // 10} of {TRIALS} trials" in reported for k in range(1, 11)] == [True] * 10, reported
     together = identify(data, tmp_path / "together.json", "--scheduler", address)
     assert "of 6 parts of the campaign from 2 workers" in capsys.readouterr().err
     assert together == alone, "the model must not depend on where it was computed"
@@ -122,8 +122,8 @@ def test_many_arms_with_one_command_are_each_as_alone_though_a_worker_is_killed(
     assert main([*words, "--json", str(tmp_path / "all.json"), "--report", str(tmp_path / "all.html")]) == 1
     killed.join()
     assert workers[0].wait(timeout=10) != 0
-    told = capsys.readouterr().out
-    assert "7 of 8 arms identified and diagnosed" in told and "arm05  not done:" in told and "expected" in told
+    reported = capsys.readouterr().out
+    assert "7 of 8 arms identified and diagnosed" in reported and "arm05  not done:" in reported and "expected" in reported
     rows = {r["name"]: r for r in json.loads((tmp_path / "all.json").read_text())}
     assert len(rows) == 8 and [n for n, r in rows.items() if r["error"]] == ["arm05"]
     assert not (out / "arm05.model.json").exists() and "arm05" in (tmp_path / "all.html").read_text()
@@ -152,5 +152,5 @@ def test_a_fleet_that_is_none_is_a_sentence(
 ) -> None:
     spoil(tmp_path / "fleet")
     assert main(["identify-fleet", str(tmp_path / "fleet"), "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert said in told and "expected" in told
+    reported = capsys.readouterr().err
+    assert said in reported and "expected" in reported

@@ -14,13 +14,16 @@ from typing import Any
 
 import pytest
 
-from monitor_process import free_port, wait
+from monitor_process import free_port
+from patience import wait
 from stopset.cli.main import main
 from stopset.monitor.fleet import Fleet, FleetPage, terminal
+from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 
 ARM = """
 import json, sys, time
+from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 name, port, state = sys.argv[1:4]
 link = ZenohLink(name + "/stopset", mode="client", connect=[f"tcp/127.0.0.1:{port}"])
@@ -50,6 +53,14 @@ def words(fleet: Fleet) -> dict[str, str]:
 def texts(browser: Any, selector: str) -> list[str]:
     """What stands in each, read at once: the page draws its tiles anew all the time."""
     return list(browser.execute_script("return [...document.querySelectorAll(arguments[0])].map(e => e.innerText)", selector))
+
+
+def test_every_state_that_a_monitor_publishes_has_its_place() -> None:
+    fleet = Fleet()
+    for state in State:
+        fleet.take_json(f"hall/cell/{state.name}/stopset/state/json", json.dumps({"state": state.name, "why": ""}).encode())
+    assert sorted(words(fleet).values()) == sorted({s.name for s in State} - {"NEVER_SENT"}) and fleet.garbled == 1
+    assert fleet.snapshot()["counts"]["INIT"] == 1 and terminal(fleet) is not None
 
 
 def test_three_arms_are_found_and_a_killed_one_goes_grey_in_time(router: int, tmp_path: Path, browser: Any) -> None:

@@ -42,11 +42,11 @@ def braked(rotor: float, n: int = 4, spread: float = 0.1, **model_options: Any) 
     )
 
 
-def cut_together(apart: float, lag: Array | None = None) -> Model:
+def cut_together(delay_spread: float, lag: Array | None = None) -> Model:
     """Brakes of one power stage: bounded once for every window of their common delay."""
     model = braked(8.0)
     assert model.brakes is not None
-    brakes = replace(model.brakes, delay=Box.of(np.full(4, 0.010), np.full(4, 0.040)), apart=apart, lag=lag)
+    brakes = replace(model.brakes, delay=Box.of(np.full(4, 0.010), np.full(4, 0.040)), delay_spread=delay_spread, lag=lag)
     return replace(model, brakes=brakes)
 
 
@@ -162,11 +162,11 @@ def effects_of_pose() -> Model:
     return braked(8.0, 3, effort="motor_torque", effects=fitted)
 
 
-@pytest.mark.parametrize("doubt", [0.0, 0.02])
-def test_effects_of_pose_and_speed_have_the_bits_of_stopset_stops(doubt: float) -> None:
+@pytest.mark.parametrize("relative_std", [0.0, 0.02])
+def test_effects_of_pose_and_speed_have_the_bits_of_stopset_stops(relative_std: float) -> None:
     """Every category; each law over the region that the stop stays in, which core and Python find alike."""
     model = effects_of_pose()
-    unsure = tuple(replace(f, std={k: doubt * abs(x) for k, x in f.values.items()}) for f in model.effects)
+    unsure = tuple(replace(f, std={k: relative_std * abs(x) for k, x in f.values.items()}) for f in model.effects)
     bounds = replace(bounds_of(replace(model, effects=unsure)), ramp=ramped(3))
     assert bounds.setting is not None and not bounds.setting.torques.settled
     core, proved = core_stop(bounds), 0

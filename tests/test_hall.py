@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from monitor_process import environment, free_port, wait
+from monitor_process import environment, free_port
+from patience import wait
 from stopset.monitor.fleet import Fleet
 from stopset.monitor.links.zenoh_link import ZenohLink
 

@@ -33,9 +33,9 @@ def test_a_gas_spring_that_carries_the_arm_is_a_counterbalance(seed: int) -> Non
     size = CARRIED * float(largest_gravity(ROBOT)[1])
     answer, truth = found("counterbalance", "lift", size, seed)
     assert answer.verdict == "missing" and [r.label for r in answer.ranked] == ["counterbalance:lift"]
-    told = answer.ranked[0].parameters
-    assert told["q_0"].value == pytest.approx(float(truth["stretched_out_rad"]) % (2 * np.pi), abs=0.1)
-    assert told["r"].value == pytest.approx(
+    reported = answer.ranked[0].parameters
+    assert reported["q_0"].value == pytest.approx(float(truth["stretched_out_rad"]) % (2 * np.pi), abs=0.1)
+    assert reported["r"].value == pytest.approx(
         float(truth["lever_ratio"]), abs=0.1
     )  # its force is not quite a constant, as the law's is
 
@@ -44,8 +44,10 @@ def test_a_gas_spring_that_carries_the_arm_is_a_counterbalance(seed: int) -> Non
 def test_a_cable_at_the_end_of_its_reach_is_no_spring(seed: int) -> None:
     answer, truth = found("cable", "turn", 0.5, seed)
     assert answer.verdict == "missing" and answer.ranked[0].label == "cable:turn"
-    told, A = answer.ranked[0].parameters, float(truth["torque_Nm"])
-    assert told["k"].value == pytest.approx(A / 0.6, rel=0.2) and told["k_3"].value == pytest.approx(A / 0.6**3 / 6, rel=0.6)
+    reported, A = answer.ranked[0].parameters, float(truth["torque_Nm"])
+    assert reported["k"].value == pytest.approx(A / 0.6, rel=0.2) and reported["k_3"].value == pytest.approx(
+        A / 0.6**3 / 6, rel=0.6
+    )
 
 
 def test_a_dress_pack_that_hardly_stiffens_is_a_spring_however_sure_the_rest_is() -> None:

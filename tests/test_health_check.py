@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from monitor_arm import known_model, meta, motion
-from monitor_process import PREFIX, Ear, environment, free_port, running, stopset, wait, write_config
+from monitor_process import PREFIX, Ear, environment, free_port, running, stopset, write_config
+from patience import wait
 from stopset.artifact import save_model
 from stopset.monitor.layout import State
 from stopset.recording import write_recordings
@@ -30,8 +31,8 @@ time.sleep(60)
 def health(config: Path) -> tuple[int, str]:
     """The very command of the image, with this configuration; its exit code and what it said."""
     text = (DEPLOY / "container/Dockerfile").read_text()
-    (told,) = re.findall(r"HEALTHCHECK.*?CMD \[(.*?)\]", text, re.DOTALL)
-    words = [str(config) if w == "/etc/stopset/arm.toml" else w for w in re.findall(r'"([^"]+)"', told)]
+    (reported,) = re.findall(r"HEALTHCHECK.*?CMD \[(.*?)\]", text, re.DOTALL)
+    words = [str(config) if w == "/etc/stopset/arm.toml" else w for w in re.findall(r'"([^"]+)"', reported)]
     assert words[:2] == ["stopset", "watch"] and "--check" in words
     p = stopset(*words[1:])
     out, err = p.communicate(timeout=40)
@@ -53,21 +54,21 @@ def test_green_only_for_a_daemon_that_watches(config: tuple[Path, int]) -> None:
     with running("monitor", "--config", str(path)) as monitor, Ear(port) as ear:
         with running(*words):
             assert ear.wait(lambda: {State.OK, State.DEGRADED, State.UNKNOWN} & set(ear.states[-1:]))
-            code, told = health(path)
-            assert code == 0, told
+            code, reported = health(path)
+            assert code == 0, reported
             monitor.send_signal(signal.SIGSTOP)
-            code, told = health(path)
-            assert code != 0, f"hung: {told}"
+            code, reported = health(path)
+            assert code != 0, f"hung: {reported}"
             monitor.send_signal(signal.SIGCONT)
             assert ear.wait(lambda: {State.OK, State.DEGRADED, State.UNKNOWN} & set(ear.states[-1:]))
             assert health(path)[0] == 0, "and green again"
         assert ear.wait(lambda: ear.states[-1] is State.FAULT), "the arm is gone"
-        code, told = health(path)
-        assert code == 1 and "FAULT" in told and "no signal from the arm" in told
+        code, reported = health(path)
+        assert code == 1 and "FAULT" in reported and "no signal from the arm" in reported
         monitor.kill()
         monitor.wait(10)
-    code, told = health(path)
-    assert code != 0 and "Traceback" not in told, f"gone: {told}"
+    code, reported = health(path)
+    assert code != 0 and "Traceback" not in reported, f"gone: {reported}"
 
 
 def test_red_for_a_daemon_that_is_there_and_says_nothing(config: tuple[Path, int]) -> None:
@@ -76,8 +77,8 @@ def test_red_for_a_daemon_that_is_there_and_says_nothing(config: tuple[Path, int
     p = subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, text=True)
     try:
         assert p.stdout is not None and wait(lambda: p.stdout.readline().strip() == "listens")
-        code, told = health(path)
-        assert code == 1 and "NO DATA" in told
+        code, reported = health(path)
+        assert code == 1 and "NO DATA" in reported
     finally:
         p.kill()
         p.communicate()

@@ -289,6 +289,42 @@ def test_one_meaning_per_class_name() -> None:
     assert not {k: v for k, v in homes.items() if len(v) > 1}
 
 
+# words that names were made of before the field's took their place (NOTATION.md), and what stands there now
+REPLACED = {
+    "told": "reported, stated, answer", "tell": "progress", "tells": "determines", "way": "direction, travel, distance, path",
+    "ways": "travel", "kept": "retained, stored", "apart": "spread, separate, difference", "doubt": "fault, uncertainty",
+    "doubts": "faults", "lever": "moment arm", "levers": "moment arms, gravity stiffness", "restless": "still moving",
+    "loud": "noisy", "foretells": "predicts",
+}  # fmt: skip
+
+
+def words_of(identifier: str) -> set[str]:
+    """The words of a name, however they are joined."""
+    return {w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", identifier)}
+
+
+def identifiers(node: ast.AST) -> Iterator[str]:
+    """Every name that a module gives or uses."""
+    for n in ast.walk(node):
+        if isinstance(n, ast.alias):
+            yield from (n.name.rpartition(".")[2], n.asname or "")
+        else:
+            yield from (x for k in ("id", "attr", "arg", "name") if isinstance(x := getattr(n, k, None), str))
+
+
+def identifiers_of_c(text: str) -> set[str]:
+    return set(re.findall(r"[A-Za-z_]\w*", re.sub(r'/\*.*?\*/|"(?:\\.|[^"\\\n])*"', " ", text, flags=re.DOTALL)))
+
+
+def test_names_are_made_of_the_words_of_the_field() -> None:
+    """Whoever comes from robotics finds what they look for, in Python and in C."""
+    assert words_of("toldTooWay_KEPT") == {"told", "too", "way", "kept"}
+    named = {m: set(identifiers(tree(m))) for m in modules() if not m.endswith("._binding")}
+    named |= {name: identifiers_of_c(text) for name, text in sources_in_c().items()}
+    wrong = {f"{m}: {x} ({REPLACED[w]})" for m, names in named.items() for x in names for w in words_of(x) & REPLACED.keys()}
+    assert not wrong, sorted(wrong)
+
+
 def test_nothing_is_left_to_do() -> None:
     marks = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
     assert not [m for m, p in modules().items() if marks.search(p.read_text(encoding="utf-8"))]

@@ -304,9 +304,9 @@ def test_a_late_torque_is_told_of_compensated_torque_too(tmp_path: Path, trials:
         return replace(r, tau=np.column_stack([np.interp(r.t - late, r.t, x) for x in u.T]))
 
     moving_ones = [r for r in trials if r.phase != "static"]
-    for late, told in ((0.0, False), (0.03, True)):
+    for late, expected in ((0.0, False), (0.03, True)):
         i = look(tmp_path, [compensated(r, late) for r in moving_ones], meta)
-        assert ("torque_delay" in kinds(i)) == told, [f.says for f in i.findings]
+        assert ("torque_delay" in kinds(i)) == expected, [f.says for f in i.findings]
 
 
 @pytest.mark.parametrize("factor", [1.05, 0.95, 1.015, 1.3])

@@ -384,7 +384,7 @@ def test_the_worst_known_decides_the_state() -> None:
         {"verdict": replace(inside, oldest=0.09)},
     ):
         assert decide(replace(good, **change))[0] is State.UNKNOWN, change
-    assert decide(replace(good, sample=replace(s, doubt="the drive of arm_1_joint (node 3) is stopped")))[0] is State.UNKNOWN
+    assert decide(replace(good, sample=replace(s, fault="the drive of arm_1_joint (node 3) is stopped")))[0] is State.UNKNOWN
     assert decide(replace(good, verdict=Verdict(Conformance.FAULT, "x")))[0] is State.FAULT
     assert decide(replace(good, numbers={}))[1] and not believable(*decide(replace(good, latched="seen"))[:2])
     outside = replace(good, verdict=Verdict(Conformance.UNKNOWN, "outside", outside=("q_a",)))
@@ -393,27 +393,27 @@ def test_the_worst_known_decides_the_state() -> None:
 
 def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> None:
     r = Recovery(OkConditions(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25))
-    told: list[tuple[State, int, str]] = []
+    reported: list[tuple[State, int, str]] = []
 
     def turns(count: int, state: State, start: float) -> float:
-        told.clear()
-        told.extend(r.hold(state, f"why {state.name}", start + 0.01 * k) for k in range(count))
+        reported.clear()
+        reported.extend(r.hold(state, f"why {state.name}", start + 0.01 * k) for k in range(count))
         return start + 0.01 * count
 
     now = turns(30, State.OK, 0.0)
-    assert [t[0] for t in told] == [State.UNKNOWN] * 25 + [State.OK] * 5
-    assert told[10][1] == Flag.RECOVERING and "0.10 s of 0.25 s" in told[10][2] and "the start" in told[10][2]
+    assert [t[0] for t in reported] == [State.UNKNOWN] * 25 + [State.OK] * 5
+    assert reported[10][1] == Flag.RECOVERING and "0.10 s of 0.25 s" in reported[10][2] and "the start" in reported[10][2]
     now = turns(1, State.DEGRADED, now)
-    assert told[0] == (State.DEGRADED, 0, "why DEGRADED"), "at once"
+    assert reported[0] == (State.DEGRADED, 0, "why DEGRADED"), "at once"
     now = turns(20, State.OK, now)
-    assert {t[0] for t in told} == {State.DEGRADED} and "why DEGRADED" in told[-1][2], "no flicker"
+    assert {t[0] for t in reported} == {State.DEGRADED} and "why DEGRADED" in reported[-1][2], "no flicker"
     now = turns(10, State.OK, now)
-    assert told[-1][0] is State.OK
+    assert reported[-1][0] is State.OK
     now = turns(1, State.UNKNOWN, now)
     now = turns(26, State.OK, now)
-    assert told[0][0] is State.UNKNOWN and told[-1][0] is State.OK
+    assert reported[0][0] is State.UNKNOWN and reported[-1][0] is State.OK
     turns(1, State.OK, now + 2.0)
-    assert told[0][0] is State.UNKNOWN and "stood still for 2010 ms" in told[0][2], "stopped and continued"
+    assert reported[0][0] is State.UNKNOWN and "stood still for 2010 ms" in reported[0][2], "stopped and continued"
 
 
 # ---- the message ----------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from float32 import outward
 from monitor_process import compiled
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
-from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Doubt, Expected
+from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Expected, Fault
 from stopset.monitor.layout import LENGTH, State, unpack
 from stopset.monitor.packer import pack
 
@@ -40,7 +40,7 @@ def proven(now: int = 1000 * MS) -> Consumer:
     c = Consumer(EXPECTED, WATCHDOG)
     nonce = c.challenge(now - MS, 0x1234)
     assert nonce is not None
-    assert c.take(message(now, 10, nonces=(0, 0x1234)), now) is Doubt.NONE
+    assert c.take(message(now, 10, nonces=(0, 0x1234)), now) is Fault.NONE
     return c
 
 
@@ -51,37 +51,37 @@ def test_a_good_message_is_believed_as_long_as_its_data_are_valid() -> None:
     c = proven()
     assert c.state(T) is State.OK
     assert c.state(T + 23 * MS) is State.OK, "5 ms old when it came, and up to 1 ms underway"
-    assert c.state(T + 26 * MS) is State.FAULT and c.why is Doubt.STALE
-    assert c.state(T + 51 * MS) is State.FAULT and c.why is Doubt.SILENT
+    assert c.state(T + 26 * MS) is State.FAULT and c.why is Fault.STALE
+    assert c.state(T + 51 * MS) is State.FAULT and c.why is Fault.SILENT
 
 
-FAULTS: dict[str, tuple[Callable[[bytes], bytes], Doubt]] = {
-    "corruption": (lambda d: d[:100] + bytes([d[100] ^ 4]) + d[101:], Doubt.UNREADABLE),
-    "a bit of the code": (lambda d: d[:600] + bytes([d[600] ^ 1]) + d[601:], Doubt.UNREADABLE),
-    "cut": (lambda d: d[:-1], Doubt.UNREADABLE),
-    "nothing": (lambda d: b"", Doubt.UNREADABLE),
-    "repetition": (lambda d: message(T + MS, 10), Doubt.REPEATED),
-    "incorrect sequence": (lambda d: message(T + MS, 9), Doubt.REPEATED),
-    "insertion": (lambda d: message(T + MS, 500, boot_id=2), Doubt.UNPROVEN),
-    "insertion of another life with the answer": (lambda d: message(T + MS, 5, boot_id=2, nonces=(0x1234,)), Doubt.UNPROVEN),
-    "addressing": (lambda d: message(T + MS, 11, data_id=8), Doubt.FOREIGN),
-    "masquerade without key": (lambda d: message(T + MS, 11, key=None), Doubt.FORGED),
-    "masquerade with another key": (lambda d: message(T + MS, 11, key=Key(3, bytes(32))), Doubt.FORGED),
-    "masquerade with an unknown key": (lambda d: message(T + MS, 11, key=Key(4, KEY.secret)), Doubt.FORGED),
-    "another model": (lambda d: message(T + MS, 11, model_hash=1), Doubt.OTHER_MODEL),
-    "another configuration": (lambda d: message(T + MS, 11, config_hash=1), Doubt.OTHER_CONFIG),
+FAULTS: dict[str, tuple[Callable[[bytes], bytes], Fault]] = {
+    "corruption": (lambda d: d[:100] + bytes([d[100] ^ 4]) + d[101:], Fault.UNREADABLE),
+    "a bit of the code": (lambda d: d[:600] + bytes([d[600] ^ 1]) + d[601:], Fault.UNREADABLE),
+    "cut": (lambda d: d[:-1], Fault.UNREADABLE),
+    "nothing": (lambda d: b"", Fault.UNREADABLE),
+    "repetition": (lambda d: message(T + MS, 10), Fault.REPEATED),
+    "incorrect sequence": (lambda d: message(T + MS, 9), Fault.REPEATED),
+    "insertion": (lambda d: message(T + MS, 500, boot_id=2), Fault.UNPROVEN),
+    "insertion of another life with the answer": (lambda d: message(T + MS, 5, boot_id=2, nonces=(0x1234,)), Fault.UNPROVEN),
+    "addressing": (lambda d: message(T + MS, 11, data_id=8), Fault.FOREIGN),
+    "masquerade without key": (lambda d: message(T + MS, 11, key=None), Fault.FORGED),
+    "masquerade with another key": (lambda d: message(T + MS, 11, key=Key(3, bytes(32))), Fault.FORGED),
+    "masquerade with an unknown key": (lambda d: message(T + MS, 11, key=Key(4, KEY.secret)), Fault.FORGED),
+    "another model": (lambda d: message(T + MS, 11, model_hash=1), Fault.OTHER_MODEL),
+    "another configuration": (lambda d: message(T + MS, 11, config_hash=1), Fault.OTHER_CONFIG),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_of_the_way_are_found(fault: str) -> None:
     """The eight of IEC 61784-3 (loss and delay below), each counted as silence."""
-    spoil, doubt = FAULTS[fault]
+    spoil, refusal = FAULTS[fault]
     c = proven()
     before = c.arrived
-    assert c.take(spoil(message(T + MS, 11)), T + MS) is doubt
-    assert c.refused[doubt] == 1 and c.arrived == before
-    assert c.take(message(T + 2 * MS, 11), T + 2 * MS) is Doubt.NONE, "and the good ones go on"
+    assert c.take(spoil(message(T + MS, 11)), T + MS) is refusal
+    assert c.refused[refusal] == 1 and c.arrived == before
+    assert c.take(message(T + 2 * MS, 11), T + 2 * MS) is Fault.NONE, "and the good ones go on"
 
 
 def test_loss_is_counted_and_delay_is_stale() -> None:
@@ -89,24 +89,24 @@ def test_loss_is_counted_and_delay_is_stale() -> None:
     c.take(message(T + 4 * MS, 14), T + 4 * MS)
     assert c.lost == 3
     c.take(message(T + 5 * MS, 15), T + 45 * MS)  # underway for 40 ms
-    assert c.state(T + 45 * MS) is State.FAULT and c.why is Doubt.STALE
+    assert c.state(T + 45 * MS) is State.FAULT and c.why is Fault.STALE
     hour = 3_600_000 * MS
     late = Consumer(EXPECTED, WATCHDOG)
     for k in range(100):  # yesterday's stream, in its rhythm: nobody answers
         late.challenge(T + hour + 10 * k * MS, 50 + k)
         late.take(message(T + 10 * k * MS, k), T + hour + 10 * k * MS)
         assert late.state(T + hour + 10 * k * MS) is State.FAULT
-    assert late.why is Doubt.UNPROVEN
+    assert late.why is Fault.UNPROVEN
 
 
 def test_a_restarted_daemon_is_believed_when_it_answers_and_the_old_one_is_gone() -> None:
     c = proven()
     later = T + 60 * MS
-    assert c.take(message(later, 0, boot_id=2), later) is Doubt.UNPROVEN
+    assert c.take(message(later, 0, boot_id=2), later) is Fault.UNPROVEN
     assert c.challenge(T + CHALLENGE_EVERY, 99) is not None
     at = T + CHALLENGE_EVERY + 2 * MS
-    assert c.take(message(at, 20, boot_id=2, nonces=(99,)), at) is Doubt.NONE and c.state(at) is State.OK
-    assert c.take(message(at, 11), at + MS) is Doubt.UNPROVEN, "the life before has ended"
+    assert c.take(message(at, 20, boot_id=2, nonces=(99,)), at) is Fault.NONE and c.state(at) is State.OK
+    assert c.take(message(at, 11), at + MS) is Fault.UNPROVEN, "the life before has ended"
 
 
 def test_proof_of_life_runs_out() -> None:
@@ -115,18 +115,18 @@ def test_proof_of_life_runs_out() -> None:
         now = T + 10 * k * MS
         c.take(message(now, 10 + k), now)
         assert (c.state(now) is State.OK) == (now - T <= PROOF_LIFE), k
-    assert c.why is Doubt.UNPROVEN
+    assert c.why is Fault.UNPROVEN
 
 
 @pytest.mark.parametrize(
-    ("jump", "doubt"), [(3600, Doubt.UNPROVEN), (0.2, Doubt.UNPROVEN), (-3600, Doubt.STALE), (-0.2, Doubt.STALE)]
+    ("jump", "refusal"), [(3600, Fault.UNPROVEN), (0.2, Fault.UNPROVEN), (-3600, Fault.STALE), (-0.2, Fault.STALE)]
 )
-def test_a_clock_that_was_set_is_no_fresh_data(jump: float, doubt: Doubt) -> None:
+def test_a_clock_that_was_set_is_no_fresh_data(jump: float, refusal: Fault) -> None:
     """The daemon's clock jumps by ``jump`` [s]; what it stamps is not believed until it has answered anew."""
     c, by = proven(), int(jump * 1e9)
     now = T + 10 * MS
     c.take(message(now, 11, t_pub_ns=now + AHEAD + by, t_meas_ns=now + AHEAD + by - 5 * MS), now)
-    assert c.state(now) is State.FAULT and c.why is doubt
+    assert c.state(now) is State.FAULT and c.why is refusal
     asked = T + CHALLENGE_EVERY
     assert c.challenge(asked, 77) is not None
     at = asked + 2 * MS
@@ -157,11 +157,11 @@ def test_every_state_but_ok_and_degraded_passes_and_nonsense_is_fault() -> None:
         c.take(message(T + MS, 11, state=code), T + MS)
         said = c.state(T + 40 * MS)
         if code in (State.OK, State.DEGRADED):
-            assert said is State.FAULT and c.why is Doubt.STALE
+            assert said is State.FAULT and c.why is Fault.STALE
         elif code in [s for s in State if s is not State.NEVER_SENT]:
             assert said is State(code)
         else:
-            assert said is State.FAULT and c.why is Doubt.NO_SUCH_STATE
+            assert said is State.FAULT and c.why is Fault.NO_SUCH_STATE
 
 
 # ---- keys -----------------------------------------------------------------------------------------------------------
@@ -178,8 +178,8 @@ def test_keys_change_without_a_gap(tmp_path: Path) -> None:
     assert both.first.key_id == 2 and "22" not in repr(both.first)
     c = Consumer(Expected(7, 0xAA, 0xBB, both), WATCHDOG)
     c.challenge(T, 5)
-    assert c.take(message(T, 1, nonces=(5,)), T) is Doubt.NONE
-    assert c.take(message(T + MS, 2, key=both.first), T + MS) is Doubt.NONE
+    assert c.take(message(T, 1, nonces=(5,)), T) is Fault.NONE
+    assert c.take(message(T + MS, 2, key=both.first), T + MS) is Fault.NONE
 
 
 @pytest.mark.parametrize(

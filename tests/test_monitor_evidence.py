@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import heapq
 import json
 import subprocess
 import sys
@@ -18,16 +19,18 @@ from mcap.reader import make_reader
 
 from monitor_arm import DT, known_model, meta, motion, with_torque_scaled
 from monitor_faults import KINDS, Fault
-from monitor_process import Ear, environment, free_port, running, wait, write_config
+from monitor_process import Ear, environment, free_port, running, write_config
 from monitor_world import EPOCH, World
+from patience import wait
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.monitor.config import Records
 from stopset.monitor.evidence.cause import Kind
+from stopset.monitor.evidence.classify import AFTER
 from stopset.monitor.evidence.mcap_file import McapFile
 from stopset.monitor.evidence.overheard import Overheard
-from stopset.monitor.evidence.recorder import AFTER, Recorder
+from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
@@ -52,7 +55,7 @@ def lived(arm: tuple[Path, Model], fault: Fault | None, seed: int) -> World:
     return World(seed, *arm, SECONDS, fault).live()
 
 
-def told(world: World) -> list[dict[str, Any]]:
+def reported(world: World) -> list[dict[str, Any]]:
     events = [json.loads(e) for e in world.slow.get("event", [])]
     return [e["cause"] for e in events if e["kind"] == "bundle"]
 
@@ -66,37 +69,82 @@ def test_every_fault_gets_its_class(arm: tuple[Path, Model], kind: Kind) -> None
     for seed in (1, 2):
         fault = Fault(kind, np.random.default_rng([seed, KINDS.index(kind)]), 100)
         world = lived(arm, fault, seed)
-        (cause, *_) = told(world)
+        (cause, *_) = reported(world)
         assert cause["kind"] == kind, (seed, cause)
         assert cause["joint"] in ("", arm[1].joints[fault.joint])
         onset = cause["t"] - EPOCH * 1e-9 - fault.at * DT
         assert abs(onset) < (0.8 if kind in (Kind.DRIFT, Kind.MISSING_EFFECT) else 0.03), onset
-        assert world.told[-1].m["violation_class"] == kind.code
+        assert world.published[-1].m["violation_class"] == kind.code
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "lost"),
+    [(Kind.DRIFT, 15, (124, 127)), (Kind.DRIFT, 26, (138, 141)), (Kind.LATE_TORQUE, 32, (129, 132)), (Kind.MISSING_EFFECT, 24, (134, 164))],
+)  # fmt: skip
+def test_evidence_that_a_gap_has_broken_gives_no_wrong_class(
+    arm: tuple[Path, Model], kind: Kind, seed: int, lost: tuple[int, int]
+) -> None:
+    """Over the tenth of a second that is left between contradiction and gap, a drift looks like a contact."""
+    fault = Fault(kind, np.random.default_rng([seed, KINDS.index(kind)]), 100)
+    world = World(seed, *arm, SECONDS, fault)
+    world.frames = [f for f in world.frames if not lost[0] <= round(f[3] / DT) < lost[1]]
+    heapq.heapify(world.frames)
+    (cause, *_) = reported(world.live())
+    assert cause["kind"] == Kind.UNCLASSED and "without a gap" in cause["says"], cause
+
+
+def play(world: World, hub: Hub) -> bool:
+    """Send a life's frames, never closer together than they were; whether none was kept back for longer than the monitor waits."""
+    time.sleep(0.7)  # over half a round of the SYNC counter: another motion
+    first = begin = time.monotonic()
+    for at, _, frame, _ in sorted(world.frames):
+        time.sleep(max(0.0, begin + at - time.monotonic()))
+        begin = max(begin, time.monotonic() - at)
+        hub.send(frame.cob_id, frame.data)
+    return begin - first < 0.3
 
 
 @pytest.mark.slow
 def test_every_fault_gets_its_class_from_real_processes(arm: tuple[Path, Model], tmp_path: Path) -> None:
-    """The same frames at their times over a bus, to one monitor that is reset by a person after each."""
+    """The same frames over a bus, to one monitor that is reset by a person after each. No class may be wrong, whatever the
+    machine does to the frames' times; one that they have cost its class is sent again."""
     bus, port = free_port(), free_port()
     config = write_config(tmp_path, arm[0], f'[bus]\nlink = "hub:{bus}"\nwait_s = 60\n[stops]\ncategories = ["0"]', port)
     hub = Hub("127.0.0.1", bus)
     with running("monitor", "--config", str(config)), Ear(port) as ear:
-        assert ear.wait(lambda: hub.clients == 1, 60)
-        for n, kind in enumerate(KINDS, start=1):
-            world = World(1, *arm, SECONDS, Fault(kind, np.random.default_rng([1, n - 1]), 100))
-            time.sleep(0.7)  # over half a round of the SYNC counter: another motion
-            begin = time.monotonic()
-            for at, _, frame, _ in sorted(world.frames):
-                time.sleep(max(0.0, begin + at - time.monotonic()))
-                hub.send(frame.cob_id, frame.data)
-            assert ear.wait(lambda n=n: sum(e["kind"] == "bundle" for e in list(ear.events)) >= n, 30), (kind, ear.twins[-1])
-            cause = [e for e in ear.events if e["kind"] == "bundle"][-1]["cause"]
-            assert cause["kind"] == kind and cause["joint"] in ("", arm[1].joints[world.fault.joint]), (kind, cause)
-            assert ear.wait(lambda kind=kind: ear.twins[-1]["violation_class"] == kind.value)
+        assert ear.wait(lambda: hub.clients == 1)
+
+        def idle() -> bool:
+            """Whether the monitor has done with all that was sent."""
+            samples = ear.twins[-1]["samples"]
+            time.sleep(0.5)
+            return bool(ear.twins[-1]["samples"] == samples)
+
+        def cause_of(world: World) -> tuple[dict[str, Any], bool]:
+            """What is told of a life, and whether its readings have reached the monitor in one piece."""
+            gaps, started = ear.twins[-1]["gaps"], time.time()
+            in_time = play(world, hub)
+
+            def causes() -> list[dict[str, Any]]:
+                return [e["cause"] for e in list(ear.events) if e["kind"] == "bundle" and e["cause"]["t"] > started]
+
+            assert ear.wait(causes) and ear.wait(idle), ear.events[-3:]
+            cause, whole = causes()[0], ear.twins[-1]["gaps"] <= gaps + 1
+            assert ear.twins[-1]["violation_class"] == cause["kind"], ear.events[-5:]
             ear.link.put("reset", b'{"name": "A. Person", "reason": "looked at"}')
             assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+            return cause, in_time and whole
+
+        assert ear.wait(lambda: ear.twins)
+        for n, kind in enumerate(KINDS):
+            for _ in range(20):
+                world = World(1, *arm, SECONDS, Fault(kind, np.random.default_rng([1, n]), 100))
+                cause, whole = cause_of(world)
+                if cause["kind"] != Kind.UNCLASSED or whole:
+                    break
+            assert cause["kind"] == kind and cause["joint"] in ("", arm[1].joints[world.fault.joint]), (kind, cause)
     hub.close()
-    assert len(list((tmp_path / "monitor.record").glob("violation-*.mcap"))) == len(KINDS)
+    assert len(list((tmp_path / "monitor.record").glob("violation-*.mcap"))) >= len(KINDS)
 
 
 def test_a_spike_counts_once(arm: tuple[Path, Model]) -> None:
@@ -110,8 +158,8 @@ def test_a_spike_counts_once(arm: tuple[Path, Model]) -> None:
 
 def test_a_good_arm_gets_no_class(arm: tuple[Path, Model]) -> None:
     world = World(3, *arm, SECONDS, Fault(Kind.NONE, np.random.default_rng(0), 0)).live()
-    assert not told(world) and {t.m["violation_class"] for t in world.told} == {0}
-    assert State.OK in {State(t.m["state"]) for t in world.told}
+    assert not reported(world) and {t.m["violation_class"] for t in world.published} == {0}
+    assert State.OK in {State(t.m["state"]) for t in world.published}
 
 
 def test_codes_of_the_classes_only_grow() -> None:

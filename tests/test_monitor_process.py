@@ -14,7 +14,7 @@ import pytest
 from monitor_arm import known_model, meta, motion, with_torque_scaled
 from monitor_process import Ear, PythonReading, expected, free_port, running, stopset, write_config
 from stopset.artifact import Model, save_model
-from stopset.monitor.consumer import Doubt
+from stopset.monitor.consumer import Fault
 from stopset.monitor.layout import State, unpack
 from stopset.recording import write_recordings
 
@@ -122,7 +122,7 @@ def test_killed_or_frozen_monitor_is_noticed(place: Place, tmp_path: Path) -> No
         assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
         monitor.send_signal(signal.SIGSTOP)
         assert ear.wait(lambda: consumer.now is State.FAULT, 3.0)
-        assert consumer.consumer.why is Doubt.SILENT
+        assert consumer.consumer.why is Fault.SILENT
         ear.link.put("challenge", b"\4\5\6")
         time.sleep(0.3)
         assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"

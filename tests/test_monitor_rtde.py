@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, known_model, motion, with_torque_scaled
-from monitor_process import DATA_ID, Ear, free_port, running, wait
+from monitor_process import DATA_ID, Ear, free_port, running
+from patience import wait
 from rtde_server import Controller
 from stopset.artifact import save_model
 from stopset.errors import BusError
@@ -31,7 +32,7 @@ from stopset.robot.rigid import gravity_torques
 TORQUE = "actual_current_as_torque"
 
 
-def told(r: Recording, **more: Any) -> Any:
+def controller_rows(r: Recording, **more: Any) -> Any:
     """What the controller says of a recording; at its end it begins anew."""
 
     def state(k: int) -> dict[str, Any]:
@@ -50,7 +51,7 @@ def with_gravity(r: Recording) -> Recording:
 
 @pytest.fixture
 def controller() -> Iterator[Controller]:
-    server = Controller(told(motion(0, 3000)), DT)
+    server = Controller(controller_rows(motion(0, 3000)), DT)
     yield server
     server.close()
 
@@ -78,7 +79,7 @@ def test_another_client_understands_the_simulated_controller() -> None:
     """`ur-rtde` of SDU Robotics, which speaks to real ones; its port is fixed, so an address of its own is taken."""
     pytest.importorskip("rtde_receive", reason="ur-rtde is not installed")
     r, names = motion(0, 3000), "timestamp,actual_q,actual_qd,robot_mode,safety_status"
-    server = Controller(told(r), DT, 30004, "127.0.0.99")
+    server = Controller(controller_rows(r), DT, 30004, "127.0.0.99")
     try:
         done = subprocess.run([sys.executable, "-c", THEIRS, names], capture_output=True, text=True, timeout=20, check=False)
         assert done.returncode == 0, done.stderr
@@ -98,7 +99,7 @@ def test_samples_are_what_the_controller_sent_cycle_after_cycle(controller: Cont
     assert len(samples) == 200 and {b.k - a.k for a, b in itertools.pairwise(samples)} == {1}
     first = next(i for i in range(100) if np.array_equal(samples[0].q, r.q[i]))
     for i, s in enumerate(samples, start=first):
-        assert np.array_equal(s.q, r.q[i]) and np.array_equal(s.dq, r.dq[i]) and s.powered and not s.doubt
+        assert np.array_equal(s.q, r.q[i]) and np.array_equal(s.dq, r.dq[i]) and s.powered and not s.fault
         assert s.tau is not None and np.allclose(s.tau, r.tau[i], rtol=1e-12)
     late = time.time() - samples[-1].t
     assert -0.01 < late < 2.0 and "hello" in " ".join(source.complaints())
@@ -164,7 +165,7 @@ def test_the_monitor_judges_what_a_controller_says(tmp_path: Path) -> None:
     save_model(replace(known_model(), effort="motor_torque"), tmp_path / "arm.model.json")
     run = motion(0, 15_000)  # a minute
     good, port = with_gravity(run), free_port()
-    controller = Controller(told(good), DT)
+    controller = Controller(controller_rows(good), DT)
     config = tmp_path / "monitor.toml"
     config.write_text(
         f'model = "arm.model.json"\ndata_id = {DATA_ID}\n[rtde]\nhost = "127.0.0.1"\nport = {controller.port}\ncycle_s = {DT}\n'
@@ -175,16 +176,16 @@ def test_the_monitor_judges_what_a_controller_says(tmp_path: Path) -> None:
             judged = {State.OK, State.DEGRADED}
             assert ear.wait(lambda: ear.twins and ear.twins[-1]["verdicts"].get("CONFORMANT", 0) > 100), ear.twins[-1:]
             assert ear.wait(lambda: judged & set(ear.states[-20:])), ear.twins[-1]
-            controller.state = told(good, safety_status=(3,))
+            controller.state = controller_rows(good, safety_status=(3,))
             assert ear.wait(lambda: ear.states[-1] is State.UNKNOWN and "safety status is 3" in ear.twins[-1]["why"])
-            controller.state = told(good)
+            controller.state = controller_rows(good)
             assert ear.wait(lambda: ear.states[-1] in judged)
             controller.hang_up()
             assert ear.wait(lambda: judged.isdisjoint(ear.states[-1:]), 5.0)
             assert ear.wait(lambda: ear.states[-1] in judged), ear.twins[-1]
             assert not ear.twins[-1]["violation_count"], ear.twins[-1]["violation_why"]
             altered = with_gravity(with_torque_scaled(run, 3, 1.6))
-            controller.state = told(altered)
+            controller.state = controller_rows(altered)
             assert ear.wait(lambda: ear.states[-1] is State.VIOLATION)
             assert ear.wait(lambda: ear.twins[-1]["violating_joints"])
             assert ear.twins[-1]["violating_joints"][0] == known_model().joints[3] and monitor.poll() is None

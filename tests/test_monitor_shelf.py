@@ -41,7 +41,7 @@ def answer(middle: float, radius: float, angle: float) -> Certificate:
 
 
 def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
-    shelf = Shelf(N, kept=3)
+    shelf = Shelf(N, capacity=3)
     at = np.full(2 * N, 0.5)
     assert shelf.best(at, NONE) is None
     for angle, radius in ((0.3, 1.0), (0.1, 1.0), (0.01, 0.2)):
@@ -144,16 +144,16 @@ def test_new_motion_costs_its_share_of_a_core_and_no_more(cost: float) -> None:
 
 def test_what_was_saved_makes_the_bounds_of_motion_that_comes_again_tight() -> None:
     desk, (q, dq) = beside(0.02), never_twice(prbt_like(), 4.0)
-    angles, kept = [], []
+    angles, retained = [], []
     for _ in range(8):
-        told = []
+        angles_now = []
         for x, v in zip(q, dq, strict=True):
             desk.see(x, v)
-            told.append(desk.now(x, v)[0]["0"].forward.sum())
-        angles.append(np.median(told))
-        kept.append(desk.spending["kept"]["0"])
+            angles_now.append(desk.now(x, v)[0]["0"].forward.sum())
+        angles.append(np.median(angles_now))
+        retained.append(desk.spending["kept"]["0"])
     assert angles[-1] < 0.95 * angles[0]
-    assert kept[0] < kept[2] < kept[-2] == kept[-1], "it asked for tighter ones, and then no more"
+    assert retained[0] < retained[2] < retained[-2] == retained[-1], "it asked for tighter ones, and then no more"
 
 
 def test_a_share_that_is_used_up_is_no_bound_and_is_said() -> None:
@@ -193,19 +193,19 @@ def passed(desk: StopDesk, period: float = 1.0) -> list[bool]:
 
 
 def asked(desk: StopDesk) -> int:
-    return desk.counters["0"].kept
+    return desk.counters["0"].certificates
 
 
 def test_an_arm_that_comes_by_again_asks_for_nothing_and_a_lost_process_takes_nothing_away(desk: StopDesk) -> None:
     try:
-        kept, before = asked(desk), -1
+        retained, before = asked(desk), -1
         for _ in range(10):
-            if kept == before:
+            if retained == before:
                 break
             passed(desk)
-            before, kept = kept, asked(desk)
-        assert 1 < kept == before, "it asked, and then no more"
-        assert all(passed(desk)) and asked(desk) == kept, "every state was held, and nothing was asked for"
+            before, retained = retained, asked(desk)
+        assert 1 < retained == before, "it asked, and then no more"
+        assert all(passed(desk)) and asked(desk) == retained, "every state was held, and nothing was asked for"
         os.kill(desk._process.pid, signal.SIGKILL)
         until = time.monotonic() + 30.0
         while desk.restarts == 0 and time.monotonic() < until:

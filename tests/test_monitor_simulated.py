@@ -32,13 +32,13 @@ def test_a_hundred_lives_keep_every_promise(live: Live) -> None:
     for seed in range(SEEDS):
         world = live(seed)
         assert not (found := broken(world)), "\n".join(found)
-        seen |= {State(t.m["state"]) for t in world.told}
+        seen |= {State(t.m["state"]) for t in world.published}
     assert seen >= {State.OK, State.DEGRADED, State.UNKNOWN, State.VIOLATION, State.FAULT, State.INIT}, "the lives are not idle"
 
 
 def test_a_seed_gives_the_same_life_again(live: Live) -> None:
     def life(seed: int) -> list[tuple[float, int, int]]:
-        return [(t.at, t.m["state"], t.m["flags"]) for t in live(seed).told]
+        return [(t.at, t.m["state"], t.m["flags"]) for t in live(seed).published]
 
     assert life(7) == life(7) != life(8)
 

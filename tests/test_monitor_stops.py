@@ -38,8 +38,8 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
     s = prepared.setting
     assert s is not None
     x, r = np.concatenate([Q, DQ]), np.concatenate(BOX)
-    told = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
-    assert all(x.provable.all() for x in told.values())
+    reported = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
+    assert all(x.provable.all() for x in reported.values())
     narrow = prepared.bound(Q, DQ, "0")
     assert narrow.forward is not None and narrow.time is not None
     longer = 0
@@ -48,14 +48,16 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
         q, dq = Q + BOX[0] * rng.choice([-1.0, 1.0], 6), DQ + BOX[1] * (np.sign(DQ) if k % 2 else rng.uniform(-1, 1, 6))
         r, v = s.noise.radius[:6], s.noise.radius[6:]
         x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube_of(s, q, dq, r, v), 60, k)
-        assert np.all(x.forward <= told["0"].forward + 2e-6) and np.all(x.back <= told["0"].back + 2e-6)
-        assert np.all(x.time <= told["0"].time + 5e-4) and x.tcp <= told["0"].tcp
+        assert np.all(x.forward <= reported["0"].forward + 2e-6) and np.all(x.back <= reported["0"].back + 2e-6)
+        assert np.all(x.time <= reported["0"].time + 5e-4) and x.tcp <= reported["0"].tcp
         longer += bool(np.any(x.forward > narrow.forward + 1e-3))
         for category in ("1", "1 guaranteed", "2"):
             # bounds of a state of the box lie in those of the box, to within the steps of time they are made with
             alone = prepared.bound(q, dq, category)
             assert alone.forward is not None and alone.back is not None
-            assert np.all(alone.forward <= told[category].forward + 2e-3) and np.all(alone.back <= told[category].back + 2e-3)
+            assert np.all(alone.forward <= reported[category].forward + 2e-3) and np.all(
+                alone.back <= reported[category].back + 2e-3
+            )
     assert longer > 0, "the box asks for more than its middle: a bound of the middle alone would have been exceeded"
 
 
@@ -81,14 +83,14 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     save_model(ur5_like(), tmp_path / "m.model.json")
     desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), 0.0, Quantum.none(6))
     try:
-        until, busy, told = time.monotonic() + 60.0, [], 0
-        while told < 20 and time.monotonic() < until:
+        until, busy, reported = time.monotonic() + 60.0, [], 0
+        while reported < 20 and time.monotonic() < until:
             begin = time.thread_time()
             desk.offer(time.monotonic(), Q, 0.5 * DQ)
-            told += desk.now(Q, 0.5 * DQ)[1]
+            reported += desk.now(Q, 0.5 * DQ)[1]
             busy.append(time.thread_time() - begin)
             time.sleep(0.004)
-        assert told == 20, "the worker has answered"
+        assert reported == 20, "the worker has answered"
         assert np.quantile(busy, 0.99) < 1e-3, "and the loop never computed a bound itself"
     finally:
         desk.close()

@@ -33,7 +33,7 @@ from monitor_process import (
 )
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
-from stopset.monitor.consumer import Doubt
+from stopset.monitor.consumer import Fault
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack
@@ -304,7 +304,7 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
             monitor.kill()
             assert wait(all_in(both, {State.FAULT}), 3.0)
-            assert wait(lambda: all(Doubt.SILENT in c.doubts(at) for c in both), 3.0)
+            assert wait(lambda: all(Fault.SILENT in c.faults(at) for c in both), 3.0)
     router.close()
 
 
@@ -317,7 +317,7 @@ def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, read
         return pack({**{k: v for k, v in unpack(data).items() if k not in ("mac", "key_id")}, **more}, signer)
 
     true = load_keys(cell.folder / "arm.keys").first
-    ways: dict[str, Callable[[bytes], list[bytes]]] = {
+    spoilers: dict[str, Callable[[bytes], list[bytes]]] = {
         "corruption": lambda d: [d[:200] + bytes([d[200] ^ 1]) + d[201:]],
         "unintended repetition": lambda d: [store[0]],
         "incorrect sequence": lambda d: [changed(d, true, seq=unpack(d)["seq"] - 1_000_000 & 0xFFFFFFFF)],
@@ -330,26 +330,26 @@ def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, read
         "another model": lambda d: [changed(d, true, model_hash=1)],
         "another configuration": lambda d: [changed(d, true, config_hash=1)],
     }
-    way: list[Callable[[bytes], list[bytes]]] = [lambda d: [d]]
+    transport: list[Callable[[bytes], list[bytes]]] = [lambda d: [d]]
     with cell.daemon(), cell.replay(), Ear(cell.port) as ear:
         send = ear.link.fast("spoilt")
 
         def relay(_: str, data: bytes) -> None:
             store.append(data)
-            for d in way[0](data):
+            for d in transport[0](data):
                 send(d)
 
         ear.link.subscribe("state", relay)
         with consumers(cell, reader, ear.link, "spoilt") as both:
             assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
-            for name, spoil in ways.items():
+            for name, spoil in spoilers.items():
                 refused, lost = [c.refused for c in both], [c.lost for c in both]
-                way[0] = spoil
+                transport[0] = spoil
                 assert wait(all_in(both, {State.FAULT}), 3.0), name
                 at = time.monotonic()
                 time.sleep(0.2)
                 assert not any(c.since(at) & GOOD for c in both), name
-                way[0] = lambda d: [d]
+                transport[0] = lambda d: [d]
                 assert wait(all_in(both, GOOD), 10.0), (name, [c.said[-3:] for c in both])
                 assert wait(
                     lambda r=refused, o=lost: all(c.refused > a or c.lost > b for c, a, b in zip(both, r, o, strict=True))

@@ -403,8 +403,8 @@ def test_a_nonlinear_model_is_identified_and_compared_on_recordings(model: int, 
         pytest.skip("../shared/data is not here")
     robot = load_robot(folder / "robot.urdf")
     found = identify(robot, [folder / "recording.parquet"], Settings(model=model, order=3, horizon=1.0, margin=1.0))
-    kept = save_model(found.model, tmp_path / "m.model.json")
-    assert (kept.abstraction.kind, kept.abstraction.order) == (model, 3)
+    retained = save_model(found.model, tmp_path / "m.model.json")
+    assert (retained.abstraction.kind, retained.abstraction.order) == (model, 3)
     loaded = load_model(tmp_path / "m.model.json")
     assert not compare(loaded, [folder / "recording.parquet"]).violations
     table = pq.read_table(folder / "recording.parquet")
@@ -429,13 +429,16 @@ def test_a_model_that_runs_away_reaches_as_far_as_it_holds(tmp_path: Path, monke
         yield from real(trials, of, where)
 
     monkeypatch.setattr(nonlinear, "windows_of", far_is_too_far)
-    told: list[str] = []
+    reported: list[str] = []
     found = identify(
-        arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0), lambda text, share=None: told.append(f"{text} {share}")
+        arm(("a", "b")),
+        [few],
+        Settings(model=2, order=3, margin=1.0),
+        lambda text, share=None: reported.append(f"{text} {share}"),
     )
     assert asked[0] > 1.0 >= found.model.powered.horizon
     assert any("predictions run away further ahead" in x for x in found.model.notes) and any(
-        FITTING in x and "None" not in x for x in told
+        FITTING in x and "None" not in x for x in reported
     )
     monkeypatch.undo()
     monkeypatch.setattr(nonlinear, "RUNAWAY", 1e-9)  # nothing stays within it

@@ -63,13 +63,13 @@ def moving(state: State) -> Alive:
     joints = model.joints
     left = [{"joint": joints[3], "samples": 3, "state": "q", "side": "above", "unit": "rad", "excess": 0.01}]
     stops = _stops(Turn(state, 0, "", numbers), joints)
-    told = twin("fine") | {
+    reported = twin("fine") | {
         "state": state.name, "joints": list(joints), "q": q.tolist(), "model_sha256": json.loads(text)["sha256"],
         "room": dict.fromkeys(joints, 0.5), "stops": stops, "violations": left if state is State.VIOLATION else [],
     }  # fmt: skip
     out = Alive(state)
     view = out.view
-    out.words = json.dumps(told).encode()
+    out.words = json.dumps(reported).encode()
     out.speak()
     view.take_model(text.encode())
     view.take_event("", b'{"kind": "gap", "why": "gap of 2 samples", "t_ns": 5}')
@@ -136,11 +136,13 @@ def test_every_number_is_in_sight_on_a_telephone(browser: Any) -> None:
 def test_bounds_are_rounded_up_wherever_they_are_shown(browser: Any) -> None:
     """To the next millisecond, millimetre and tenth of a milliradian, on the page and in the terminal."""
     daemon = moving(State.OK)
-    told = json.loads(daemon.words)
+    reported = json.loads(daemon.words)
     stop = {"time_s": 0.0800001, "forward_rad": 0.00001, "back_rad": 0.0}
-    told["stops"] = {"0": {"time_s": 0.0800001, "tcp_m": 0.0120001, "why": "", "joints": dict.fromkeys(told["joints"], stop)}}
-    told["margins"] = {"certified": True, "time_s": 0.0429, "tcp_m": -0.0001, "planes_m": {"fence": 0.1239}}
-    daemon.words = json.dumps(told).encode()
+    reported["stops"] = {
+        "0": {"time_s": 0.0800001, "tcp_m": 0.0120001, "why": "", "joints": dict.fromkeys(reported["joints"], stop)}
+    }
+    reported["margins"] = {"certified": True, "time_s": 0.0429, "tcp_m": -0.0001, "planes_m": {"fence": 0.1239}}
+    daemon.words = json.dumps(reported).encode()
     daemon.speak()
     console = Console(width=150, record=True, file=io.StringIO())
     console.print(terminal(daemon.view))

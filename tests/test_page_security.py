@@ -308,8 +308,8 @@ def test_what_is_no_number_is_not_shown_as_one() -> None:
     for samples in (EVIL, None, [1], 1.5, {"a": 1}):
         view.take_json("", json.dumps(twin("other", samples)).encode())
     assert view.garbled == before + 5 and view.twin is not None and view.twin["why"] == "fine"
-    told = json.dumps(twin("more") | {"unknown": EVIL}).encode()
-    view.take_json("", told)
+    reported = json.dumps(twin("more") | {"unknown": EVIL}).encode()
+    view.take_json("", reported)
     assert "unknown" not in view.twin, "what the displays do not need does not reach them"
 
 
@@ -330,9 +330,9 @@ def test_the_same_event_again_is_counted_not_told_again() -> None:
     for k in range(212):
         view.take_event("", json.dumps({"kind": "outside_domain", "signals": ["q_a"], "t_ns": k}).encode())
         view.take_event("", json.dumps({"kind": "gap", "why": f"gap of {k}.5 ms"}).encode())
-    told = view.snapshot()["events"]
-    assert [(e["kind"], e["count"]) for e in told] == [("outside_domain", 212), ("gap", 212)]
-    assert told[0]["t_ns"] == 211 and told[0]["told"] == "outside domain: q_a"
+    reported = view.snapshot()["events"]
+    assert [(e["kind"], e["count"]) for e in reported] == [("outside_domain", 212), ("gap", 212)]
+    assert reported[0]["t_ns"] == 211 and reported[0]["told"] == "outside domain: q_a"
 
 
 def test_a_report_runs_its_own_script_only(browser: Any, tmp_path: Path) -> None:

@@ -75,8 +75,8 @@ def test_the_comparison_draws_itself_from_its_own_file(browser, planar, tmp_path
     assert figures(browser) > 0, "no figure was drawn"
     assert "Identified sets" in text
     model = load_model(folder / "m.model.json")
-    for told in (model.sha256, "rec.parquet", "0 first identification"):  # what, of what, with which history
-        assert told in text, told
+    for reported in (model.sha256, "rec.parquet", "0 first identification"):  # what, of what, with which history
+        assert reported in text, reported
     assert crosses(browser) == 0
 
 

@@ -56,8 +56,8 @@ def test_speed_is_the_derivative_of_the_way(plan: Plan) -> None:
     for part in plan.parts:
         for p in part.motions:
             h = p.t[1]
-            way = np.cumsum(0.5 * (p.dq[1:] + p.dq[:-1]) * h, axis=0)
-            np.testing.assert_allclose(p.q[1:] - p.q[0], way, atol=2e-3)
+            moved = np.cumsum(0.5 * (p.dq[1:] + p.dq[:-1]) * h, axis=0)
+            np.testing.assert_allclose(p.q[1:] - p.q[0], moved, atol=2e-3)
             np.testing.assert_allclose(np.diff(p.dq, axis=0) / h, 0.5 * (p.ddq[1:] + p.ddq[:-1]), atol=0.3)
 
 
@@ -105,10 +105,10 @@ def test_stops_cover_each_joint_both_categories_three_speeds(plan: Plan) -> None
 
 
 def test_what_each_part_tells(plan: Plan) -> None:
-    told = {p.name: p.tells for p in plan.parts}
-    assert told["excitation"]["rotor_std_percent"] < told["static"]["rotor_std_percent"]
-    assert told["static"]["base_parameters_halved"] <= told["excitation"]["base_parameters"]
-    assert told["static"]["F_c_std_Nm"] is None  # nothing moves
+    reported = {p.name: p.determines for p in plan.parts}
+    assert reported["excitation"]["rotor_std_percent"] < reported["static"]["rotor_std_percent"]
+    assert reported["static"]["base_parameters_halved"] <= reported["excitation"]["base_parameters"]
+    assert reported["static"]["F_c_std_Nm"] is None  # nothing moves
     by = {r["parameter"]: r for r in plan.outlook}
     assert by["shoulder.rotor"]["after"] < 0.8 * by["shoulder.rotor"]["before"]  # a data sheet is believed to 6 % before
     assert by["elbow.mz"]["after"] < by["elbow.mz"]["before"]
@@ -147,10 +147,10 @@ def campaign_of(plan: Plan, truth: Truth) -> list[Recording]:
     r = truth.robot
     rng = np.random.default_rng(5)
     for k, q in enumerate(plan.poses):
-        for trial, way in enumerate((1.0, -1.0)):
+        for trial, direction in enumerate((1.0, -1.0)):
             rows = np.tile(q, (4, 1))
             load = gravity_torques(r.chain, r.pi, rows)
-            tau = load + truth.friction(np.full_like(rows, way * 1e-9), load) + 0.1 * rng.normal(size=rows.shape)
+            tau = load + truth.friction(np.full_like(rows, direction * 1e-9), load) + 0.1 * rng.normal(size=rows.shape)
             out.append(Recording("static", k, trial, len(out), t, rows, 0 * rows, tau))
     moves = [(m, trial) for p in plan.parts for m in p.motions for trial in range(p.repeats)]
     return out + [driven(truth, m, k, trial, 9) for k, (m, trial) in enumerate(moves)]
@@ -228,9 +228,9 @@ def test_command_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture
     )
     html = page.read_text()
     assert "Experiments for" in html and "leave undetermined" in html and "http" not in html.split("</script>")[-1]
-    told = json.loads(answer.read_text())
-    assert told["undetermined_today"]
-    assert {p["name"] for p in told["parts"]} == {"static", "excitation", "ptp_slow", "ptp_fast", "open_loop", "stops"}
+    reported = json.loads(answer.read_text())
+    assert reported["undetermined_today"]
+    assert {p["name"] for p in reported["parts"]} == {"static", "excitation", "ptp_slow", "ptp_fast", "open_loop", "stops"}
     with (out / "open_loop_suites.csv").open() as f:
         suites = list(csv.DictReader(f))
     with (out / "ptp_fast.csv").open() as f:

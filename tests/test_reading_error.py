@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stopset.offline.conform.noise import TELLING, NoiseEstimate
-from stopset.offline.conform.reading_error import SMOOTH, apart
+from stopset.offline.conform.reading_error import SMOOTH, reading_residual
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import Recording
 from synthetic import arm, lag, names, recordings, save_trials
@@ -65,10 +65,10 @@ def test_a_vibration_that_a_rigid_arm_cannot_follow_is_part_of_the_error(hertz: 
 def test_samples_that_come_too_slowly_still_have_a_slope() -> None:
     step = 1.0 / 30.0
     t = step * np.arange(200)
-    seen = apart(np.sin(t)[:, None], np.cos(t)[:, None], step)
+    seen = reading_residual(np.sin(t)[:, None], np.cos(t)[:, None], step)
     assert step * 4 < SMOOTH < step * 6
     assert seen.reach.max() < 1e-4
-    assert not len(apart(np.zeros((4, 1)), np.zeros((4, 1)), step).error)
+    assert not len(reading_residual(np.zeros((4, 1)), np.zeros((4, 1)), step).error)
 
 
 def test_a_standing_joints_noise_never_tells_a_direction() -> None:

@@ -53,13 +53,13 @@ def test_stamps_of_a_clock_that_is_uneven_are_believed() -> None:
 @pytest.mark.parametrize("scatter", [0.0, 1e-3])
 def test_what_lies_beside_a_lost_sample_is_asked_for_nothing(scatter: float) -> None:
     rng = np.random.default_rng(3)
-    kept = rng.random(N) > 0.03
-    kept[[0, -1]] = True
-    clock = DT * np.arange(N)[kept]
+    received = rng.random(N) > 0.03
+    received[[0, -1]] = True
+    clock = DT * np.arange(N)[received]
     stamps = np.sort(clock + rng.normal(0, 1.0, len(clock)) * scatter)
     r = recorded(stamps, clock)
     got = sampled(r, DT, white)
-    assert got.lost == N - kept.sum() and f"{got.lost} samples are lost" in in_words([got])[-1]
+    assert got.lost == N - received.sum() and f"{got.lost} samples are lost" in in_words([got])[-1]
     middles = 0.5 * (clock[1:] + clock[:-1])[np.diff(clock) > 1.5 * DT]
     assert all(got.torn[np.argmin(np.abs(got.t - t))] for t in middles)
     data = prepare(Recordings(Meta(("a", "b")), (r,)))

@@ -22,11 +22,11 @@ pytest.importorskip("pinocchio")
     robot_from_text(ARM, {"tip": "lower", "gravity": [0.0, 6.9, -6.9]}),
 ])  # fmt: skip
 def test_the_core_agrees(robot: Robot) -> None:
-    told = held_to_pinocchio(robot)
-    assert told.by.startswith("pinocchio") and told.states >= 50
-    assert 0.0 <= told.largest_Nm < AGREES
+    reported = held_to_pinocchio(robot)
+    assert reported.by.startswith("pinocchio") and reported.states >= 50
+    assert 0.0 <= reported.largest_Nm < AGREES
     # what was identified since is not the description
-    assert held_to_pinocchio(robot.with_parameters(1.3 * robot.pi)) == told
+    assert held_to_pinocchio(robot.with_parameters(1.3 * robot.pi)) == reported
 
 
 @pytest.mark.parametrize("what", ["frame", "branch", "axis"])

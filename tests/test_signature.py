@@ -124,8 +124,8 @@ def test_what_is_not_trusted_is_refused_in_one_sentence(cell: Path, what: str, c
         load_trusted(cell / "m.json", accepted(cell, least=2))
     words = ["verify", str(cell / "m.json"), "--key", str(cell / "release.pub"), "--least-revision", "2"]
     assert main([*words, "--json", str(cell / "a.json"), "--report", str(cell / "a.html")]) == 1
-    told = capsys.readouterr()
-    assert says in told.out and len(told.out.strip().splitlines()) == 1 and not told.err
+    reported = capsys.readouterr()
+    assert says in reported.out and len(reported.out.strip().splitlines()) == 1 and not reported.err
     answer = json.loads((cell / "a.json").read_text())
     assert answer["trusted"] is False and says in answer["why"] and "Monitoring aid" in (cell / "a.html").read_text()
 

@@ -154,8 +154,8 @@ def creeping(p: SimulatedPlant) -> tuple[Array, Array]:
     """Mean motor torque [N m] and pose [rad], (N,) each, of slow steady runs there and back: friction cancels."""
     ticks, torques, poses = 400, [], []
     pose = np.array([0.3, -0.5, 0.4, 0.2, 0.6, -0.3])
-    for way in (1.0, -1.0):
-        rate = 0.02 * way
+    for side in (1.0, -1.0):
+        rate = 0.02 * side
         t = (np.arange(ticks) - ticks + 1)[:, None] * PERIOD
         s = script(ticks, kp=3000.0, kd=100.0)._replace(q=pose + rate * t, dq=np.full((ticks, N), rate))
         log = play(p, s)

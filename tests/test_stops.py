@@ -358,8 +358,8 @@ def test_the_margin_of_a_box_is_no_more_than_any_poses_and_no_less_than_gravity_
     for radius in (0.02, 0.3, 2.0):
         r = np.full(6, radius)
         q = rng.uniform(-1.0, 1.0, 6)
-        told = prepared.margin(q, r)
+        reported = prepared.margin(q, r)
         poses = q + r * rng.uniform(-1.0, 1.0, (200, 6))
-        assert np.all(told <= np.min([prepared.margin(x) for x in poses], axis=0) + 1e-9)
+        assert np.all(reported <= np.min([prepared.margin(x) for x in poses], axis=0) + 1e-9)
         push = np.maximum(np.abs(p.u_lo), np.abs(p.u_hi))
-        assert np.all(told >= p.brake_lo + p.coulomb_lo - p.curvature.load - push - 1e-6)
+        assert np.all(reported >= p.brake_lo + p.coulomb_lo - p.curvature.load - push - 1e-6)

@@ -280,14 +280,15 @@ def test_the_page_opens_with_the_answer_and_says_each_remark_once(model: str, br
     asked = ["stops", model, "--at", "0,0.9,0,0,0,0", "--speed", "50%", "--ramp-time", "0.3"]  # nothing says when power is taken
     assert main([*asked, "--report", str(page), "--json", str(tmp_path / "s.json")]) == 0
     text = drawn(browser, page)
-    told = json.loads((tmp_path / "s.json").read_text())
+    reported = json.loads((tmp_path / "s.json").read_text())
     assert (
-        text.splitlines()[2].startswith("✕") or f"{sum(r['certified'] for r in told)} of {len(told)} stops proved" in text[:400]
+        text.splitlines()[2].startswith("✕")
+        or f"{sum(r['certified'] for r in reported)} of {len(reported)} stops proved" in text[:400]
     )
     assert "What next" in text[:1200] and figures(browser) >= 1 and "Where the flange goes farthest" in text
-    for why in {part for r in told for part in r["why"].split("; ") if part}:
+    for why in {part for r in reported for part in r["why"].split("; ") if part}:
         assert text.count(why) == 1, why
-    assert any(not r["certified"] for r in told)
+    assert any(not r["certified"] for r in reported)
 
 
 def test_a_refusal_stands_once_and_the_worst_pose_shows_what_is_swept(model: str, browser: Any, tmp_path: Path) -> None:

@@ -116,11 +116,11 @@ def test_a_slope_holds_every_value_and_how_fast_it_grows() -> None:
 
     rng = np.random.default_rng(0)
     y, z = Interval(np.array(-0.8), np.array(0.4)), Interval(np.array(0.5), np.array(1.5))
-    for way in (1.0, -1.0):
-        bounds = f(Slope.variable(0.45, way), Slope.constant(y), Slope.constant(z))
+    for direction in (1.0, -1.0):
+        bounds = f(Slope.variable(0.45, direction), Slope.constant(y), Slope.constant(z))
         for _ in range(300):
             x, fixed = rng.uniform(0.0, 0.45), (rng.uniform(-0.8, 0.4), rng.uniform(0.5, 1.5))
-            for b, value, start in zip(bounds, f(way * x, *fixed), f(0.0, *fixed), strict=True):
+            for b, value, start in zip(bounds, f(direction * x, *fixed), f(0.0, *fixed), strict=True):
                 assert value in b.all and start in b.start
                 assert b.rate is None or b.rate.lo * x - 1e-12 <= value - start <= b.rate.hi * x + 1e-12
 
@@ -167,7 +167,7 @@ def test_a_bound_that_forgets_the_effect_is_left(name: str) -> None:
     "effect", [*(e for e in catalogue().values() if e.role in ACTING and e.name not in REFUSED), OTHERS[0]], ids=lambda e: e.name
 )
 def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None:
-    """``way (dry + viscous |dq|) + push`` holds the law at every state, in both directions, for every parameter within 3 sigma."""
+    """``direction (dry + viscous |dq|) + push`` holds the law at every state, in both directions, for every parameter within 3 sigma."""
     rng = np.random.default_rng(0)
     values = {t.symbol: 0.7 * min(t.hi, 3.0) if t.hi > 0 else 0.7 * max(t.lo, -3.0) for t in effect.terms}
     values |= {p.symbol: p.grid[len(p.grid) // 2] for p in effect.shapes}
@@ -190,17 +190,18 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         def draw(lo: float, hi: float, corner: bool = corner) -> float:
             return float(rng.choice([lo, hi])) if corner else float(rng.uniform(lo, hi))
 
-        way = float(rng.choice([-1.0, 1.0]))
+        direction = float(rng.choice([-1.0, 1.0]))
         speed = draw(0.0, 1.3)
         s = Signals(
-            **{k: draw(*r) for k, r in ranges.items()}, dq=way * speed, way=way, warm=draw(0.0, 1.0), dq_other=draw(-0.8, 0.8),
-            tilt=(draw(-4.0, 9.0), draw(-2.0, 3.0)), memory=tuple(draw(max(x.lo, -1.0), min(x.hi, 1.3)) for x in effect.states),
+            **{k: draw(*r) for k, r in ranges.items()}, dq=direction * speed, given_direction=direction, warm=draw(0.0, 1.0),
+            dq_other=draw(-0.8, 0.8), tilt=(draw(-4.0, 9.0), draw(-2.0, 3.0)),
+            memory=tuple(draw(max(x.lo, -1.0), min(x.hi, 1.3)) for x in effect.states),
         )  # fmt: skip
         drawn = {k: v + SIGMAS * f.std.get(k, 0.0) * draw(-1.0, 1.0) for k, v in values.items()}
         for t in effect.terms:
             drawn[t.symbol] = float(np.clip(drawn[t.symbol], min(t.lo, values[t.symbol]), max(t.hi, values[t.symbol])))
         torque = float(effect.torque(s, drawn))
-        size = [np.sort(way * (dry + viscous * speed))[k] + push[k] for k in (0, 1)]
+        size = [np.sort(direction * (dry + viscous * speed))[k] + push[k] for k in (0, 1)]
         assert size[0] - 1e-9 <= torque <= size[1] + 1e-9
         least = min(least, size[1] - torque, torque - size[0])
     if (
@@ -221,8 +222,8 @@ def test_the_core_bounds_a_law_as_the_reference_in_numpy_does(effect: Effect) ->
     for trial in range(30):
         values = {p.symbol: float(rng.uniform(max(p.lo, -3.0), min(p.hi, 3.0))) for p in effect.terms}
         values |= {p.symbol: p.grid[len(p.grid) // 2] for p in effect.shapes}
-        doubt = {k: 0.02 * abs(v) for k, v in values.items()} if trial % 2 else {}
-        f, fast = Fitted(effect.name, "j", values, doubt), rng.uniform(0.1, 2.0)
+        std = {k: 0.02 * abs(v) for k, v in values.items()} if trial % 2 else {}
+        f, fast = Fitted(effect.name, "j", values, std), rng.uniform(0.1, 2.0)
         ranges = {k: np.sort(rng.uniform(-3.0, 3.0, 2)) for k in ("q", "load", "temp", "stiff", "coriolis")} | {
             "inertia": np.array([0.2, 2.0])
         }
@@ -314,27 +315,27 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     """What an identified payload adds stands in the model's body, and nobody adds it again."""
     plain, payload = hiding(()), tuple(replace(f, std={}) for f in CASES["payload"])
     carried = np.array([payload[0].values[t.symbol] for t in get("payload").terms])
-    told = hiding(payload)
+    aware = hiding(payload)
     once = plain.robot.pi[-1] + carried
-    assert np.array_equal(told.robot.pi[-1], once)
+    assert np.array_equal(aware.robot.pi[-1], once)
     assert np.array_equal(described(plain.robot, payload).pi[-1], once)  # what identification starts from
-    same = replace(told, effects=plain.effects)  # the same arm, described with what it carries
+    same = replace(aware, effects=plain.effects)  # the same arm, described with what it carries
     for load in ((0.0, 0.0), (0.2, 1.0)):
-        a, b = (StopBounds.of(m, load, payload_com=told.robot.tip).setting for m in (told, same))
+        a, b = (StopBounds.of(m, load, payload_com=aware.robot.tip).setting for m in (aware, same))
         assert a is not None and b is not None
         for name in (f for f in a.plant._fields if f not in ("chain", "curvature")):
             assert np.array_equal(getattr(a.plant, name), getattr(b.plant, name)), name
         assert np.allclose(a.plant.pi[-1, 0], once[0] + 0.5 * sum(load)) and np.array_equal(a.torques.gear, b.torques.gear)
     rows = np.array([Q, -Q]), np.array([DQ, 0.0 * DQ]), np.array([3.0 * DQ, DQ])
-    assert np.array_equal(told.input(*rows), same.input(*rows))
-    assert not np.allclose(told.input(*rows), plain.input(*rows))
+    assert np.array_equal(aware.input(*rows), same.input(*rows))
+    assert not np.allclose(aware.input(*rows), plain.input(*rows))
     doubtful = StopBounds.of(hiding(CASES["payload"]), (0.0, 0.0)).setting  # what it was weighed wrongly by, beside it
     assert doubtful is not None and np.isclose(doubtful.plant.pi_half[-1, 0], SIGMAS * 0.04)
-    assert told.domain.payload == plain.domain.payload
-    texts = [sources(m, variables(m))[0]["model_data.c"] for m in (told, same)]
+    assert aware.domain.payload == plain.domain.payload
+    texts = [sources(m, variables(m))[0]["model_data.c"] for m in (aware, same)]
     pi = [next(line for line in t.splitlines() if line.startswith("    .pi = ")) for t in texts]
     assert pi[0] == pi[1]
-    for name, x in stop_data(told).numbers.items():
+    for name, x in stop_data(aware).numbers.items():
         assert np.array_equal(x, stop_data(same).numbers[name]), name
 
 

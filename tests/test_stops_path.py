@@ -131,13 +131,13 @@ def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
     path = Path.through(POINTS)
     model = weak_brakes(0.8)  # friction included they hold a fifth less than gravity asks
     bounds = StopBounds.of(model, ramp=RAMP)
-    told = path_stop(bounds, path, 0.5, 1.5).bound
-    assert not told.certified and told.time is None and told.tcp is None and told.angle is None
-    assert "no stop provable" in told.why and told.holding_margin.min() < 0
+    bound = path_stop(bounds, path, 0.5, 1.5).bound
+    assert not bound.certified and bound.time is None and bound.tcp is None and bound.angle is None
+    assert "no stop provable" in bound.why and bound.holding_margin.min() < 0
     # the same rule as for a pose: at the path's end the same joint lacks the same torque
     q = path.p(np.array([0.5 + path_stop(BOUNDS, path, 0.5, 1.5).length]), 0)[0]
     at = bounds.bound(q, np.zeros(6), "1")
-    assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(told.holding_margin))
+    assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(bound.holding_margin))
 
 
 def test_a_path_stop_carries_its_payload_where_it_is() -> None:
@@ -159,8 +159,8 @@ def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> 
         ),
     )
     for model, word in ((slow, "rad/s, seen"), (narrow, "arm_1_joint at")):
-        told = path_stop(StopBounds.of(model, ramp=RAMP), path, 0.5, 1.5).bound
-        assert not told.certified and told.time is None and word in told.why and "not covered" in told.why
+        bound = path_stop(StopBounds.of(model, ramp=RAMP), path, 0.5, 1.5).bound
+        assert not bound.certified and bound.time is None and word in bound.why and "not covered" in bound.why
         marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate_state=True), path, 0.5, 1.5).bound
         assert not marked.certified and marked.time is not None and "EXTRAPOLATED STATE" in marked.extrapolated
         assert "EXTRAPOLATED STATE" in marked.why and any("EXTRAPOLATED STATE" in a for a in marked.assumptions)
@@ -212,8 +212,8 @@ def test_between_the_poses_looked_at_nothing_leaves_the_bound() -> None:
     # the start is known to 1 mrad in each of six joints, 0.7 m long together
     assert np.all(far <= b.links) and far[-1] <= b.tcp <= far[-1] + 0.005
     assert pace[-1] <= b.tcp_speed <= 1.5 * pace[-1] and np.all(1.5 * np.abs(d1).max(axis=0) <= b.speed)
-    way = p[:, -1] - p[0, -1]
-    assert np.all(way >= b.tcp_box[:, 0]) and np.all(way <= b.tcp_box[:, 1])
+    travel = p[:, -1] - p[0, -1]
+    assert np.all(travel >= b.tcp_box[:, 0]) and np.all(travel <= b.tcp_box[:, 1])
     assert b.holding_margin is not None and b.holding_margin.min() > 0.0
 
 

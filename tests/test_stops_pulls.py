@@ -60,7 +60,7 @@ def test_a_resting_joint_is_pulled() -> None:
     assert sample_stops(s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 40, 2).escaped > 0
 
 
-def ways(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
+def travels(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
     """Largest of sum_i (all of the way of joint i from a knot on) / way_i over sampled stops and knots."""
     n, rng = s.model.n, np.random.default_rng(5)
     W, sign, steps, worst = inverse_inertia(s.plant, q), np.where(dq >= 0.0, 1.0, -1.0), int(np.ceil(tube.t[-1] / DT)) + 2, 0.0
@@ -71,7 +71,7 @@ def ways(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
         qs, _ = simulate_stop(arm, q0, v0, DT, steps, x.u)
         gone = np.vstack([np.zeros(n), np.abs(np.diff(qs, axis=0)).cumsum(axis=0)])
         at = np.minimum(np.ceil(tube.t / DT).astype(int), steps)  # a little later than the knot: no more is left
-        worst = max(worst, float(((gone[-1] - gone[at]) / tube.way).sum(axis=1).max()))
+        worst = max(worst, float(((gone[-1] - gone[at]) / tube.travel_left).sum(axis=1).max()))
     return worst
 
 
@@ -79,12 +79,12 @@ def test_the_brakes_work_bounds_all_ways_together() -> None:
     s = loaded(ur10e_like())
     for seed in range(3):
         q, dq, tube = tube_from(s, seed)
-        assert np.isfinite(tube.way).any()
-        assert 0.05 < ways(s, q, dq, tube, 40) <= 1.0
+        assert np.isfinite(tube.travel_left).any()
+        assert 0.05 < travels(s, q, dq, tube, 40) <= 1.0
     # on one joint nothing is lost but what is not known
     alone = loaded(random_arm(2, 0))
     q, dq, tube = tube_from(alone, 1)
-    assert 0.6 < ways(alone, q, dq, tube, 40) <= 1.0
+    assert 0.6 < travels(alone, q, dq, tube, 40) <= 1.0
 
 
 def test_a_point_stays_within_what_is_left() -> None:

@@ -99,34 +99,34 @@ class Draw:
         a[moving] = np.linalg.solve(M[np.ix_(moving, moving)], push[moving])
         return a
 
-    def search(self, i: int, way: float, rng: np.random.Generator) -> float:
+    def search(self, i: int, side: float, rng: np.random.Generator) -> float:
         """Largest (least) acceleration of joint i that one pass over all coordinates finds from somewhere."""
         at = rng.integers(0, 2, 6 * self.n + 1).astype(float)
-        best = way * self.acceleration(at)[i]
+        best = side * self.acceleration(at)[i]
         for k in rng.permutation(len(at)):
             at[k] = 1.0 - at[k]
-            now = way * self.acceleration(at)[i]
+            now = side * self.acceleration(at)[i]
             if now > best:
                 best = now
             else:
                 at[k] = 1.0 - at[k]
-        return way * best
+        return side * best
 
 
 def searched(plant: Plant, c: Case, out: Array, seed: int, count: int) -> tuple[float, float]:
     """How far the search gets outside `bounds`, and the worst share of their range that it finds."""
     n, rng = len(c.q), np.random.default_rng(seed)
-    ways = [(c.w[0] < 0.0, -1), ((c.w[0] <= 0.0) & (c.w[1] >= 0.0), 0), (c.w[1] > 0.0, 1)]
-    can = [[s for possible, s in ways if possible[i]] for i in range(n)]
+    cases = [(c.w[0] < 0.0, -1), ((c.w[0] <= 0.0) & (c.w[1] >= 0.0), 0), (c.w[1] > 0.0, 1)]
+    can = [[s for possible, s in cases if possible[i]] for i in range(n)]
     found = np.array([[np.inf], [-np.inf], [np.inf], [-np.inf]]) * np.ones(n)
     for _ in range(count):
         sign = np.array([rng.choice(s) for s in can])
         if not sign.any():
             continue
         i = rng.choice(np.flatnonzero(sign))
-        way = rng.choice([-1.0, 1.0])
-        a, row = Draw(plant, c, sign).search(i, way, rng), (0 if sign[i] > 0 else 2) + (way > 0)
-        found[row, i] = max(found[row, i], a) if way > 0 else min(found[row, i], a)
+        side = rng.choice([-1.0, 1.0])
+        a, row = Draw(plant, c, sign).search(i, side, rng), (0 if sign[i] > 0 else 2) + (side > 0)
+        found[row, i] = max(found[row, i], a) if side > 0 else min(found[row, i], a)
     beyond = np.where(np.isfinite(found), np.array([[-1.0], [1.0], [-1.0], [1.0]]) * (found - out), -np.inf)
     both = np.isfinite(found[0]) & np.isfinite(found[1])
     share = (out[1] - out[0])[both] / np.maximum((found[1] - found[0])[both], 1e-9)

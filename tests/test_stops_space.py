@@ -51,14 +51,14 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
             ends = np.array([*o[1:], o[-1] + R[-1] @ robot.tip])
             tip = o[-1] + R[-1] @ s.payload_com
             speed = sum(np.cross(R[i] @ chain.axis[i], tip - o[i]) * vk[i] for i in range(6))
-            way = tip - (o0[-1] + R0[-1] @ s.payload_com)
+            travel = tip - (o0[-1] + R0[-1] @ s.payload_com)
             toward = PLACES - tip
             checks = {
-                "tcp": np.linalg.norm(way) <= bound.tcp + 1e-6,
-                "box": np.all(way <= bound.tcp_box[:, 1] + 1e-6) and np.all(way >= bound.tcp_box[:, 0] - 1e-6),
+                "tcp": np.linalg.norm(travel) <= bound.tcp + 1e-6,
+                "box": np.all(travel <= bound.tcp_box[:, 1] + 1e-6) and np.all(travel >= bound.tcp_box[:, 0] - 1e-6),
                 "tcp speed": np.linalg.norm(speed) <= bound.tcp_speed + 1e-3,
                 "directed speed": np.all(directions @ speed <= fast + 1e-3),
-                "directed distance": np.all(directions @ way <= far + 1e-6),
+                "directed distance": np.all(directions @ travel <= far + 1e-6),
                 "towards": np.all(toward @ speed / np.linalg.norm(toward, axis=1) <= closing + 1e-3),
                 "links": np.all(np.linalg.norm(ends - ends0, axis=1) <= bound.links + 1e-6),
                 "capsules": all(_inside(o[i], ends[i], bound.capsules[:, i]) for i in range(6)),
@@ -95,7 +95,7 @@ def test_statements_made_too_small_are_contradicted() -> None:
         capsules[:, :, 6] *= 0.3
         weak = replace(
             good, tcp=0.6 * good.tcp, tcp_box=0.6 * good.tcp_box, tcp_speed=0.6 * good.tcp_speed, links=0.6 * good.links,
-            capsules=capsules, motion=replace(m, way=0.6 * m.way, way_ball=0 * m.way_ball, pace=0.6 * m.pace, pace_ball=0 * m.pace_ball),
+            capsules=capsules, motion=replace(m, travel=0.6 * m.travel, travel_ball=0 * m.travel_ball, pace=0.6 * m.pace, pace_ball=0 * m.pace_ball),
         )  # fmt: skip
         found |= outside(weak, q, dq, 5)
     assert found == {"tcp", "box", "tcp speed", "directed speed", "directed distance", "towards", "links", "capsules"}

@@ -48,12 +48,12 @@ def corner(box: Box, rng: np.random.Generator) -> np.ndarray:
 
 
 def escapes_of_brakes_cut_together(model: Model, lag: np.ndarray | None, states: int, stops: int) -> int:
-    """Stops whose delays, less the true lags, lie ``apart``: how many leave the tubes at any ms."""
+    """Stops whose delays, less the true lags, lie ``delay_spread``: how many leave the tubes at any ms."""
     bounds, rng = StopBounds.of(model, pieces=8), np.random.default_rng(1)
     s, b, escaped = bounds.setting, model.brakes, 0
     own = np.zeros(6) if lag is None else lag
     grid = np.arange(0.0, 0.4, 1e-3)
-    first, last = (b.delay.lo - own).max() - b.apart, (b.delay.hi - own).min()
+    first, last = (b.delay.lo - own).max() - b.delay_spread, (b.delay.hi - own).min()
     for _ in range(states):
         q, dq = rng.uniform(-1.5, 1.5, 6), rng.choice([-1.2, 1.2], 6)
         tubes = tubes_of(s, q, dq, s.noise.radius[:6], s.noise.radius[6:], 8)
@@ -65,7 +65,7 @@ def escapes_of_brakes_cut_together(model: Model, lag: np.ndarray | None, states:
         far, back, fast, slow = at("d_hi").max(axis=0), at("d_lo").min(axis=0), at("v_hi").max(axis=0), at("v_lo").min(axis=0)
         for _ in range(stops):
             while True:
-                delay = rng.uniform(first, last) + b.apart * rng.integers(0, 2, 6) + own
+                delay = rng.uniform(first, last) + b.delay_spread * rng.integers(0, 2, 6) + own
                 if np.all((delay >= b.delay.lo) & (delay <= b.delay.hi)):
                     break
             q0, v0 = q + corner(Box(s.noise.lo[:6], s.noise.hi[:6]), rng), dq + corner(Box(s.noise.lo[6:], s.noise.hi[6:]), rng)
@@ -83,7 +83,7 @@ def test_delays_apart_as_printed_stay_inside_wherever_the_joints_intervals_lie()
     lo = 0.02 + np.array([0.0, 0.0, 0.04, 0.0, 0.0, 0.0])
     brakes = replace(
         MODEL.brakes, torque=Box.of(0.98 * torque, 1.02 * torque), rise=Box.of(np.full(6, 0.019), np.full(6, 0.021)),
-        delay=Box.of(lo, lo + 0.05), apart=0.004,
+        delay=Box.of(lo, lo + 0.05), delay_spread=0.004,
     )  # fmt: skip
     model = replace(MODEL, sets=sets, brakes=brakes)
     assert "within one stop the brakes' delays lie apart by no more than 4 ms" in StopBounds.of(model).setting.assumptions
@@ -103,10 +103,10 @@ def test_a_brake_that_is_always_late_is_no_stray() -> None:
     delay[3, 0] = 0.2  # a misfit
     notes: list[str] = []
     own = own_lags(delay)
-    kept = without_strays(delay, own, notes)
-    assert np.all(np.isnan(kept[:, 2]) == np.isnan(delay[:, 2])) and np.isnan(kept[3, 0])
-    box, apart, _ = timing_of(kept, own, [0] * 20)
-    assert apart is not None and 0.001 < apart < 0.006 and own - own.min() == pytest.approx(late, abs=2e-3)
+    regular = without_strays(delay, own, notes)
+    assert np.all(np.isnan(regular[:, 2]) == np.isnan(delay[:, 2])) and np.isnan(regular[3, 0])
+    box, delay_spread, _ = timing_of(regular, own, [0] * 20)
+    assert delay_spread is not None and 0.001 < delay_spread < 0.006 and own - own.min() == pytest.approx(late, abs=2e-3)
     assert box.lo[2] <= 0.066 and box.hi[2] >= 0.079 and box.hi[0] < 0.07
     # two joints alone tell of the lag between them, too
     assert np.ptp(own_lags(delay[:, [1, 2]])) == pytest.approx(0.025, abs=2e-3)
@@ -126,11 +126,11 @@ def test_identified_brakes_hold_one_that_is_always_late(tmp_path: Path) -> None:
     fit = identify_stops(model, recordings)
     b = fit.model.brakes
     assert b is not None and b.lag is not None and b.lag[1] - np.median(b.lag) == pytest.approx(0.025, abs=4e-3)
-    assert b.delay.hi[1] >= 0.065 - PERIOD and b.apart < 0.015
+    assert b.delay.hi[1] >= 0.065 - PERIOD and b.delay_spread < 0.015
     assert fit.stop0.violated == 0 and fit.stop0.motions >= 4
     save_model(fit.model, tmp_path / "m.model.json")
     back = load_model(tmp_path / "m.model.json").brakes
-    assert np.array_equal(back.lag, b.lag) and back.apart == b.apart
+    assert np.array_equal(back.lag, b.lag) and back.delay_spread == b.delay_spread
 
 
 def test_brakes_of_an_older_file_keep_their_meaning(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_brakes_of_an_older_file_keep_their_meaning(tmp_path: Path) -> None:
 
     lo = np.array([0.02, 0.06, 0.02, 0.02, 0.03, 0.02])
     path = tmp_path / "m.model.json"
-    save_model(replace(MODEL, brakes=replace(MODEL.brakes, delay=Box.of(lo, lo + 0.05), apart=0.004)), path)
+    save_model(replace(MODEL, brakes=replace(MODEL.brakes, delay=Box.of(lo, lo + 0.05), delay_spread=0.004)), path)
     body = json.loads(path.read_text())
     assert load_model(path).brakes.lag is None
     del body["brakes"]["lag"], body["robot"]["arm"]
@@ -204,15 +204,15 @@ def test_a_standstill_window_that_is_left_adds_what_is_told() -> None:
     for _ in range(3):
         q, dq = rng.uniform(-1.2, 1.2, 6), 0.15 * rng.uniform(-1.0, 1.0, 6)
         end = q + dq * (0.15 + 0.012)
-        told, without = bounds.bound(q, dq, "2").fallback, lost.bound(q, dq, "2").fallback
-        assert told is not None and without is not None
+        late, without = bounds.bound(q, dq, "2").fallback, lost.bound(q, dq, "2").fallback
+        assert late is not None and without is not None
         for _ in range(60):
             creep, wait = ramp.creep * rng.choice([-1.0, 1.0], 6), ramp.reaction
             start = end + ramp.window * rng.choice([-1.0, 1.0], 6)
             v0 = creep + np.sign(creep) * RESIDUAL
             t, qs, vs = stopped(ARM, **drawn(bounds, rng), q=start + creep * wait, dq=v0, lasts=0.4)
             angle, time = np.abs(qs - start).max(), wait + rested(t, vs).max()
-            escaped += angle > told[0] + ANGLE or time > told[1] + 2 * DT
+            escaped += angle > late[0] + ANGLE or time > late[1] + 2 * DT
             missed += angle > without[0] + ANGLE or time > without[1] + 2 * DT
     assert escaped == 0 and missed > 0
 
@@ -260,18 +260,18 @@ def test_a_controlled_stop_lasts_until_the_arm_stands_still() -> None:
     known = with_stops(model, fit)
     assert ramp_of(known).as_dict() == ramp.as_dict()
     bounds, reference = StopBounds.of(known), 0.0
-    restless = told = 0
+    moving_on = late = 0
     for r in ringing_stop1(30, 77):
         k = int(np.argmax(r.stop_trigger))
         # the arm of these stops has no recording elsewhere: one pose stands for all, a ramp's time does not depend on it
         bound = bounds.bound(np.zeros(6), np.clip(r.dq[k], -1.2, 1.2), "1")
         assert bound.certified and any("standstill speed of" in a for a in bound.assumptions)
         t, v = r.t[k:] - r.t[k], np.abs(r.dq[k:])
-        told += bool(np.any(v[t > bound.time.max()] > np.max(ramp.band)))
+        late += bool(np.any(v[t > bound.time.max()] > np.max(ramp.band)))
         reference = float((ramp.control.hi + ramp.value.hi).max())
-        restless += bool(np.any(v[t > reference] > 0.02))
-    assert restless > 20, "they do move on after the reference ramp"
-    assert told <= 1, "and hardly ever after the time to rest: 24 stops tell the next one's with some risk"
+        moving_on += bool(np.any(v[t > reference] > 0.02))
+    assert moving_on > 20, "they do move on after the reference ramp"
+    assert late <= 1, "and hardly ever after the time to rest: 24 stops tell the next one's with some risk"
     older = {k: v for k, v in ramp.as_dict().items() if k not in ("settle", "standstill")}
     silent = StopBounds.of(known, ramp=Ramp.from_dict(older)).bound(np.zeros(6), np.full(6, 0.5), "1")
     assert not silent.certified and silent.time is None and "identify again" in silent.why

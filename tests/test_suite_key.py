@@ -60,8 +60,8 @@ def test_poses_of_two_files_with_one_number_are_two_poses() -> None:
     both = of_files(here, [*there, moving(truth, 0, 3.0, 1.0, 0)])
     assert len(prepare(both).q_still) == 4
     # the last pose of one file and the first of the next have the same number: they are not the two sides of one
-    apart = accumulate(truth.robot, of_files(here[2:3], [dataclasses.replace(there[1], suite=1)]))
-    assert apart.poses == 0 and apart.skipped == {"static pose from one side only": 2}
+    separate = accumulate(truth.robot, of_files(here[2:3], [dataclasses.replace(there[1], suite=1)]))
+    assert separate.poses == 0 and separate.skipped == {"static pose from one side only": 2}
 
 
 def test_repetitions_are_counted_within_a_file() -> None:

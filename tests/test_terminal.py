@@ -31,10 +31,10 @@ def stamps(text: str) -> list[str]:
 
 @pytest.mark.usefixtures("brisk")
 def test_a_silent_step_is_told_again_and_a_counted_one_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
-    with steps.steps("odd") as tell:
-        tell("thinking")
+    with steps.steps("odd") as progress:
+        progress("thinking")
         time.sleep(0.4)
-        for _ in counted(range(8), 8, "counting", tell):
+        for _ in counted(range(8), 8, "counting", progress):
             time.sleep(0.15)
     said = stamps(capsys.readouterr().err)
     assert said[0] == "thinking" and sum(s == "thinking ... goes on" for s in said) >= 3
@@ -47,15 +47,15 @@ def test_the_last_time_tells_how_long_the_next_takes(capsys: pytest.CaptureFixtu
     data.write_bytes(b"x" * 1000)
     for size in (1000, 4000):
         data.write_bytes(b"x" * size)
-        with steps.steps("odd", [data]) as tell:
-            tell("thinking")
+        with steps.steps("odd", [data]) as progress:
+            progress("thinking")
             time.sleep(0.5)
     first, second = capsys.readouterr().err.split("thinking\n")[1:3]
     assert "by the last times here" not in first
     assert re.search(r"thinking, about \d+ s more, by the last times here", second), second
     (tmp_path / "cache" / "stopset" / "times.json").write_text("[no")
-    with steps.steps("odd", [data]) as tell:
-        tell("a broken memory is none")
+    with steps.steps("odd", [data]) as progress:
+        progress("a broken memory is none")
 
 
 def test_what_is_left_is_said_only_of_what_has_begun() -> None:
@@ -70,8 +70,8 @@ def test_on_a_terminal_one_line_is_rewritten_and_none_is_longer_than_the_window(
     with os.fdopen(far, "w") as terminal:
         monkeypatch.setattr("sys.stderr", terminal)
         monkeypatch.setattr("sys.stdout", terminal)
-        with steps.steps("odd") as tell:
-            tell("a step whose name is much longer than the window that it is shown in, and then some")
+        with steps.steps("odd") as progress:
+            progress("a step whose name is much longer than the window that it is shown in, and then some")
             time.sleep(0.2)
         say("  a sentence of the answer that is much longer than the window that it is shown in, and then some words more")
         terminal.flush()
@@ -98,8 +98,8 @@ def test_quiet_commands_say_the_answer_alone(altered: Path, tmp_path: Path, caps
     quiet = capsys.readouterr()
     assert quiet.err == "" and quiet.out.startswith("missing") and quiet.out.count("not identifiable") == 1
     assert main([*words, "--all"]) == 0
-    told = capsys.readouterr()
-    assert "so far: spring at bend" in told.err and told.out.count("not identifiable") > 1
+    reported = capsys.readouterr()
+    assert "so far: spring at bend" in reported.err and reported.out.count("not identifiable") > 1
     words[0] = "compare"
     assert main([*words, "--quiet"]) == 1
     few = capsys.readouterr().out.count("violation: ")

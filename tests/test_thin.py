@@ -16,9 +16,9 @@ POINTS = st.integers(4, 90)
 @given(SIZES, POINTS, st.integers(0, 2**32 - 1))
 def test_the_greatest_and_the_least_are_drawn(n: int, points: int, seed: int) -> None:
     y = np.random.default_rng(seed).standard_cauchy(n)  # spikes
-    kept = extremes(y, points)
-    assert len(kept) <= max(points, 4) and np.all(np.diff(kept) > 0)
-    assert {0, n - 1, int(np.argmax(y)), int(np.argmin(y))} <= set(kept.tolist())
+    rows = extremes(y, points)
+    assert len(rows) <= max(points, 4) and np.all(np.diff(rows) > 0)
+    assert {0, n - 1, int(np.argmax(y)), int(np.argmin(y))} <= set(rows.tolist())
 
 
 @settings(max_examples=60, deadline=None)
@@ -37,7 +37,7 @@ def test_a_thinned_band_contains_the_whole_band(n: int, points: int, seed: int) 
 @given(SIZES, st.integers(8, 90), st.integers(0, 2**32 - 1))
 def test_a_thinned_cloud_keeps_its_corners(n: int, points: int, seed: int) -> None:
     x, y = np.random.default_rng(seed).normal(size=(2, n))
-    kept = spread(x, y, points)
-    assert len(kept) <= max(points, 1)
+    rows = spread(x, y, points)
+    assert len(rows) <= max(points, 1)
     for v in (x, y):
-        assert v[kept].min() == v.min() and v[kept].max() == v.max()
+        assert v[rows].min() == v.min() and v[rows].max() == v.max()

@@ -20,14 +20,14 @@ from stopset.fmu import Contents
 from stopset.offline.workbench import Loop, Server
 from stopset.offline.workbench.jobs import Job
 from stopset.offline.workbench.scene import POINTS, Scene
-from stopset.progress import Tell
+from stopset.progress import Progress
 
 
-def here_only(model: Model, target: Path, tell: Tell) -> None:
+def here_only(model: Model, target: Path, progress: Progress) -> None:
     """An FMU of sources alone: nothing is compiled."""
     from stopset.fmu import export
 
-    export(model, target, Contents(3, (), True, False), tell)
+    export(model, target, Contents(3, (), True, False), progress)
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from monitor_arm import motion
 from monitor_process import free_port
 from stopset.cli.main import main
 from stopset.errors import BusError
-from stopset.monitor.consumer import SAYS, Doubt
+from stopset.monitor.consumer import SAYS, Fault
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
@@ -167,7 +167,7 @@ def test_the_viewer_shows_what_holds_now_and_nothing_older() -> None:
         view.take_state("", pack({**answer, "seq": seq, "t_meas_ns": now, "t_pub_ns": now, **more}))
 
     hear(1)
-    assert view.word() == ("NO DATA", SAYS[Doubt.UNPROVEN]), "nobody has answered a challenge: it could be an old recording"
+    assert view.word() == ("NO DATA", SAYS[Fault.UNPROVEN]), "nobody has answered a challenge: it could be an old recording"
     hear(2, nonces=(0, int.from_bytes(asked[-1], "little")))
     assert view.word()[0] == "OK" and "inside every prediction" in view.word()[1] and "not checked" in view.word()[1]
     for rubbish in (b"{", b"\xff", b"[]", b'{"state": 3}', b'{"kind": 1}', b"[" * 100_000, b'{"a":' * 50_000):
@@ -313,10 +313,10 @@ def test_an_address_that_is_none_or_answers_nothing_is_told_in_our_words(
     command: str, address: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([command, "--connect", address, "--port", "0", "--seconds", "0.1"]) == 2
-    told = capsys.readouterr().err
-    assert said in told and "expected" in told
+    reported = capsys.readouterr().err
+    assert said in reported and "expected" in reported
     for foreign in ("Single", "Json5Err", "Unable to", "Message", "os error"):
-        assert foreign not in told, "zenoh's own words"
+        assert foreign not in reported, "zenoh's own words"
 
 
 def test_a_zenoh_file_that_cannot_be_used_is_told_in_our_words(tmp_path: Path) -> None:
@@ -351,8 +351,8 @@ def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixt
         if order.reason == "unheard":
             return
         kind = "reset" if order.reason != "no" else "reset_refused"
-        told = {"kind": kind, "why": "not now" if kind == "reset_refused" else "", "name": order.name, "reason": order.reason}
-        daemon.put("event", json.dumps(told).encode(), must_arrive=True)
+        reported = {"kind": kind, "why": "not now" if kind == "reset_refused" else "", "name": order.name, "reason": order.reason}
+        daemon.put("event", json.dumps(reported).encode(), must_arrive=True)
 
     try:
         daemon.subscribe("reset", take)

@@ -272,8 +272,8 @@ def test_updates_keep_the_template_and_give_the_bits_of_all_read_together(
 ) -> None:
     path, found = together
     model = save_model(found.model, tmp_path / "m.json")
-    assert found.kept is not None
-    save_state(tmp_path / "m.state", found.kept, model)
+    assert found.retained is not None
+    save_state(tmp_path / "m.state", found.retained, model)
     new = save_trials(tmp_path / "new.parquet", recordings((1.0, 0.5), (4.0, 2.0), 1, 4, spread=0.3, seed=9), names(2))
     added = update(model, load_state(tmp_path / "m.state", model), [new])
     whole = from_scratch(model, load_state(tmp_path / "m.state", model), [path, new])

@@ -23,7 +23,7 @@ static uint64_t fresh(FILE *source) {
   return x;
 }
 
-static void tell(const stopset_consumer *c, uint8_t state) {
+static void print_state(const stopset_consumer *c, uint8_t state) {
   uint64_t refused = 0;
   for (unsigned i = 0; i < sizeof c->refused / sizeof *c->refused; i++) refused += c->refused[i];
   printf("state=0x%02X why=%d seq=%lu lost=%llu refused=%llu flags=%lu violation_count=%lu first_joint=%u stop0_tcp=%.9g room_min=%.9g",
@@ -38,7 +38,7 @@ int main(int argc, char **argv) {
   static stopset_key keys[16];
   static uint8_t in[65536 + 2];
   size_t filled = 0;
-  int told_state = -1, told_why = -1, open = 1;
+  int printed_state = -1, printed_why = -1, open = 1;
   stopset_consumer c = {0};
   FILE *random = fopen("/dev/urandom", "rb");
   if (argc < 5 || !random) return 2;
@@ -74,9 +74,9 @@ int main(int argc, char **argv) {
       }
     }
     state = stopset_now(&c, now_ns());
-    if (state != told_state || c.why != told_why) tell(&c, state);
-    told_state = state;
-    told_why = c.why;
+    if (state != printed_state || c.why != printed_why) print_state(&c, state);
+    printed_state = state;
+    printed_why = c.why;
     fflush(stdout);
   }
   return 0;

@@ -110,15 +110,15 @@ static uint64_t stopset_challenge(stopset_consumer *c, int64_t now, uint64_t ran
 
 static int stopset_stranger(const stopset_consumer *c, const stopset_state *m, const uint8_t *data) {
   const stopset_expected *e = &c->expect;
-  if (m->data_id != e->data_id) return STOPSET_DOUBT_FOREIGN;
+  if (m->data_id != e->data_id) return STOPSET_FAULT_FOREIGN;
   if (e->keys) {
     int known = 0;
     for (unsigned i = 0; i < e->n_keys; i++) known |= e->keys[i].key_id == m->key_id && stopset_made_by(&e->keys[i], data);
-    if (!known) return STOPSET_DOUBT_FORGED;
+    if (!known) return STOPSET_FAULT_FORGED;
   }
-  if (m->model_hash != e->model_hash) return STOPSET_DOUBT_OTHER_MODEL;
-  if (m->config_hash != e->config_hash) return STOPSET_DOUBT_OTHER_CONFIG;
-  return STOPSET_DOUBT_NONE;
+  if (m->model_hash != e->model_hash) return STOPSET_FAULT_OTHER_MODEL;
+  if (m->config_hash != e->config_hash) return STOPSET_FAULT_OTHER_CONFIG;
+  return STOPSET_FAULT_NONE;
 }
 
 static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t now) {
@@ -140,25 +140,25 @@ static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t n
   c->nonce = 0;
 }
 
-static int stopset_refuse(stopset_consumer *c, int doubt) {
-  c->refused[doubt]++;
-  return doubt;
+static int stopset_refuse(stopset_consumer *c, int fault) {
+  c->refused[fault]++;
+  return fault;
 }
 
 /* A message arrived; a doubtful one counts as silence. Returns the doubt, 0 if there is none. */
 static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int64_t now) {
   stopset_state m;
-  int doubt, answer = 0, same_boot;
-  if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_DOUBT_UNREADABLE);
-  if ((doubt = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, doubt);
+  int fault, answer = 0, same_boot;
+  if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_FAULT_UNREADABLE);
+  if ((fault = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, fault);
   for (unsigned i = 0; i < STOPSET_NONCES; i++) answer |= c->nonce && m.nonces[i] == c->nonce;
   same_boot = c->have_boot && m.boot_id == c->boot;
   /* another sender beside the one that is there, or one that has not answered */
   if (!same_boot && ((c->have_last && now - c->arrived <= c->expect.watchdog_ns) || !answer))
-    return stopset_refuse(c, STOPSET_DOUBT_UNPROVEN);
+    return stopset_refuse(c, STOPSET_FAULT_UNPROVEN);
   if (c->have_last && m.boot_id == c->last.boot_id) {
     uint32_t step = m.seq - c->last.seq;
-    if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_DOUBT_REPEATED);
+    if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_FAULT_REPEATED);
     c->lost += step - 1u;
   }
   if (answer)
@@ -168,19 +168,19 @@ static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int6
   c->last = m;
   c->have_last = 1;
   c->arrived = now;
-  return STOPSET_DOUBT_NONE;
+  return STOPSET_FAULT_NONE;
 }
 
-static int stopset_doubt(const stopset_consumer *c, int64_t now) {
+static int stopset_fault(const stopset_consumer *c, int64_t now) {
   const stopset_state *m = &c->last;
   int64_t oldest;
   if (!c->have_last) {
     for (unsigned i = 0; i < sizeof c->refused / sizeof *c->refused; i++)
-      if (c->refused[i]) return STOPSET_DOUBT_UNPROVEN;
-    return STOPSET_DOUBT_NO_MESSAGE;
+      if (c->refused[i]) return STOPSET_FAULT_UNPROVEN;
+    return STOPSET_FAULT_NO_MESSAGE;
   }
-  if (now - c->arrived > c->expect.watchdog_ns) return STOPSET_DOUBT_SILENT;
-  if (now - c->proved > STOPSET_PROOF_LIFE_NS) return STOPSET_DOUBT_UNPROVEN;
+  if (now - c->arrived > c->expect.watchdog_ns) return STOPSET_FAULT_SILENT;
+  if (now - c->proved > STOPSET_PROOF_LIFE_NS) return STOPSET_FAULT_UNPROVEN;
   switch (m->state) {
     case STOPSET_STATE_OK:
     case STOPSET_STATE_DEGRADED: break;
@@ -188,17 +188,17 @@ static int stopset_doubt(const stopset_consumer *c, int64_t now) {
     case STOPSET_STATE_VIOLATION:
     case STOPSET_STATE_UNKNOWN:
     case STOPSET_STATE_FAULT:
-    case STOPSET_STATE_SHUTDOWN: return STOPSET_DOUBT_NONE; /* nothing in it is to be used */
-    default: return STOPSET_DOUBT_NO_SUCH_STATE;
+    case STOPSET_STATE_SHUTDOWN: return STOPSET_FAULT_NONE; /* nothing in it is to be used */
+    default: return STOPSET_FAULT_NO_SUCH_STATE;
   }
   oldest = now + c->hi + stopset_drift(c, now) - (int64_t)m->t_meas_ns;
-  if (oldest < 0) return STOPSET_DOUBT_AHEAD;
-  return oldest > (int64_t)m->valid_for_ms * 1000000 ? STOPSET_DOUBT_STALE : STOPSET_DOUBT_NONE;
+  if (oldest < 0) return STOPSET_FAULT_AHEAD;
+  return oldest > (int64_t)m->valid_for_ms * 1000000 ? STOPSET_FAULT_STALE : STOPSET_FAULT_NONE;
 }
 
 /* The state that holds now: the daemon's, or FAULT if there is any doubt. */
 static uint8_t stopset_now(stopset_consumer *c, int64_t now) {
-  c->why = stopset_doubt(c, now);
+  c->why = stopset_fault(c, now);
   return c->why ? STOPSET_STATE_FAULT : c->last.state;
 }
 #endif

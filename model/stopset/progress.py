@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Tell(Protocol):
-    """Is told each step of long work; ``share``: how much of this step is done, 0 to 1, None where nobody can say."""
+class Progress(Protocol):
+    """Is given each step of long work; ``share``: how much of this step is done, 0 to 1, None where nobody can say."""
 
     def __call__(self, text: str, share: float | None = None) -> None: ...
 
@@ -18,11 +18,11 @@ def silent(text: str, share: float | None = None) -> None:
     """Whom nobody listens to."""
 
 
-def counted(items: Iterable[T], total: int | None, what: str, tell: Tell) -> Iterator[T]:
-    """Yield the items, telling before each how many are done; ``total``: how many there will be, None where nobody knows."""
-    tell(what)
+def counted(items: Iterable[T], total: int | None, what: str, progress: Progress) -> Iterator[T]:
+    """Yield the items, reporting before each how many are done; ``total``: how many there will be, None where nobody knows."""
+    progress(what)
     for k, item in enumerate(items):
-        tell(f"{what}: {k}" + (f" of {total}" if total else ""), min(1.0, k / total) if total else 0.0)
+        progress(f"{what}: {k}" + (f" of {total}" if total else ""), min(1.0, k / total) if total else 0.0)
         yield item
 
 

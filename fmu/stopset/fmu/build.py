@@ -147,7 +147,7 @@ def binaries(
     compiler()  # refuses early where there is none
     core = resources.files("stopset.fmu") / "core"
     sources = {**sources, **{name: (core / name).read_text() for name in WINDOWS}}
-    kept = cache_folder()
+    cache = cache_folder()
     out: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)
@@ -156,7 +156,7 @@ def binaries(
             (folder / file).write_text(text)
 
         def make(platform: Platform) -> bytes:
-            place = kept / "fmu" / _key(sources, platform, identifier) if kept else None
+            place = cache / "fmu" / _key(sources, platform, identifier) if cache else None
             if place is not None and place.is_file():
                 return place.read_bytes()
             library = compile_library(folder, units, platform, identifier)

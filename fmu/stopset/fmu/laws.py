@@ -55,7 +55,7 @@ class TapedEffect:
     @property
     def symbols(self) -> list[str]:
         """Of the parameters that can be set."""
-        return parameters_of(self.effect, self.fitted.values) if self.torque.apart else []
+        return parameters_of(self.effect, self.fitted.values) if self.torque.parametric else []
 
 
 def carried(model: Model) -> tuple[TapedEffect, ...]:
@@ -131,13 +131,15 @@ def laws_of(model: Model) -> Laws:
     def tape(r: Recorded, count: int) -> int:
         steps = ", ".join(map(str, r.steps.ravel().tolist()))
         lines.append(f"static const int32_t steps_{len(tapes)}[] = {{{steps}}};")
-        tapes.append(f"{{steps_{len(tapes)}, {len(r.steps)}, {len(numbers)}, {count if r.apart else 0}, {parameter}}}")
+        tapes.append(f"{{steps_{len(tapes)}, {len(r.steps)}, {len(numbers)}, {count if r.parametric else 0}, {parameter}}}")
         numbers.extend(r.numbers.tolist())
         return len(tapes) - 1
 
     for c in carried(model):
         count = len(c.symbols)
-        direction = direction or any(what == SIGNAL and k == SIGNALS.index("way") for what, k, _ in c.torque.steps.tolist())
+        direction = direction or any(
+            what == SIGNAL and k == SIGNALS.index("given_direction") for what, k, _ in c.torque.steps.tolist()
+        )
         for name in c.effect.needs:
             needs |= RIGID.get(name, 0)
         first, torque = len(laws), tape(c.torque, count)

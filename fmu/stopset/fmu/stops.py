@@ -123,21 +123,21 @@ def _definition(setting: Setting) -> str:
     """``stopset_stops`` and the arrays it points at."""
     lines: list[str] = []
 
-    def kept(name: str, x: Array) -> str:
+    def stored(name: str, x: Array) -> str:
         lines.append(f"static const double stops_{name}[] = {array(np.ravel(x))};")
         return f"stops_{name}"
 
     p = setting.plant
-    chain = [kept(k, getattr(p.chain, k)) for k in ("R", "p", "axis", "gravity")]
-    plant = [kept(k, getattr(p, k)) for k in PLANT]
-    bent = [kept(f"curvature_{k}", getattr(p.curvature, k)) for k in ("M", "g", "size", "load")]
-    arm = ", ".join(["NJ", *chain, kept("pi", p.pi)])
-    lag = "0" if setting.lag is None else kept("lag", setting.lag)
-    apart = -1.0 if setting.apart is None else setting.apart
-    tool = kept("tool", setting.payload_com)
+    chain = [stored(k, getattr(p.chain, k)) for k in ("R", "p", "axis", "gravity")]
+    plant = [stored(k, getattr(p, k)) for k in PLANT]
+    bent = [stored(f"curvature_{k}", getattr(p.curvature, k)) for k in ("M", "g", "size", "load")]
+    arm = ", ".join(["NJ", *chain, stored("pi", p.pi)])
+    lag = "0" if setting.lag is None else stored("lag", setting.lag)
+    delay_spread = -1.0 if setting.delay_spread is None else setting.delay_spread
+    tool = stored("tool", setting.payload_com)
     torques = "0" if setting.torques.settled else _torques(setting, lines)
     whole = f"{{{{{arm}}}, {', '.join(plant)}, {{{', '.join(bent)}}}}}"
-    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {apart!r}, {tool}, {torques}}};")
+    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {delay_spread!r}, {tool}, {torques}}};")
     return "\n".join(lines) + "\n"
 
 
@@ -145,7 +145,7 @@ def _torques(setting: Setting, lines: list[str]) -> str:
     """``StopsetTorques``: the effects by their laws, as `stopset.reach.stops.friction.torques_struct` gives them to the core."""
     x = setting.torques
 
-    def kept(name: str, values: Array) -> str:
+    def stored(name: str, values: Array) -> str:
         lines.append(f"static const double {name}[] = {array(np.ravel(values))};")
         return name
 
@@ -153,18 +153,18 @@ def _torques(setting: Setting, lines: list[str]) -> str:
         if tape is None:
             return "{0}"
         lines.append(f"static const int32_t {name}_steps[] = {{{', '.join(map(str, tape.steps.ravel().tolist()))}}};")
-        return f"{{{len(tape.steps)}, {name}_steps, {kept(f'{name}_numbers', tape.numbers)}}}"
+        return f"{{{len(tape.steps)}, {name}_steps, {stored(f'{name}_numbers', tape.numbers)}}}"
 
     rows = []
     for k, e in enumerate(x.laws):
         name = f"acting_{k}"
         columns, flow = law(f"{name}_law", e.columns), law(f"{name}_flow", e.flow)
         lines.append(f"static const int32_t {name}_column[] = {{{', '.join(map(str, e.columns.at.tolist()))}}};")
-        state = kept(f"{name}_state", e.state) if e.state.size else "0"
+        state = stored(f"{name}_state", e.state) if e.state.size else "0"
         numbers = [e.joint, e.other, e.role, int(e.straight), int(e.roams), len(e.columns.at), len(e.state)]
-        parts = [*map(str, numbers), columns, f"{name}_column", kept(f"{name}_value", e.value), state, flow]
+        parts = [*map(str, numbers), columns, f"{name}_column", stored(f"{name}_value", e.value), state, flow]
         rows.append(f"{{{', '.join([*parts, array(e.start), array(e.range)])}}}")
-    fields = {k: "0" if v is None else kept(f"torques_{k}", v) for k, v in torque_fields(x, setting.free).items()}
+    fields = {k: "0" if v is None else stored(f"torques_{k}", v) for k, v in torque_fields(x, setting.free).items()}
     lines.append(f"static const StopsetActing stops_acting[] = {{{', '.join(rows) or '{0}'}}};")
     named = ", ".join(f".{k} = {v}" for k, v in fields.items())
     lines.append(f"static const StopsetTorques stops_torques = {{{len(rows)}, {x.needs}, stops_acting, {named}}};")

@@ -122,7 +122,7 @@ def effect_torques(
     if memories is None:
         memories = memories_along(robot, effects, samples)
     if direction is not None:
-        signals = tuple(replace(s, way=np.full(len(samples.q), direction)) for s in signals)
+        signals = tuple(replace(s, given_direction=np.full(len(samples.q), direction)) for s in signals)
     out = np.zeros_like(samples.q)
     for k, (f, effect) in enumerate(laws):
         values = dict(f.values)

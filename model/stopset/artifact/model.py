@@ -103,7 +103,7 @@ class UncertaintySets:
 class Brakes:
     """Brakes per joint, intervals: dynamic torque [N m], delay from power-off to first torque [s], rise time [s].
 
-    ``apart`` [s]: the times at which the brakes of one stop engage, each less its joint's ``lag``, lie apart by no more than
+    ``delay_spread`` [s]: the times at which the brakes of one stop engage, each less its joint's ``lag``, lie apart by no more than
     this, as when one power stage cuts all brakes; None where nothing is known of it. ``lag``: (n,) [s] by how much a joint's
     brake is always later; None: no brake is.
     """
@@ -112,7 +112,7 @@ class Brakes:
     delay: Box
     rise: Box
     source: str = "assumed"  # "assumed" | "data sheet" | "identified from ..."
-    apart: float | None = None
+    delay_spread: float | None = field(default=None, metadata={"key": "apart"})
     lag: Array | None = None
 
 

@@ -47,11 +47,11 @@ class Polynomial:
         for i in np.flatnonzero(np.asarray(centre)):
             power = e[:, i]
             rows = np.repeat(np.arange(power.size), power + 1)
-            kept = np.arange(rows.size) - np.repeat(np.cumsum(power + 1) - power - 1, power + 1)  # 0..power of each row
+            degree = np.arange(rows.size) - np.repeat(np.cumsum(power + 1) - power - 1, power + 1)  # 0..power of each row
             table = _binomials(int(power.max(initial=0)))
-            new_c = c[rows] * table[power[rows], kept] * centre[i] ** (power[rows] - kept)
+            new_c = c[rows] * table[power[rows], degree] * centre[i] ** (power[rows] - degree)
             new_e = e[rows].copy()
-            new_e[:, i] = kept
+            new_e[:, i] = degree
             e, c = collected(new_e, new_c)
         return Polynomial(e, c)
 

@@ -98,8 +98,8 @@ def new_key(path: str | Path, passphrase: str = "") -> str:
         if p.exists():
             raise OutputError(f"{p} exists already; expected a new name: a key that signed something must not be lost")
     secret = Ed25519PrivateKey.generate()
-    kept = s.BestAvailableEncryption(passphrase.encode()) if passphrase else s.NoEncryption()
-    write_private(path, secret.private_bytes(s.Encoding.PEM, s.PrivateFormat.PKCS8, kept))
+    encryption = s.BestAvailableEncryption(passphrase.encode()) if passphrase else s.NoEncryption()
+    write_private(path, secret.private_bytes(s.Encoding.PEM, s.PrivateFormat.PKCS8, encryption))
     text = secret.public_key().public_bytes(s.Encoding.PEM, s.PublicFormat.SubjectPublicKeyInfo).decode()
     write_text(public, text)
     return key_id(secret.public_key())

@@ -34,6 +34,11 @@ FIRST_SCHEMA, LAGS, ARM = (
 Reader = Callable[[str, Mapping[str, Any]], Arm]  # of the description (URDF, data sheet) in a file older than `ARM`
 
 
+def _key(f: dataclasses.Field[Any]) -> str:
+    """What the file calls a field: its name, or the one it had when the format was fixed."""
+    return str(f.metadata.get("key", f.name))
+
+
 def _plain(x: Any) -> Any:
     """Dataclasses, arrays, boxes and tuples to JSON values; infinities as strings, since JSON has none."""
     if isinstance(x, Robot):
@@ -42,7 +47,7 @@ def _plain(x: Any) -> Any:
     if isinstance(x, Box):
         return [[_plain(a), _plain(b)] for a, b in zip(x.lo.tolist(), x.hi.tolist(), strict=True)]
     if dataclasses.is_dataclass(x) and not isinstance(x, type):
-        return {f.name: _plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
+        return {_key(f): _plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
     if isinstance(x, np.ndarray):
         return _plain(x.tolist())
     if isinstance(x, Mapping):
@@ -111,10 +116,10 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         return Box(rows[:, 0].copy(), rows[:, 1].copy())
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
-        known = {f.name for f in dataclasses.fields(kind)}
-        if not isinstance(x, Mapping) or set(x) - known:
-            raise ValueError(f"{where} holds {sorted(set(x) - known) if isinstance(x, Mapping) else type(x).__name__}")
-        return kind(**{k: _build(hints[k], v, f"{where}.{k}") for k, v in x.items()})  # type: ignore[operator]
+        known = {_key(f): f.name for f in dataclasses.fields(kind)}
+        if not isinstance(x, Mapping) or set(x) - known.keys():
+            raise ValueError(f"{where} holds {sorted(set(x) - known.keys()) if isinstance(x, Mapping) else type(x).__name__}")
+        return kind(**{known[k]: _build(hints[known[k]], v, f"{where}.{k}") for k, v in x.items()})  # type: ignore[operator]
     if origin is tuple:
         inner = get_args(kind)
         if len(inner) == 2 and inner[1] is Ellipsis:

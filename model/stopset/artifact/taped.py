@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # numbers of the signals a law may look at, in the order of the core's inputs.h; pairs of tilt, ten of tip, then the states
 SIGNALS = (
-    "q", "dq", "ddq", "way", "load", "tau", "dtau", "link", "temp", "warm", "t", "stiff", "inertia", "coriolis", "dq_other",
+    "q", "dq", "ddq", "given_direction", "load", "tau", "dtau", "link", "temp", "warm", "t", "stiff", "inertia", "coriolis", "dq_other",
 )  # fmt: skip
 TILT, TIP, MEMORY = len(SIGNALS), len(SIGNALS) + 2, len(SIGNALS) + 12
 RIGID = {
@@ -47,7 +47,7 @@ def _signals(tape: Tape, states: int) -> Signals:
 
 
 @dataclass(slots=True)
-class Kept:
+class Pinned:
     """C structs, and what they point at."""
 
     held: list[Any]
@@ -70,25 +70,25 @@ class Kept:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A law's steps (K, 3) and constants; ``apart``: these begin with its parameters, in the order of `parameters_of`; else the law
+    """A law's steps (K, 3) and constants; ``parametric``: these begin with its parameters, in the order of `parameters_of`; else the law
     could only be recorded with their values in it."""
 
     steps: NDArray[np.int32]
     numbers: Array
-    apart: bool
+    parametric: bool
 
 
 def recorded(effect: Effect, values: Mapping[str, float], rate: int = -1) -> Recorded:
     """An effect's torque on tape, or the rate of its state number ``rate``; raises `EffectError` where it has no steps."""
     try:
-        return _record(effect, values, rate, apart=True)
+        return _record(effect, values, rate, parametric=True)
     except EffectError:  # a law may ask of a parameter what no tape answers, such as whether it is positive
-        return _record(effect, values, rate, apart=False)
+        return _record(effect, values, rate, parametric=False)
 
 
-def _record(effect: Effect, values: Mapping[str, float], rate: int, *, apart: bool) -> Recorded:
+def _record(effect: Effect, values: Mapping[str, float], rate: int, *, parametric: bool) -> Recorded:
     tape = Tape()
-    given: dict[str, Any] = {k: tape.parameter(values[k]) if apart else values[k] for k in parameters_of(effect, values)}
+    given: dict[str, Any] = {k: tape.parameter(values[k]) if parametric else values[k] for k in parameters_of(effect, values)}
     s = _signals(tape, len(effect.states))
     try:
         steps, numbers = tape.finished(effect.torque(s, given) if rate < 0 else effect.rates(s, given)[rate])
@@ -97,7 +97,7 @@ def _record(effect: Effect, values: Mapping[str, float], rate: int, *, apart: bo
             f"effect {effect.name}: its law cannot be taken apart into elementary steps ({e}); expected + - * / ** and the "
             "functions of stopset.ring: write it with those"
         ) from e
-    return Recorded(steps, numbers, apart)
+    return Recorded(steps, numbers, parametric)
 
 
 def parameters_of(effect: Effect, values: Mapping[str, float]) -> list[str]:
@@ -123,7 +123,7 @@ class Taped:
     """``StopsetInputs`` of an `InputMap`; ``first``: column of the first state of each effect with memory, by its place."""
 
     struct: Any
-    kept: Kept
+    pinned: Pinned
     first: Mapping[int, int]
     columns: int
     uses_dtau: bool
@@ -131,7 +131,7 @@ class Taped:
     @classmethod
     def of(cls, m: InputMap) -> Taped:
         """Raises `EffectError` for a law that cannot be taken apart."""
-        kept, laws, first, columns, needs = Kept([]), [], {}, 0, set()
+        pinned, laws, first, columns, needs = Pinned([]), [], {}, 0, set()
         for k, f in enumerate(m.effects):
             effect = get(f.effect)
             needs |= set(effect.needs)
@@ -141,10 +141,10 @@ class Taped:
                         f"effect {f.label} has {len(effect.states)} states; expected {lib.STOPSET_MEMORIES} at most"
                     )
                 first[k], columns = columns, columns + len(effect.states)
-            program = kept.program(effect, f.values)
+            program = pinned.program(effect, f.values)
             laws += [(j, other, first.get(k, 0), len(effect.states), program) for j, other in places(f, effect, m.robot.joints)]
         c, table = m.robot.chain, ffi.new("StopsetLaw[]", laws or 1)
-        arm = (m.robot.n, *(kept.array(x) for x in (c.R, c.p, c.axis, c.gravity, m.robot.pi)))
+        arm = (m.robot.n, *(pinned.array(x) for x in (c.R, c.p, c.axis, c.gravity, m.robot.pi)))
         mask = 0
         for name in needs:
             mask |= RIGID.get(name, 0)
@@ -152,10 +152,10 @@ class Taped:
             mask |= lib.STOPSET_NEEDS_LINK
         struct = ffi.new("StopsetInputs *", (
             arm, int(m.effort != "compensated_torque"), int(m.swift), mask, columns, len(laws), table,
-            kept.array(m.gain), kept.array(m.offset), kept.array(m.standstill), REFERENCE_TEMPERATURE,
+            pinned.array(m.gain), pinned.array(m.offset), pinned.array(m.standstill), REFERENCE_TEMPERATURE,
         ))  # fmt: skip
-        kept.held += [table]
-        return cls(struct, kept, first, columns, "dtau" in needs)
+        pinned.held += [table]
+        return cls(struct, pinned, first, columns, "dtau" in needs)
 
     def __call__(self, m: InputMap, samples: Samples, tau: Array, memories: Mapping[int, tuple[Array, ...]]) -> Array:
         """``u`` (N, n) [N m], see `InputMap.__call__`."""

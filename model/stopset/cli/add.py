@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
 
     names = _named(args.effect, args.joint)
     campaign = tagged(campaign_of(model.robot.as_described, args.data), args.condition, args.data)
-    with steps("add", args.data, args.quiet) as tell:
-        done = add(model, names, campaign, force=args.force, tell=tell, keep=args.keep_as if args.keep else None)
+    with steps("add", args.data, args.quiet) as progress:
+        done = add(model, names, campaign, force=args.force, progress=progress, keep=args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
         if len(done.judged) > 1 or j.why:
@@ -100,10 +100,10 @@ def run(args: argparse.Namespace) -> int:
         say(f"refused; nothing was written{'' if args.force else ' (--force adds what has numbers anyway)'}")
         return 1
     saved = save_model(done.model, args.out)
-    if args.keep and done.kept is not None:
+    if args.keep and done.retained is not None:
         from stopset.offline.update.update import save_state
 
-        save_state(args.keep, done.kept, saved)
+        save_state(args.keep, done.retained, saved)
         say(f"state {args.keep}: with it, identify --update {args.out} adds recordings without reading these again")
     say(f"revision {saved.revisions[-1].number}: model file {args.out}  (SHA-256 {saved.sha256[:16]}...)")
     return 0

@@ -98,7 +98,7 @@ def check_outputs(*paths: str | Path | None) -> None:
 OUTPUTS = ("out", "json", "report", "csv", "pdf", "keep")
 
 
-def check_apart(args: argparse.Namespace) -> None:
+def check_distinct(args: argparse.Namespace) -> None:
     """Refuse to write over what the same command reads or writes besides; raises `OutputError`."""
     named: dict[Path, str] = {}
     for name, value in sorted(vars(args).items(), key=lambda item: item[0] in OUTPUTS):

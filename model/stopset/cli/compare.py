@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
-    with steps("compare", args.data, args.quiet) as tell:
-        found = compare(model, args.data, tell)
+    with steps("compare", args.data, args.quiet) as progress:
+        found = compare(model, args.data, progress)
     said = verdict(found)
     say(said.text)
     say(f"what next: {said.next}")

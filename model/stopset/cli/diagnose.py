@@ -30,8 +30,8 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     names = [get(name).name for name in args.effects.split(",")] if args.effects else None
     recordings = read_recordings(args.data, model.robot)
-    with steps("diagnose", args.data, args.quiet) as tell:
-        found, against = diagnose_model(model, recordings, names, tell)
+    with steps("diagnose", args.data, args.quiet) as progress:
+        found, against = diagnose_model(model, recordings, names, progress)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for note in found.notes:
         say(f"note: {note}")

@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
     platforms = [] if args.source_only else [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
     contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference, args.clocks)
-    with steps("export-fmu", quiet=args.quiet) as tell:
-        target = export(model, args.out, contents, tell)
+    with steps("export-fmu", quiet=args.quiet) as progress:
+        target = export(model, args.out, contents, progress)
     what = "sources alone" if args.source_only else ", ".join(platforms)
     say(f"{target}: FMI {args.fmi}.0, co-simulation and model exchange, {target.stat().st_size / 1024:.0f} KiB; {what}")
     if not (args.no_reference or args.source_only):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stopset.artifact import Model
     from stopset.offline.conform.linear_program import FittedSets
     from stopset.offline.identify.pipeline import Identification
-    from stopset.progress import Tell
+    from stopset.progress import Progress
 
 HELP = "recordings of a robot -> a reachset-conformant model file"
 
@@ -111,14 +111,14 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import save_model
 
     check_outputs(args.out, args.json, args.report, args.keep)
-    with steps("identify", args.data, args.quiet) as tell:
-        found = _updated(args, tell) if args.update else _identified(args, tell)
+    with steps("identify", args.data, args.quiet) as progress:
+        found = _updated(args, progress) if args.update else _identified(args, progress)
     model = save_model(found.model, args.out)
     if args.keep:
         from stopset.offline.update.update import save_state
 
-        assert found.kept is not None
-        save_state(args.keep, found.kept, model)
+        assert found.retained is not None
+        save_state(args.keep, found.retained, model)
     say(summary(found))
     say(f"model file {args.out}  (SHA-256 {model.sha256[:16]}...)")
     if args.keep:
@@ -159,7 +159,7 @@ def verdict(found: Identification, accepted: bool) -> int:
     return 1
 
 
-def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
+def _identified(args: argparse.Namespace, progress: Progress) -> Identification:
     from stopset.offline.campaign.conditions import tagged
     from stopset.offline.campaign.source import campaign_of
     from stopset.offline.description import load_robot
@@ -177,10 +177,10 @@ def _identified(args: argparse.Namespace, tell: Tell) -> Identification:
         shape=args.shape or "box", friction=args.friction, mixed=args.mixed,
     )  # fmt: skip
     campaign = tagged(campaign_of(robot, args.data), args.condition, args.data)
-    return identified(robot, campaign, settings, tell, args.scheduler, keep=args.keep_as if args.keep else None)
+    return identified(robot, campaign, settings, progress, args.scheduler, keep=args.keep_as if args.keep else None)
 
 
-def _updated(args: argparse.Namespace, tell: Tell) -> Identification:
+def _updated(args: argparse.Namespace, progress: Progress) -> Identification:
     from stopset.offline.description.older import load_model
     from stopset.offline.update.update import load_state, update
 
@@ -214,7 +214,7 @@ def _updated(args: argparse.Namespace, tell: Tell) -> Identification:
             f"--update needs the sums behind {args.update}; expected --state FILE.state: identify once with --keep FILE.state"
         )
     model = load_model(args.update)
-    return update(model, load_state(args.state, model), args.data, tell, args.scheduler)
+    return update(model, load_state(args.state, model), args.data, progress, args.scheduler)
 
 
 def summary(found: Identification) -> str:

@@ -47,10 +47,10 @@ def run(args: argparse.Namespace) -> int:
         )
     args.out.mkdir(parents=True, exist_ok=True)
     done = []
-    with steps("identify-fleet", [p for a in arms for p in (*a.data, *a.later)], args.quiet) as tell:
+    with steps("identify-fleet", [p for a in arms for p in (*a.data, *a.later)], args.quiet) as progress:
         for answer in answers(arms, args.scheduler, args.workers):
             done.append(answer)
-            tell(f"{answer.name}: {answer.says} ({len(done)} of {len(arms)})")
+            progress(f"{answer.name}: {answer.says} ({len(done)} of {len(arms)})")
             if not answer.error:
                 write_text(args.out / f"{answer.name}.model.json", answer.model)
                 write_json(args.out / f"{answer.name}.diagnosis.json", answer.diagnosis)

@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
     constants = _numbers(args.torque_constant) if args.torque_constant else None
     trials: list[Recording] = []
     meta: Meta | None = None
-    with steps("import", args.log, args.quiet) as tell:
+    with steps("import", args.log, args.quiet) as progress:
         for suite, path in enumerate(args.log):
             if is_bag(path):
-                found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, tell))
+                found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, progress))
                 this = meta_of_bag(found, args.effort)
                 trials += [r for r, _ in found]
             elif is_rtde(path):
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             else:
                 profile = load_profile(args.profile)
                 cycle = args.cycle or profile.cycle_s
-                trials += counted(trials_of_log(path, profile, cycle, suite), None, path.name, tell)
+                trials += counted(trials_of_log(path, profile, cycle, suite), None, path.name, progress)
                 this = log_meta(profile, cycle, args.effort)
             if meta is not None and this.joints != meta.joints:
                 raise RecordingError(

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.robot, tip=args.tip, lock=args.lock) if args.robot else None
     results = inspect_recordings(args.recordings, robot)
     for r in results:
-        _tell(r)
+        _print_answer(r)
     if args.robot is None:
         say("Without --robot the torque's unit and its delay cannot be checked.")
     if args.json:
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     return int(any(r.wrong for r in results))
 
 
-def _tell(r: Inspection) -> None:
+def _print_answer(r: Inspection) -> None:
     o = r.offers
     rate = f"{o['rate_hz']:.4g} Hz" if o["rate_hz"] else "unknown rate"
     say(f"{r.path}\n  {o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "

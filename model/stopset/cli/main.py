@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from stopset import cli
-from stopset.cli.common import check_apart
+from stopset.cli.common import check_distinct
 from stopset.errors import StopsetError
 
 # matrices here are small: threads of the linear algebra library would only wait for each other
@@ -77,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     try:
         args = parser_of(words[0]).parse_args(words[1:])
-        check_apart(args)
+        check_distinct(args)
         return int(_module(words[0]).run(args))
     except StopsetError as e:
         sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")

@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     recordings = stream_recordings(args.data, robot) if args.data else None
     try:
-        with steps("plan", args.data or (), args.quiet) as tell:
-            plan = design(robot, wishes, recordings, tell)
+        with steps("plan", args.data or (), args.quiet) as progress:
+            plan = design(robot, wishes, recordings, progress)
     except StopsetError:
         if fresh:
             args.out.rmdir()  # a refused plan leaves nothing behind

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     found = check_profile(profile)
     if args.log is not None:
         against_log(found, profile, read_log(args.log))
-    _tell(found)
+    _print_answer(found)
     if args.json:
         write_json(args.json, found.plain())
     if args.report:
@@ -47,7 +47,7 @@ def _rows(found: ProfileCheck) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def _tell(found: ProfileCheck) -> None:
+def _print_answer(found: ProfileCheck) -> None:
     say(f"{found.name}: {len(found.frames)} frames a cycle and SYNC, {found.load:.0%} of the bus's time")
     for cob, size, when, carries in _rows(found):
         say(f"  {cob}  {size} bytes  {when:10}  {carries}")

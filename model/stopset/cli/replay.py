@@ -108,8 +108,8 @@ def _frames(args: argparse.Namespace) -> int:
     profile = load_profile(args.profile)
     bus = talk(args.to)
     try:
-        frames, kept_back = play_log(args.recording, bus.send, args.speed, profile)
+        frames, withheld = play_log(args.recording, bus.send, args.speed, profile)
     finally:
         bus.close()
-    say(f"{frames} frames of {args.recording.name} sent to {args.to}; {kept_back} kept back that no drive of the profile sends")
+    say(f"{frames} frames of {args.recording.name} sent to {args.to}; {withheld} kept back that no drive of the profile sends")
     return 0

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             except (queue.Empty, msgspec.MsgspecError):
                 continue
             if event.kind == "reset" and event.reason == order.reason and (event.key or event.name) == (order.key or order.name):
-                say(f"cleared, {plain(event.told())}; what is violated again is latched again")
+                say(f"cleared, {plain(event.line())}; what is violated again is latched again")
                 return 0
             if event.kind == "reset_refused":
                 say(f"refused: {plain(event.why)}")

@@ -11,7 +11,7 @@ from stopset.cli.common import add_output_options, check_outputs, say, write_jso
 from stopset.cli.steps import steps
 
 if TYPE_CHECKING:
-    from stopset.progress import Tell
+    from stopset.progress import Progress
     from stopset.recording import Recording
 
 HELP = "recordings from the simulated arm, effects hidden on request"
@@ -57,13 +57,13 @@ def run(args: argparse.Namespace) -> int:
     out.mkdir(exist_ok=True)
     lengths: list[int] = []
 
-    def measured(tell: Tell) -> Iterator[Recording]:
-        for r in counted(scenario.recordings(), scenario.count, "recordings simulated", tell):
+    def measured(progress: Progress) -> Iterator[Recording]:
+        for r in counted(scenario.recordings(), scenario.count, "recordings simulated", progress):
             lengths.append(len(r.t))
             yield r
 
-    with steps("simulate", quiet=args.quiet) as tell:
-        write_recordings(out / "recording.parquet", scenario.meta, measured(tell))
+    with steps("simulate", quiet=args.quiet) as progress:
+        write_recordings(out / "recording.parquet", scenario.meta, measured(progress))
     rows = sum(lengths)
     write_text(out / "robot.urdf", scenario.robot.urdf)
     write_text(out / "robot.json", scenario.datasheet)

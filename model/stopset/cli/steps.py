@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import cast
 
 from stopset.files import cache_folder, write_text
-from stopset.progress import Tell, left, silent
+from stopset.progress import Progress, left, silent
 
 OFTEN = 2.5  # [s] between two lines of the same step
 LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
@@ -25,7 +25,7 @@ BLINK = 0.5  # [s] on a terminal
 
 
 class Steps:
-    """Writes steps to stderr; `tell` is a `Tell`. On a terminal the last line is rewritten, elsewhere lines follow each other."""
+    """Writes steps to stderr; `report` is a `Progress`. On a terminal the last line is rewritten, elsewhere lines follow each other."""
 
     def __init__(self, expected: float | None) -> None:
         self._expected = expected
@@ -36,7 +36,7 @@ class Steps:
         self._thread = threading.Thread(target=self._watch, daemon=True, name="steps")
         self._thread.start()
 
-    def tell(self, text: str, share: float | None = None) -> None:
+    def report(self, text: str, share: float | None = None) -> None:
         """A step; one without a share is a line of its own."""
         with self._lock:
             if share is None or self._share is None or share < self._share:
@@ -93,7 +93,7 @@ def _said(seconds: float) -> str:
 
 
 @contextlib.contextmanager
-def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) -> Iterator[Tell]:
+def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) -> Iterator[Progress]:
     """What long work of ``command`` on the recordings ``data`` is to be told of its steps."""
     if quiet:
         yield silent
@@ -103,7 +103,7 @@ def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) ->
     known = rates.get(command)
     found = Steps(known * size if known else None)
     try:
-        yield found.tell
+        yield found.report
         _keep({**rates, command: found.seconds / size})
     finally:
         found.end()
@@ -118,8 +118,8 @@ def _rates() -> dict[str, float]:
     """Seconds per byte of each command when it last ran; what cannot be read was never known."""
     file = _file()
     try:
-        kept = json.loads(file.read_text()) if file else {}
-        return {str(k): float(v) for k, v in kept.items() if float(v) > 0}
+        stored = json.loads(file.read_text()) if file else {}
+        return {str(k): float(v) for k, v in stored.items() if float(v) > 0}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}
 

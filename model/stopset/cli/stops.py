@@ -121,16 +121,16 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
             raise NotCovered(
                 f"--path with --category {args.category[0]}; expected 1, the stop that keeps to the path: leave it out"
             )
-        rows, told = along_path(model, _rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
-        return rows, told["1"].assumptions, question
+        rows, bounds = along_path(model, _rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
+        return rows, bounds["1"].assumptions, question
     if args.path_rate is not None or args.path_start is not None:
         raise NotCovered("--path-rate and --path-start belong to a path; give --path FILE.csv too")
     if args.at is None:
         if args.speed is not None:
             raise NotCovered("--speed belongs to a pose; give --at Q1,Q2,.. too")
 
-        with steps("stops", quiet=args.quiet) as tell:
-            table = stop_table(model, question, tell)
+        with steps("stops", quiet=args.quiet) as progress:
+            table = stop_table(model, question, progress)
         return list(table.rows), table.assumptions, question
     q = _numbers(args.at, model.n, "--at")
     if args.speed is None:
@@ -144,8 +144,8 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
         dq = top_speed(model) * percent / 100.0
     else:
         dq = _numbers(args.speed, model.n, "--speed")
-    rows, told = at_pose(model, q, dq, question)
-    assumptions = next((b.assumptions for b in told.values() if b.assumptions), ())
+    rows, bounds = at_pose(model, q, dq, question)
+    assumptions = next((b.assumptions for b in bounds.values() if b.assumptions), ())
     return rows, assumptions, question
 
 
@@ -225,8 +225,8 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
         mine = [r for r in rows if r.category == category]
         if not all(r.answered for r in mine):
             continue  # the worst of them has no number
-        time, way, speed = max(r.time_s for r in mine), max(r.far_m for r in mine), max(r.far_speed for r in mine)
-        found = [protective_separation(time, way, speed, given), approach_distance(time, given)]
+        time, distance, speed = max(r.time_s for r in mine), max(r.far_m for r in mine), max(r.far_speed for r in mine)
+        found = [protective_separation(time, distance, speed, given), approach_distance(time, given)]
         if given["D_DS"] is not None or given["Z"] is not None:
             found.append(approach_distance_2024(time, given))
         beyond = any(r.extrapolated for r in mine)

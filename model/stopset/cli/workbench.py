@@ -10,7 +10,7 @@ from stopset.cli.common import add_condition_options
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
-    from stopset.progress import Tell
+    from stopset.progress import Progress
 
 HELP = "compare, diagnose and add on one web page"
 
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def fmu(model: Model, target: Path, tell: Tell) -> None:
+def fmu(model: Model, target: Path, progress: Progress) -> None:
     """Write ``model`` as FMU, as the workbench's worker is told to."""
     from stopset.fmu import export
 
-    export(model, target, say=tell)
+    export(model, target, say=progress)

@@ -57,7 +57,7 @@ class Shape:
 class Signals:
     """What a law may look at, for one joint, sample by sample (any `stopset.ring` numbers, all of one shape).
 
-    Of the joint: ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``way``: direction of motion, ``sign(dq)`` unless given (a
+    Of the joint: ``q, dq, ddq`` [rad, rad/s, rad/s^2]; ``given_direction``: direction of motion, ``sign(dq)`` unless given (a
     simulator
     gives ``tanh(dq / w)``); ``temp``: temperature above `REFERENCE_TEMPERATURE` [K]; ``warm``: place in the campaign (0
     first trial of the session, 1 last), for where no temperature is recorded; ``t`` [s]; ``memory``: the effect's
@@ -74,7 +74,7 @@ class Signals:
     q: Number = 0.0
     dq: Number = 0.0
     ddq: Number = 0.0
-    way: Number = None
+    given_direction: Number = None
     load: Number = 0.0
     tau: Number = 0.0
     dtau: Number = 0.0
@@ -94,7 +94,7 @@ class Signals:
     @property
     def direction(self) -> Number:
         """Direction of motion, -1 to 1."""
-        return sign(self.dq) if self.way is None else self.way
+        return sign(self.dq) if self.given_direction is None else self.given_direction
 
 
 Law = Callable[[Signals, Mapping[str, Number]], Sequence[Number]]
@@ -106,7 +106,7 @@ class Effect:
     """A physical effect at one joint (``scope='joint'``), between two (``'pair'``) or of the whole arm (``'arm'``).
 
     ``says``: one plain sentence; ``look_at``: the variable its residual depends on, e.g. ``"temp * dq"``;
-    ``looks_like``: names of effects it is easily taken for; ``tell_apart``: the experiment that separates them;
+    ``looks_like``: names of effects it is easily taken for; ``distinguished_by``: the experiment that separates them;
     ``enters``: where it goes in the reachset model; ``law``: see the module; ``needs``: the fields of `Signals` the law
     reads; ``flow``: derivative of the states per second (same arguments as the law); ``source``: key in
     docs/references.bib; ``instead_of``: a signal it does without, so it is looked for only where that is not recorded.
@@ -143,7 +143,7 @@ class Effect:
     needs: tuple[str, ...]
     shapes: tuple[Shape, ...] = ()
     looks_like: tuple[str, ...] = ()
-    tell_apart: str = ""
+    distinguished_by: str = ""
     scope: Literal["joint", "pair", "arm"] = "joint"
     states: tuple[Term, ...] = ()
     flow: Law | None = None

@@ -26,7 +26,7 @@ EFFECT = Effect(
     source="khalil2007",
     scope="arm",
     looks_like=("spring", "payload"),
-    tell_apart="Put a spirit level on the base; turn joint 1 with the arm stretched: a tilt loads it like a sine.",
+    distinguished_by="Put a spirit level on the base; turn joint 1 with the arm stretched: a tilt loads it like a sine.",
     absorbed=True,
     simulated="tilted base",
 )

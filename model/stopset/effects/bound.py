@@ -84,8 +84,8 @@ def straight(effect: Effect) -> bool:
         tip=tuple(draw(10)), tilt=tuple(draw(2)), memory=tuple(draw(len(effect.states))),
     )  # fmt: skip
 
-    def values(way: float) -> Array:
-        return np.array([c + np.zeros(20) for c in effect.columns(replace(drawn, way=np.full(20, way)))])
+    def values(direction: float) -> Array:
+        return np.array([c + np.zeros(20) for c in effect.columns(replace(drawn, given_direction=np.full(20, direction)))])
 
     ends = values(-1.0), values(1.0)
     return all(
@@ -98,7 +98,7 @@ def silent_at_rest(effect: Effect) -> bool:
     one = Interval(np.array(-3.0), np.array(3.0))
     states = tuple(Interval(np.array(max(x.lo, -3.0)), np.array(min(x.hi, 3.0))) for x in effect.states)
     s = Signals(
-        q=one, dq=0.0 * one, way=0.0 * one, ddq=one, load=one, tau=one, dtau=one, link=one, temp=one, warm=one, t=one, stiff=one,
+        q=one, dq=0.0 * one, given_direction=0.0 * one, ddq=one, load=one, tau=one, dtau=one, link=one, temp=one, warm=one, t=one, stiff=one,
         inertia=Interval(np.array(0.1), np.array(3.0)), coriolis=one, dq_other=one, tip=(one,) * 10, tilt=(one, one), memory=states,
     )  # fmt: skip
     return all(np.max(np.abs([c.lo, c.hi])) < 1e-300 for c in effect.columns(s))

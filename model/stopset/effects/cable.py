@@ -28,7 +28,7 @@ EFFECT = Effect(
     enters="compensation",
     source="khalil2007",
     looks_like=("spring", "payload", "encoder_offset"),
-    tell_apart="Move slowly through the joint's whole range, then with the pack undone: a spring is a straight line over q.",
+    distinguished_by="Move slowly through the joint's whole range, then with the pack undone: a spring is a straight line over q.",
     simulated="cable at its end",
     refines=("spring",),
 )

@@ -24,6 +24,6 @@ EFFECT = Effect(
     source="liu2018",
     scope="arm",
     looks_like=("cubic_viscous", "coupling"),
-    tell_apart="Move several joints fast at the same time, then each alone.",
+    distinguished_by="Move several joints fast at the same time, then each alone.",
     simulated="unlogged feed-forward",
 )

@@ -31,7 +31,7 @@ EFFECT = Effect(
     source="gautier2013",
     scope="pair",
     looks_like=("coupling", "coriolis"),
-    tell_apart="Move both joints with different ratios of their speeds: with opposite speeds of one size the common motor stands still.",
+    distinguished_by="Move both joints with different ratios of their speeds: with opposite speeds of one size the common motor stands still.",
     usual=1,
     adjacent=True,
 )

@@ -23,6 +23,6 @@ EFFECT = Effect(
     source="khalil2007",
     scope="pair",
     looks_like=("viscous", "coriolis"),
-    tell_apart="Move one joint while the other holds still, then both with different speed ratios.",
+    distinguished_by="Move one joint while the other holds still, then both with different speed ratios.",
     simulated="drag by the neighbour",
 )

@@ -24,7 +24,7 @@ EFFECT = Effect(
     power=3,
     source="liu2018",
     looks_like=("stribeck", "viscous", "thermal_viscous"),
-    tell_apart=(
+    distinguished_by=(
         "Move at constant speeds over two decades up to full speed: a cubic bends at the fast end, Stribeck at the slow end."
     ),
     usual=2,

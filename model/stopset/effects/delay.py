@@ -23,6 +23,6 @@ EFFECT = Effect(
     role="input",
     source="swevers1997",
     looks_like=("elasticity", "rotor_inertia"),
-    tell_apart="Excite from 1 to 60 Hz: a delay gives a straight phase line, elasticity a dip and a peak.",
+    distinguished_by="Excite from 1 to 60 Hz: a delay gives a straight phase line, elasticity a dip and a peak.",
     simulated="late torque",
 )

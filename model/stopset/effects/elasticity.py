@@ -44,6 +44,6 @@ EFFECT = Effect(
     role="swing",
     source="spong1987",
     looks_like=("delay", "rotor_inertia"),
-    tell_apart="Excite from 1 to 60 Hz: elasticity gives a dip and a peak, a delay a straight phase line.",
+    distinguished_by="Excite from 1 to 60 Hz: elasticity gives a dip and a peak, a delay a straight phase line.",
     simulated="soft gear",
 )

@@ -38,6 +38,6 @@ EFFECT = Effect(
     reading=reading,
     source="khalil2007",
     looks_like=("encoder_offset", "torque_ripple", "spring"),
-    tell_apart="Compare with an outside position measurement over a full turn; torques alone rarely show it.",
+    distinguished_by="Compare with an outside position measurement over a full turn; torques alone rarely show it.",
     simulated="eccentric encoder",
 )

@@ -29,7 +29,7 @@ EFFECT = Effect(
     reading=reading,
     source="khalil2007",
     looks_like=("base_tilt", "payload", "spring"),
-    tell_apart="Measure the pose from outside (dial gauge, laser): torques alone take it for a shifted centre of mass.",
+    distinguished_by="Measure the pose from outside (dial gauge, laser): torques alone take it for a shifted centre of mass.",
     absorbed=True,
     simulated="shifted encoder",
 )

@@ -34,7 +34,7 @@ EFFECT = Effect(
     enters="state",
     source="dahl1968",
     looks_like=("stribeck", "delay"),
-    tell_apart=(
+    distinguished_by=(
         "Reverse many times with different accelerations: hysteresis depends on the way since the reversal, Stribeck on speed."
     ),
     within_friction=True,

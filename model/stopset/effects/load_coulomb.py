@@ -32,7 +32,9 @@ EFFECT = Effect(
     role="friction",
     source="liu2018",
     looks_like=("coulomb", "torque_gain"),
-    tell_apart=("Move slowly up and down through the whole load range: a gain error does not change sign with the direction."),
+    distinguished_by=(
+        "Move slowly up and down through the whole load range: a gain error does not change sign with the direction."
+    ),
     usual=1,
     simulated="tooth friction",
 )

@@ -29,7 +29,7 @@ def affine(effect: Effect) -> bool:
         return False
     rng = np.random.default_rng(0)
     z = effect.states[0]
-    left_out = ("memory", "tip", "tilt", "way")
+    left_out = ("memory", "tip", "tilt", "given_direction")
     drawn: dict[str, Any] = {f.name: rng.uniform(-2.0, 2.0, 20) for f in fields(Signals) if f.name not in left_out}
     lo, hi = (float(np.clip(x, z.lo, z.hi)) for x in (-1.0, 1.0))
 
@@ -48,7 +48,7 @@ def whole(effect: Effect, shapes: Mapping[str, Number], fastest: float) -> tuple
     z, start = effect.states[0], effect.at_start[0]
     if not set(effect.needs) <= {"dq", "memory"}:
         return z.lo, z.hi
-    s = Signals(dq=_between(-fastest, fastest), way=_between(-1.0, 1.0))
+    s = Signals(dq=_between(-fastest, fastest), given_direction=_between(-1.0, 1.0))
 
     def end(beyond: float, sign: float) -> float:
         near = start

@@ -36,7 +36,9 @@ EFFECT = Effect(
     source="khalil2007",
     scope="arm",
     looks_like=("torque_gain", "base_tilt"),
-    tell_apart=("Weigh the tool, or hold the arm in poses with the wrist turned: a payload moves all joints' loads together."),
+    distinguished_by=(
+        "Weigh the tool, or hold the arm in poses with the wrist turned: a payload moves all joints' loads together."
+    ),
     part="load",
     absorbed=True,
     simulated="body on the last link",

@@ -23,7 +23,7 @@ EFFECT = Effect(
     role="arm or drive",
     source="liu2018",
     looks_like=("payload", "torque_gain", "spring"),
-    tell_apart="Hold still poses over the joint's whole range: gravity shows at rest, friction and inertia do not.",
+    distinguished_by="Hold still poses over the joint's whole range: gravity shows at rest, friction and inertia do not.",
     effort="compensated_torque",
     simulated="gravity left",
 )

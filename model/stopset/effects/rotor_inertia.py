@@ -23,7 +23,7 @@ EFFECT = Effect(
     role="plant",
     source="liu2018",
     looks_like=("payload", "delay", "elasticity"),
-    tell_apart="Accelerate the joint with the arm stretched and folded: a rotor's share does not change with the pose.",
+    distinguished_by="Accelerate the joint with the arm stretched and folded: a rotor's share does not change with the pose.",
     absorbed=True,
     simulated="heavier rotor",
 )

@@ -44,7 +44,7 @@ EFFECT = Effect(
     role="friction",
     source="bittencourt2012",
     looks_like=("warm_up", "cubic_viscous", "thermal_coulomb"),
-    tell_apart=(
+    distinguished_by=(
         "Move back and forth at one speed for some minutes, rest as long, and repeat: self-heating falls and comes back each time, "
         "a warm-up of the session does not come back, and a cubic term shows no change at one speed. Record the temperature too."
     ),

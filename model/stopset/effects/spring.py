@@ -25,6 +25,6 @@ EFFECT = Effect(
     enters="compensation",
     source="khalil2007",
     looks_like=("asymmetric_coulomb", "payload", "base_tilt", "encoder_offset"),
-    tell_apart="Move slowly through the joint's range in a pose where gravity does not load it.",
+    distinguished_by="Move slowly through the joint's range in a pose where gravity does not load it.",
     simulated="dress pack",
 )

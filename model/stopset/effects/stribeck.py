@@ -34,6 +34,8 @@ EFFECT = Effect(
     role="friction",
     source="armstrong1994",
     looks_like=("hysteresis", "coulomb", "cubic_viscous"),
-    tell_apart=("Pass slowly at several constant speeds: Stribeck depends on speed, hysteresis on the way since the reversal."),
+    distinguished_by=(
+        "Pass slowly at several constant speeds: Stribeck depends on speed, hysteresis on the way since the reversal."
+    ),
     simulated="breakaway",
 )

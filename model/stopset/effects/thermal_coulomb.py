@@ -23,6 +23,8 @@ EFFECT = Effect(
     role="friction",
     source="bittencourt2012",
     looks_like=("thermal_viscous", "warm_up"),
-    tell_apart=("Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."),
+    distinguished_by=(
+        "Repeat several constant speeds cold and warm: the viscous part grows with speed, the Coulomb part does not."
+    ),
     simulated="seals softening with heat",
 )

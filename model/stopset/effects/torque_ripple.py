@@ -28,7 +28,7 @@ EFFECT = Effect(
     enters="compensation",
     source="bittencourt2012",
     looks_like=("spring", "encoder_eccentricity"),
-    tell_apart=("Move slowly at constant speed through the joint's range: the ripple repeats with position at any speed."),
+    distinguished_by=("Move slowly at constant speed through the joint's range: the ripple repeats with position at any speed."),
     periodic=True,
     simulated="cogging",
 )

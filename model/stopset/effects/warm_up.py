@@ -26,7 +26,7 @@ EFFECT = Effect(
     role="friction",
     source="bittencourt2012",
     looks_like=("thermal_viscous", "thermal_coulomb", "self_heating"),
-    tell_apart="Record the drive temperature, or repeat the first motion at the end and again after a cold night.",
+    distinguished_by="Record the drive temperature, or repeat the first motion at the end and again after a cold night.",
     instead_of="temp",
     simulated="running in",
 )

@@ -155,10 +155,10 @@ def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     return R, o
 
 
-def levers(chain: Chain, pi: Array, q: Array) -> tuple[Array, Array]:
+def moment_arms(chain: Chain, pi: Array, q: Array) -> tuple[Array, Array]:
     """Joint axes, and axis x first moment of all beyond [kg m], (N, n, 3) each, in the base frame, of poses ``q`` (N, n)."""
     (q,), N = _rows(chain, q)
     arm = arm_struct(chain, pi)
-    axis, lever = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
-    check(lib.stopset_levers(arm, N, view(q), view(axis), view(lever)))
-    return axis, lever
+    axis, moment_arm = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
+    check(lib.stopset_moment_arms(arm, N, view(q), view(axis), view(moment_arm)))
+    return axis, moment_arm

@@ -76,6 +76,6 @@ class Zonotope:
             return self
         size = np.abs(self.generators).sum(axis=0) - np.abs(self.generators).max(axis=0)
         rank = np.argsort(size)
-        few, kept = rank[: m - (order - 1) * d], rank[m - (order - 1) * d :]
+        few, retained = rank[: m - (order - 1) * d], rank[m - (order - 1) * d :]
         hull = np.nextafter(np.abs(self.generators[:, few]).sum(axis=1) * (1.0 + m * 2.0**-52), np.inf)
-        return Zonotope(self.centre, np.hstack([self.generators[:, kept], np.diag(hull)]))
+        return Zonotope(self.centre, np.hstack([self.generators[:, retained], np.diag(hull)]))

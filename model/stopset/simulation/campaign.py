@@ -73,8 +73,8 @@ def static_jobs(cell: Cell, plan: Schedule) -> list[Measurement]:
     space, out = cell.space, []
     for k in range(plan.poses):
         rng = cell.random("static", k)
-        target, way = pose(space, rng), rng.choice([-1.0, 1.0], cell.cad.n)
-        out += [Measurement("static", k, side, creep(target, way * (1 - 2 * side), TICK)) for side in (0, 1)]
+        target, direction = pose(space, rng), rng.choice([-1.0, 1.0], cell.cad.n)
+        out += [Measurement("static", k, side, creep(target, direction * (1 - 2 * side), TICK)) for side in (0, 1)]
     return out
 
 

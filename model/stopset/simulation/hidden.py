@@ -184,8 +184,8 @@ def _delay(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> t
 
 
 def _tilt(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
-    way = g.uniform(0, 2 * np.pi)
-    axis = np.array([np.cos(way), np.sin(way), 0.0])
+    azimuth = g.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     gravity = t.plant.chain.gravity
     c, s = np.cos(size), np.sin(size)
     turned = gravity * c - np.cross(axis, gravity) * s + axis * (axis @ gravity) * (1 - c)  # base turns, gravity stays

@@ -62,9 +62,9 @@ def point_to_point(space: Space, duration: float, speed: float, period: float, r
             slowest = 0.15
         top = space.speed * speed * rng.uniform(slowest, 1.0, n)
         ramp = np.maximum(top / space.acceleration, 0.08)
-        way = np.abs(there - here)
-        top = np.minimum(top, way / ramp)
-        length = np.where(top > 0, way / np.maximum(top, 1e-9) + ramp, 0.0)
+        distance = np.abs(there - here)
+        top = np.minimum(top, distance / ramp)
+        length = np.where(top > 0, distance / np.maximum(top, 1e-9) + ramp, 0.0)
         t = np.arange(round((length.max() + 0.15) / period)) * period
         profile = np.clip(np.minimum(t[:, None] / ramp, (length - t[:, None]) / ramp), 0.0, 1.0)
         rows = profile[: K - k] * (top * np.sign(there - here))
@@ -130,8 +130,8 @@ def creep(target: Array, direction: Array, period: float) -> Trajectory:
     t = np.arange(round((run + still) / period)) * period
     x = np.clip(t / run, 0.0, 1.0)
     s, ds, dds = (1 - x) ** 3, -3 * (1 - x) ** 2 / run, 6 * (1 - x) / run**2
-    way = -away * direction
-    return Trajectory(target + np.outer(s, way), np.outer(ds, way), np.outer(dds, way))
+    displacement = -away * direction
+    return Trajectory(target + np.outer(s, displacement), np.outer(ds, displacement), np.outer(dds, displacement))
 
 
 def _from_rates(q0: Array, dq: Array, period: float) -> Trajectory:

@@ -87,5 +87,5 @@ class Heading:
         off = SPARE_ANGLE + 0.5 * t * swerved
         lo, hi = np.hstack([q - off, v - swerved]).min(axis=0), np.hstack([q + off, v + swerved]).max(axis=0)
         inner_lo, inner_hi = np.maximum(lo, self.seen.lo), np.minimum(hi, self.seen.hi)
-        apart = inner_lo > inner_hi  # the arm is where it never was: what then is answered says so
-        return np.where(apart, lo, inner_lo), np.where(apart, hi, inner_hi)
+        disjoint = inner_lo > inner_hi  # the arm is where it never was: what then is answered says so
+        return np.where(disjoint, lo, inner_lo), np.where(disjoint, hi, inner_hi)

@@ -15,7 +15,7 @@ from stopset.types import Array
 SLOWER = 2.0  # an answer is expected to take no longer than so many times what the last ones took
 FIRST = 0.02  # [s] an answer takes that was never measured
 LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
-KEPT_WIDE = 256  # certificates of wide boxes, per category
+WIDE_CAPACITY = 256  # certificates of wide boxes, per category
 PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
 SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
 FULL = 3.0  # [s] of processor time that is saved at most: a start, or a motion never seen, is bounded as tightly as it can be
@@ -73,10 +73,10 @@ class Counter:
 
     @classmethod
     def of(cls, n: int, budget: Budget, rivals: int) -> Counter:
-        return cls(Shelf(n), Shelf(n), Shelf(n, KEPT_WIDE), budget, rivals)
+        return cls(Shelf(n), Shelf(n), Shelf(n, WIDE_CAPACITY), budget, rivals)
 
     @property
-    def kept(self) -> int:
+    def certificates(self) -> int:
         """Certificates on the shelves."""
         return len(self.narrow.answers) + len(self.long.answers) + len(self.wide.answers)
 

@@ -131,9 +131,9 @@ def trials_of_bag(
 
 def _efforts(path: Path, states: list[JointState], names: tuple[str, ...]) -> None:
     """Refuse a bag in which nobody published a torque."""
-    told = [x for s in states for x in s.effort]
-    if not any(math.isfinite(x) and x != 0.0 for x in told):
-        what = "no effort" if not told else "an effort that is zero or not a number throughout"
+    efforts = [x for s in states for x in s.effort]
+    if not any(math.isfinite(x) and x != 0.0 for x in efforts):
+        what = "no effort" if not efforts else "an effort that is zero or not a number throughout"
         raise RecordingError(
             f"{path}: its joint states hold {what}; expected the torque of {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}: let the "
             "controller publish effort, for motion alone tells nothing of inertia and friction"

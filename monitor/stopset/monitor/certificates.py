@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stopset.core.library import lib, view
 from stopset.types import Array
 
-KEPT = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
+CAPACITY = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
 
 _ANY = view(np.zeros(1))  # the cost of one box is not looked at
 
@@ -72,7 +72,7 @@ class Shelf:
     """The certificates of one category for an arm of ``n`` joints."""
 
     n: int
-    kept: int = KEPT
+    capacity: int = CAPACITY
     answers: list[Certificate] = field(default_factory=list)
     _lo: Array = field(init=False)  # (kept, 2n) so are the upper ends; rows beyond `answers` are not looked at
     _hi: Array = field(init=False)
@@ -80,19 +80,19 @@ class Shelf:
     _oldest: int = 0
 
     def __post_init__(self) -> None:
-        self._lo, self._hi = np.empty((self.kept, 2 * self.n)), np.empty((self.kept, 2 * self.n))
-        self._cost = np.empty(self.kept)
+        self._lo, self._hi = np.empty((self.capacity, 2 * self.n)), np.empty((self.capacity, 2 * self.n))
+        self._cost = np.empty(self.capacity)
 
     def put(self, answer: Certificate) -> None:
         """Keep a certified answer, in the place of the oldest where there is none left."""
         row = self._oldest
-        if len(self.answers) < self.kept:
+        if len(self.answers) < self.capacity:
             self.answers.append(answer)
         else:
             self.answers[row] = answer
         self._lo[row], self._hi[row] = answer.lo, answer.hi
         self._cost[row] = float(np.sum(answer.numbers.forward + answer.numbers.back))
-        self._oldest = (row + 1) % self.kept
+        self._oldest = (row + 1) % self.capacity
 
     def best(self, x: Array, slack: Array) -> Certificate | None:
         """The tightest that holds for the reading ``x`` (2n,) with ``slack`` (2n,) either way."""

@@ -23,7 +23,7 @@ PROOF_LIFE = 1000 * MS  # [ns] an answered challenge is believed for this long
 _MAC_AT = offsets()["mac"]
 
 
-class Doubt(IntEnum):
+class Fault(IntEnum):
     """Why a message was refused or a state is FAULT; the same numbers in C."""
 
     NONE = 0
@@ -42,12 +42,12 @@ class Doubt(IntEnum):
 
 
 SAYS = {
-    Doubt.NONE: "", Doubt.NO_MESSAGE: "no message yet", Doubt.UNREADABLE: "a message was damaged or of another version",
-    Doubt.FOREIGN: "a message of another data id", Doubt.FORGED: "a message whose authentication code is not of a key held here",
-    Doubt.OTHER_MODEL: "a message of another model", Doubt.OTHER_CONFIG: "a message of another configuration",
-    Doubt.REPEATED: "a message repeated or out of order", Doubt.UNPROVEN: "no answer to my challenge by this daemon",
-    Doubt.SILENT: "silent", Doubt.STALE: "the data may be older than they are valid for",
-    Doubt.AHEAD: "the data are stamped later than now", Doubt.NO_SUCH_STATE: "unknown state code",
+    Fault.NONE: "", Fault.NO_MESSAGE: "no message yet", Fault.UNREADABLE: "a message was damaged or of another version",
+    Fault.FOREIGN: "a message of another data id", Fault.FORGED: "a message whose authentication code is not of a key held here",
+    Fault.OTHER_MODEL: "a message of another model", Fault.OTHER_CONFIG: "a message of another configuration",
+    Fault.REPEATED: "a message repeated or out of order", Fault.UNPROVEN: "no answer to my challenge by this daemon",
+    Fault.SILENT: "silent", Fault.STALE: "the data may be older than they are valid for",
+    Fault.AHEAD: "the data are stamped later than now", Fault.NO_SUCH_STATE: "unknown state code",
 }  # fmt: skip
 
 
@@ -79,8 +79,8 @@ class Consumer:
     last: dict[str, Any] | None = None
     arrived: int = 0
     lost: int = 0
-    refused: Counter[Doubt] = field(default_factory=Counter)
-    why: Doubt = Doubt.NO_MESSAGE
+    refused: Counter[Fault] = field(default_factory=Counter)
+    why: Fault = Fault.NO_MESSAGE
     _nonce: int = 0  # the one that waits for its answer, 0 none
     _asked: int = 0
     _boot: int | None = None  # the life that has answered last
@@ -96,43 +96,43 @@ class Consumer:
         self._nonce, self._asked = random or 1, now
         return self._nonce.to_bytes(8, "little")
 
-    def take(self, data: bytes, now: int) -> Doubt:
+    def take(self, data: bytes, now: int) -> Fault:
         """A message arrived at ``now``; a doubtful one counts as silence. Returns the doubt."""
         try:
             m = unpack(data)
         except BusError:
-            return self._refuse(Doubt.UNREADABLE)
-        if doubt := self._stranger(m, data):
-            return self._refuse(doubt)
+            return self._refuse(Fault.UNREADABLE)
+        if fault := self._stranger(m, data):
+            return self._refuse(fault)
         alive = self.last is not None and now - self.arrived <= self.watchdog
         if m["boot_id"] != self._boot and alive:
-            return self._refuse(Doubt.UNPROVEN)  # another sender beside the one that is there
+            return self._refuse(Fault.UNPROVEN)  # another sender beside the one that is there
         answer = self._nonce != 0 and self._nonce in m["nonces"]
         if m["boot_id"] != self._boot and not answer:
-            return self._refuse(Doubt.UNPROVEN)
+            return self._refuse(Fault.UNPROVEN)
         if self.last is not None and m["boot_id"] == self.last["boot_id"]:
             step = (m["seq"] - self.last["seq"]) & 0xFFFFFFFF
             if not 0 < step < 1 << 31:
-                return self._refuse(Doubt.REPEATED)
+                return self._refuse(Fault.REPEATED)
             self.lost += step - 1
         if answer:
             self._prove(m, now)
         elif now + self._hi + self._drift(now) < m["t_pub_ns"]:  # made later than now: its clock has been set forward
             self._proved = now - PROOF_LIFE - 1
         self.last, self.arrived = m, now
-        return Doubt.NONE
+        return Fault.NONE
 
-    def _stranger(self, m: dict[str, Any], data: bytes) -> Doubt:
+    def _stranger(self, m: dict[str, Any], data: bytes) -> Fault:
         e = self.expected
         if m["data_id"] != e.data_id:
-            return Doubt.FOREIGN
+            return Fault.FOREIGN
         if e.keys is not None and not e.keys.made(m["key_id"], data[:_MAC_AT], bytes(m["mac"])):
-            return Doubt.FORGED
+            return Fault.FORGED
         if e.model_hash is not None and m["model_hash"] != e.model_hash:
-            return Doubt.OTHER_MODEL
+            return Fault.OTHER_MODEL
         if e.config_hash is not None and m["config_hash"] != e.config_hash:
-            return Doubt.OTHER_CONFIG
-        return Doubt.NONE
+            return Fault.OTHER_CONFIG
+        return Fault.NONE
 
     def _prove(self, m: dict[str, Any], now: int) -> None:
         lo, hi = m["t_pub_ns"] - now, m["t_pub_ns"] - self._asked
@@ -146,31 +146,31 @@ class Consumer:
     def _drift(self, now: int) -> int:
         return max(0, now - self._proved) * DRIFT_PPM // 1_000_000
 
-    def _refuse(self, doubt: Doubt) -> Doubt:
-        self.refused[doubt] += 1
-        return doubt
+    def _refuse(self, fault: Fault) -> Fault:
+        self.refused[fault] += 1
+        return fault
 
     def state(self, now: int) -> State:
         """What holds at ``now``: the daemon's state, or FAULT if there is any doubt, which is then in ``why``."""
-        self.why = self._doubt(now)
+        self.why = self._fault(now)
         return State.FAULT if self.why else State(self.last["state"])  # type: ignore[index]
 
-    def _doubt(self, now: int) -> Doubt:
+    def _fault(self, now: int) -> Fault:
         m = self.last
         if m is None:
-            return Doubt.UNPROVEN if self.refused else Doubt.NO_MESSAGE
+            return Fault.UNPROVEN if self.refused else Fault.NO_MESSAGE
         if now - self.arrived > self.watchdog:
-            return Doubt.SILENT
+            return Fault.SILENT
         if now - self._proved > PROOF_LIFE:
-            return Doubt.UNPROVEN
+            return Fault.UNPROVEN
         if m["state"] not in tuple(State) or m["state"] == State.NEVER_SENT:
-            return Doubt.NO_SUCH_STATE
+            return Fault.NO_SUCH_STATE
         if m["state"] not in (State.OK, State.DEGRADED):  # nothing in it is to be used
-            return Doubt.NONE
+            return Fault.NONE
         oldest = now + self._hi + self._drift(now) - m["t_meas_ns"]
         if oldest < 0:
-            return Doubt.AHEAD
-        return Doubt.STALE if oldest > m["valid_for_ms"] * MS else Doubt.NONE
+            return Fault.AHEAD
+        return Fault.STALE if oldest > m["valid_for_ms"] * MS else Fault.NONE
 
     @property
     def rejected(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import InputMap
-from stopset.artifact.taped import Kept, places, taped
+from stopset.artifact.taped import Pinned, places, taped
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.effects.registry import get
 from stopset.monitor.carried import Carried
@@ -70,17 +70,17 @@ def _struct(
 
     The laws are linear in the place in the session, so its two ends are the extremes.
     """
-    tape, kept = taped(m), Kept([])
+    tape, pinned = taped(m), Pinned([])
     first, law = {}, 0  # place of each effect's first law
     for k, f in enumerate(m.effects):
         first[k] = law
         law += len(places(f, get(f.effect), m.robot.joints))
     rates = ffi.new(
-        "StopsetCarried[]", [(first[s.place], kept.program(s.effect, s.fitted.values, rate=0)) for s in carried.states] or 1
+        "StopsetCarried[]", [(first[s.place], pinned.program(s.effect, s.fitted.values, rate=0)) for s in carried.states] or 1
     )
     ends = sorted(set(warm))
-    rounding = [kept.array(x) for x in (quantum.q, quantum.dq, quantum.tau)]
+    rounding = [pinned.array(x) for x in (quantum.q, quantum.dq, quantum.tau)]
     struct = ffi.new("StopsetMonitor *", (
         tape.struct, *rounding, [ends[0], ends[-1]], len(ends), int(plain), dt, len(carried.states), rates,
     ))  # fmt: skip
-    return struct, (tape, kept, rates)
+    return struct, (tape, pinned, rates)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
-from stopset.artifact.taped import Kept
+from stopset.artifact.taped import Pinned
 from stopset.core.library import ffi, lib
 from stopset.monitor.sample import Quantum
 from stopset.monitor.verdict import Deviation
@@ -47,7 +47,7 @@ class LinearTubes:
     _age: NDArray[np.int64] = field(init=False)  # (m,) in steps, -1 where no prediction is
     _foreign: NDArray[np.bool_] = field(init=False)  # the prediction passed samples outside the domain
     _row: NDArray[np.int64] = field(init=False)
-    _kept: Kept = field(init=False)  # what the struct points at
+    _pinned: Pinned = field(init=False)  # what the struct points at
 
     def __post_init__(self) -> None:
         m, sets, n = self.model, self.model.powered, self.model.n
@@ -71,10 +71,10 @@ class LinearTubes:
         self._e, self._w = np.zeros((rows, 2 * n)), np.zeros((rows, 2 * n))
         self._age, self._foreign = np.full(rows, -1), np.zeros(rows, bool)
         self.room, self._row = np.empty(2 * n), np.empty((2, 2 * n), np.int64)
-        kept = self._kept = Kept([])
+        pinned = self._pinned = Pinned([])
         middle, reach, nearest = np.empty_like(self._lo), np.empty_like(self._lo), np.full(2 * n, -1)
         self.struct = ffi.new("StopsetPredictions *", (
-            2 * n, rows, len(self.ages), *map(kept.shared, (
+            2 * n, rows, len(self.ages), *map(pinned.shared, (
                 self._e, self._w, self._age, self._foreign, np.ascontiguousarray(self._Ad), np.ascontiguousarray(self._Bd),
                 self._lo, self._hi, middle, reach, self.room, nearest, self._row,
             )),

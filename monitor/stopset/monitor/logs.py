@@ -34,10 +34,10 @@ def said_by_drives(profile: Profile) -> frozenset[int]:
 def play_log(path: Path, send: Callable[[int, bytes], None], speed: float, profile: Profile) -> tuple[int, int]:
     """Send what the drives of ``profile`` say in a log, at its times / ``speed``; returns how many frames, and how many not."""
     start: tuple[float, float] | None = None
-    count, kept_back, allowed = 0, 0, said_by_drives(profile)
+    count, withheld, allowed = 0, 0, said_by_drives(profile)
     for frame in read_log(path):
         if frame.cob_id not in allowed:
-            kept_back += 1
+            withheld += 1
             continue
         now = time.monotonic()
         if start is None:
@@ -47,7 +47,7 @@ def play_log(path: Path, send: Callable[[int, bytes], None], speed: float, profi
             time.sleep(wait)
         send(frame.cob_id, bytes(frame.data))
         count += 1
-    return count, kept_back
+    return count, withheld
 
 
 def trials_of_log(path: Path, profile: Profile, cycle_s: float, suite: int = 0) -> Iterator[Recording]:

@@ -50,8 +50,8 @@ def look(link: ZenohLink, seconds: float = 3.0) -> Moment:
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         with contextlib.suppress(queue.Empty, BusError):
-            told = unpack(heard.get(timeout=left))
-            return Moment(told["data_id"], told["boot_id"], told["seq"])
+            reported = unpack(heard.get(timeout=left))
+            return Moment(reported["data_id"], reported["boot_id"], reported["seq"])
     raise BusError(
         f"no monitor says anything here within {seconds:g} s; expected its state, for an order is signed for the message it is about: "
         "look with `stopset watch` whether it lives"
@@ -59,8 +59,8 @@ def look(link: ZenohLink, seconds: float = 3.0) -> Moment:
 
 
 def _text(order: Reset, seen: Moment) -> bytes:
-    told = [order.name, order.reason, seen.data_id, seen.boot_id, seen.seq]
-    return CONTEXT + json.dumps(told, separators=(",", ":"), ensure_ascii=True).encode()
+    signed = [order.name, order.reason, seen.data_id, seen.boot_id, seen.seq]
+    return CONTEXT + json.dumps(signed, separators=(",", ":"), ensure_ascii=True).encode()
 
 
 def signed(order: Reset, seen: Moment, key: str | Path, passphrase: str = "") -> Reset:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from stopset.monitor.consumer import CHALLENGE_EVERY, DRIFT_PPM, PROOF_LIFE, SAYS, Doubt
+from stopset.monitor.consumer import CHALLENGE_EVERY, DRIFT_PPM, PROOF_LIFE, SAYS, Fault
 from stopset.monitor.evidence.cause import Kind
 from stopset.monitor.layout import FIELDS, LAYOUT_VERSION, LENGTH, MAC, MAGIC, MAX_JOINTS, NONCES, Flag, State, offsets
 
@@ -25,7 +25,7 @@ def c_header() -> str:
     states = "\n".join(f"#define STOPSET_STATE_{s.name} 0x{s.value:02X}u" for s in State)
     flags = "\n".join(f"#define STOPSET_FLAG_{f.name} {f.value}u" for f in Flag)
     classes = "\n".join(f"#define STOPSET_CLASS_{k.name} {k.code}u" for k in Kind)
-    doubts = "\n".join(f"#define STOPSET_DOUBT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Doubt)
+    faults = "\n".join(f"#define STOPSET_DOUBT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Fault)
     return f"""/* {_NOTE} Little-endian hosts. */
 #ifndef STOPSET_STATE_H
 #define STOPSET_STATE_H
@@ -46,7 +46,7 @@ def c_header() -> str:
 {states}
 {flags}
 {classes}
-{doubts}
+{faults}
 
 typedef struct {{
 {rows}

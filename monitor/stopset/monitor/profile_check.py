@@ -121,11 +121,11 @@ def _plausible(out: ProfileCheck, profile: Profile, x: np.ndarray[Any, np.dtype[
     n = len(profile.joints)
     q, dq = x[:, 0], x[:, 1]
     for j in range(n):
-        way, said = np.diff(q[:, j]), 0.5 * (dq[1:, j] + dq[:-1, j]) * profile.cycle_s
+        moved, said = np.diff(q[:, j]), 0.5 * (dq[1:, j] + dq[:-1, j]) * profile.cycle_s
         if np.abs(said).sum() < 50 * profile.quantum("q")[j]:
             out.notes.append(f"{profile.joints[j]} stands still in the log: its scales cannot be checked")
             continue
-        factor = float(way @ said / (said @ said))
+        factor = float(moved @ said / (said @ said))
         if abs(factor - 1.0) > 0.1:
             out.wrong.append(
                 f"{profile.joints[j]} turns by {factor:.3g} times what its speed says; expected 1: the scale or sign of q or dq"

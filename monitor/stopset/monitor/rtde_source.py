@@ -119,10 +119,10 @@ class RtdeSource:
         if self.config.torque_constant:
             tau = tau * np.array(self.config.torque_constant)
         mode, status = int(row["robot_mode"][0]), int(row["safety_status"][0])
-        doubt = "" if status in NORMAL else f"the controller's safety status is {status}; expected normal (1) or reduced (2)"
+        fault = "" if status in NORMAL else f"the controller's safety status is {status}; expected normal (1) or reduced (2)"
         return Sample(
             self._k, stamp + self._shift, np.array(row["actual_q"]), np.array(row["actual_qd"]), tau,
-            np.array(row["joint_temperatures"]), mode == RUNNING, doubt, off=off,
+            np.array(row["joint_temperatures"]), mode == RUNNING, fault, off=off,
         )  # fmt: skip
 
     def counters(self) -> dict[str, int]:

@@ -15,7 +15,7 @@ class Sample:
 
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
     ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s]; ``powered``: the drives
-    hold torque (else no verdict: another regime); ``doubt``: what the drives themselves say against it, empty if nothing,
+    hold torque (else no verdict: another regime); ``fault``: what the drives themselves say against it, empty if nothing,
     and ``bad_nodes``: bit i set = joint i's.
     """
 
@@ -26,7 +26,7 @@ class Sample:
     tau: Array | None = None
     temp: Array | None = None
     powered: bool = True
-    doubt: str = ""
+    fault: str = ""
     bad_nodes: int = 0
     off: float = 0.0
 

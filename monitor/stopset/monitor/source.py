@@ -46,12 +46,12 @@ class SampleSource(Protocol):
     def close(self) -> None: ...
 
 
-def sample_of(cycle: Cycle, k: int, bad_nodes: int = 0, doubt: str = "") -> Sample:
+def sample_of(cycle: Cycle, k: int, bad_nodes: int = 0, fault: str = "") -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
     q, dq, tau, temp, status = cycle.values  # made for this cycle alone
     # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
     powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
-    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered, doubt, bad_nodes)
+    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered, fault, bad_nodes)
 
 
 def _carried(row: Array) -> Array | None:

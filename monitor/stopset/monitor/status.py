@@ -71,7 +71,7 @@ def flags_of(s: Situation) -> int:
         if v.conformance is Conformance.UNKNOWN and v.why.startswith("gap"):
             bits |= _GAP
     if x is not None:
-        bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.doubt else 0)
+        bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.fault else 0)
     return bits
 
 
@@ -97,8 +97,8 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
     if not s.age >= -limits.ahead:
         why = f"samples are stamped {-s.age * 1e3:.0f} ms in the future: how old they are is not known; synchronise the clocks"
         return State.UNKNOWN, flags | _STALE, why
-    if s.sample.doubt:
-        return State.UNKNOWN, flags, s.sample.doubt
+    if s.sample.fault:
+        return State.UNKNOWN, flags, s.sample.fault
     if v.conformance is not Conformance.CONFORMANT:
         return State.UNKNOWN, flags, v.why
     if v.oldest < limits.evidence:

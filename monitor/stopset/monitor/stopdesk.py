@@ -52,7 +52,7 @@ class StopDesk:
     budget: Budget = field(init=False)
     _motion: Heading = field(init=False)
     _slack: Array = field(init=False)
-    _told: dict[str, Numbers] = field(default_factory=dict)
+    _numbers: dict[str, Numbers] = field(default_factory=dict)
     _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
     _x: Array = field(init=False)
     _none: Numbers | None = None
@@ -92,7 +92,7 @@ class StopDesk:
         """What the other process has cost, in words of `health`: processor time [s] so far, boxes kept, whether its share is used up."""
         return {
             "cpu_s": self.budget.total, "share": self.stops.core_share, "share_used_up": self.budget.spent,
-            "kept": {c: x.kept for c, x in self.counters.items()},
+            "kept": {c: x.certificates for c, x in self.counters.items()},
         }  # fmt: skip
 
     def _start(self) -> None:
@@ -155,26 +155,26 @@ class StopDesk:
         x, fresh, n = self._x, True, self.n
         x[:n], x[n:] = q, dq
         if self._common is not None and holds(*self._common, x, self._slack):
-            return self._told, True
-        told: dict[str, Numbers] = {}
+            return self._numbers, True
+        numbers: dict[str, Numbers] = {}
         for category, c in self.counters.items():
             answer = c.holds(x, self._slack)
             if answer is None and c.refused is not None and c.refused.covers(x, self._slack):
                 answer = c.refused
             if answer is not None:
-                told[category] = answer.numbers
+                numbers[category] = answer.numbers
                 continue
             fresh = False
             asked = c.wide.answers or c.refused or c.long.answers or c.narrow.answers
-            told[category] = self._nothing((SPENT if self.budget.spent else LEFT) if asked else self.why)
+            numbers[category] = self._nothing((SPENT if self.budget.spent else LEFT) if asked else self.why)
         # the same object as long as nothing changes: who makes a message of it need not do so again
-        if len(told) != len(self._told) or any(told[c] is not self._told[c] for c in told):
-            self._told = told
+        if len(numbers) != len(self._numbers) or any(numbers[c] is not self._numbers[c] for c in numbers):
+            self._numbers = numbers
         used = [c.answer for c in self.counters.values() if c.answer is not None]
         self._common = None
-        if len(used) == len(told):
+        if len(used) == len(numbers):
             self._common = np.max([a.lo for a in used], axis=0), np.min([a.hi for a in used], axis=0)
-        return self._told, fresh
+        return self._numbers, fresh
 
     def _nothing(self, why: str) -> Numbers:
         if self._none is None or self._none.why != why:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.artifact.taped import Kept
+from stopset.artifact.taped import Pinned
 from stopset.core.library import check, ffi, lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
@@ -48,7 +48,7 @@ class Watch(Check):
     _du: Array = field(init=False)
     _x: Array = field(init=False)  # (2n,) the last state, at its cycle
     _struct: Any = field(init=False)  # the core's `StopsetCheck`
-    _kept: Kept = field(init=False)  # what it points at
+    _pinned: Pinned = field(init=False)  # what it points at
     _slack: Array = field(init=False)  # (2n,) what the place in time of `_x` leaves unknown of it; stands in the tube's limits
     _loose: bool = False  # something of it does
     _motion: GridMotion = field(init=False)
@@ -64,16 +64,16 @@ class Watch(Check):
         self._motion, self._payload_why = GridMotion.of(m), unidentified_payload(m, self.payload)
         self._here, self._u, self._du = np.zeros((4, n)), np.zeros((2, n)), np.zeros((2, n))
         self._x, self._slack = np.zeros(2 * n), np.zeros(2 * n)
-        d, kept, tubes = m.domain, Kept([]), self.tubes
+        d, pinned, tubes = m.domain, Pinned([]), self.tubes
         boxes = [d.q, d.dq, d.u, d.q if d.temp is None else d.temp]  # the last one then is not looked at
         self._struct = ffi.new("StopsetCheck *", {
-            "monitor": self._inputs.struct, "predictions": tubes.struct, "domain_lo": kept.array([b.lo for b in boxes]),
-            "domain_hi": kept.array([b.hi for b in boxes]), "temperatures": d.temp is not None, "every": tubes.stride,
-            "sliding": m.powered.windows == "sliding", "most": LARGEST, "here": kept.shared(self._here),
-            "ends": kept.shared(self._inputs.carried.ends), "u": kept.shared(self._u), "du": kept.shared(self._du),
-            "x": kept.shared(self._x), "start": kept.shared(tubes.start), "widen": not self._inputs.plain,
+            "monitor": self._inputs.struct, "predictions": tubes.struct, "domain_lo": pinned.array([b.lo for b in boxes]),
+            "domain_hi": pinned.array([b.hi for b in boxes]), "temperatures": d.temp is not None, "every": tubes.stride,
+            "sliding": m.powered.windows == "sliding", "most": LARGEST, "here": pinned.shared(self._here),
+            "ends": pinned.shared(self._inputs.carried.ends), "u": pinned.shared(self._u), "du": pinned.shared(self._du),
+            "x": pinned.shared(self._x), "start": pinned.shared(tubes.start), "widen": not self._inputs.plain,
         })  # fmt: skip
-        self._kept = kept
+        self._pinned = pinned
 
     @property
     def ages(self) -> Array:

@@ -14,8 +14,8 @@ void stopset_ramp_motion(const StopsetState *s, double since, double q[NJ], doub
     const double pace = stopset_model.ramp_pace; /* by which the programmed motion itself changes its speed */
     for (int i = 0; i < NJ; i++) {
         const double begin = stopset_model.ramp_delay[i], T = lasts(s, i), v = s->stop_dq[i], x = fmin(fmax(since - begin, 0.0), T);
-        const double way = fmin(since, begin) + x - 0.5 * x * x / T, rest = 1.0 - x / T, share = 1.0 + pace * way;
-        q[i] = s->stop_q[i] + v * (way + 0.5 * pace * way * way);
+        const double path_time = fmin(since, begin) + x - 0.5 * x * x / T, rest = 1.0 - x / T, share = 1.0 + pace * path_time;
+        q[i] = s->stop_q[i] + v * (path_time + 0.5 * pace * path_time * path_time);
         dq[i] = v * rest * share;
         ddq[i] = since >= begin + T ? 0.0 : v * (pace * rest * rest - (since >= begin ? share / T : 0.0));
     }

@@ -129,7 +129,7 @@ int stopset_stop_flag(unsigned boolean) {
 }
 
 /* The outputs of a category, from its certificate where that proves the present state's stop. */
-static void tell(StopsetState *s, int category, int proved) {
+static void publish(StopsetState *s, int category, int proved) {
     const StopsetCertificate *c = &s->certificate[category];
     double *out = &s->r[first_of[category]];
     for (int i = 0; i < NJ; i++) {
@@ -151,14 +151,14 @@ static int of_request(int category, int request) {
 
 void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact) {
     if (s->stopping) { /* the bounds are those of the request */
-        tell(s, category, of_request(category, s->stopping) && s->b[flag_of[category]]);
+        publish(s, category, of_request(category, s->stopping) && s->b[flag_of[category]]);
         return;
     }
     /* another ramp than the identified one is another controller */
     const int speaks = believed(s) && (category == STOP_0 || s->r[VR_STOP1_TIME] == stopset_model.start_real[VR_STOP1_TIME]);
     exact = exact || s->b[IX_EVALUATE_STOP] || s->i[IX_STOP_EVERY] == 1;
     if (speaks && due(s, category, exact)) certify(s, w, category, exact);
-    tell(s, category, speaks && inside(s, category) && s->certificate[category].proved);
+    publish(s, category, speaks && inside(s, category) && s->certificate[category].proved);
 }
 
 void stopset_stop_request(StopsetState *s, StopsetWork *w, int request) {
@@ -170,7 +170,7 @@ void stopset_stop_request(StopsetState *s, StopsetWork *w, int request) {
         if (of_request(k, request))
             stopset_stop_bounds(s, w, k, 1);
         else
-            tell(s, k, 0);
+            publish(s, k, 0);
         if (k == category) known = s->b[flag_of[k]];
     }
     const double *centre = start_of(category, 0), *radius = start_of(category, 1);

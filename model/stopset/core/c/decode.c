@@ -6,7 +6,7 @@
 
 #include "stopset.h"
 
-static const double apart = 2e-5, near = 60.0, leak = 1e-3, latest = 0.9, hold = 0.2;
+static const double shortest_period = 2e-5, near = 60.0, leak = 1e-3, latest = 0.9, hold = 0.2;
 
 /* When a frame was on the wire by this machine's clock [s]; which clock stamps them is decided at the first one. */
 static double stamped(StopsetDecoder *d, double t, double now) {
@@ -58,7 +58,7 @@ static int next_sync(StopsetDecoder *d, const StopsetFrame *f, double t) {
     if (d->synced && d->seen < d->synchronous) spoilt(d);
     const int counter = f->length > 0 ? f->data[0] : -1, before = d->held_counter;
     const int lost = d->overflow && before >= 0 ? counter != before % d->overflow + 1 : !d->overflow && t - d->held_t > 1.5 * d->cycle_s;
-    if (given && (lost || t - d->held_at < apart)) {
+    if (given && (lost || t - d->held_at < shortest_period)) {
         given = 0;
         spoilt(d);
     }
@@ -75,7 +75,7 @@ static int next_sync(StopsetDecoder *d, const StopsetFrame *f, double t) {
     return given;
 }
 
-static void take_apart(StopsetDecoder *d, const StopsetPdo *p, const StopsetFrame *f) {
+static void unpack_pdo(StopsetDecoder *d, const StopsetPdo *p, const StopsetFrame *f) {
     const StopsetField *field = d->field + p->first;
     for (int k = 0; k < p->count; k++) d->raw[field[k].target] = number(field[k].kind, f->data + field[k].offset);
 }
@@ -84,7 +84,7 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
     const StopsetPdo *p = d->pdo + place;
     if (!p->synchronous) { /* a drive tells what has changed; it holds until it tells again */
         if (f->length != p->length) d->incomplete++;
-        else take_apart(d, p, f);
+        else unpack_pdo(d, p, f);
         return 0;
     }
     if (!d->synced) { /* heard before any SYNC: the next cycle may hold a late one of these */
@@ -98,7 +98,7 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
     }
     d->came[place] = 1;
     d->seen++;
-    take_apart(d, p, f);
+    unpack_pdo(d, p, f);
     if (d->seen < d->synchronous) return 0;
     if (d->doubtful) {
         d->doubtful = 0;
@@ -144,9 +144,9 @@ int stopset_decode(StopsetDecoder *d, const StopsetFrame *frames, int64_t count,
         const StopsetFrame *f = frames + (*taken)++;
         const double t = stamped(d, f->t, now);
         const int place = f->id < STOPSET_IDS ? d->place[f->id] : -1;
-        StopsetFrame *kept = d->log + d->frames++ % d->room;
-        *kept = *f;
-        kept->t = t;
+        StopsetFrame *entry = d->log + d->frames++ % d->room;
+        *entry = *f;
+        entry->t = t;
         if (place == STOPSET_SYNC ? next_sync(d, f, t) : place >= 0 && pdo(d, place, f, t)) {
             d->nodes_good = stopset_nodes_good(d, now);
             return STOPSET_CYCLE;

@@ -78,14 +78,14 @@ void stopset_rigid_signals(const StopsetInputs *map, int rows, const double *q, 
 }
 
 void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int joint, int rows, const StopsetSamples *s,
-                         const StopsetRigid *rigid, double way, int moves, double (*out)[ROWS]) {
+                         const StopsetRigid *rigid, double direction, int moves, double (*out)[ROWS]) {
     const int n = map->arm.n, other = law->other;
     for (int k = 0; k < rows; k++) {
         const double dq = moves ? s->dq[k * n + joint] : 0.0;
         out[S_Q][k] = s->q[k * n + joint];
         out[S_DQ][k] = dq;
         out[S_DDQ][k] = 0.0;
-        out[S_WAY][k] = way != 0.0 ? way : dq != dq ? dq : (double)((dq > 0.0) - (dq < 0.0));
+        out[S_DIRECTION][k] = direction != 0.0 ? direction : dq != dq ? dq : (double)((dq > 0.0) - (dq < 0.0));
         out[S_DTAU][k] = moves && s->dtau ? s->dtau[k * n + joint] : 0.0;
         out[S_TEMP][k] = s->temp ? s->temp[k * n + joint] - map->reference_temperature : 0.0;
         out[S_WARM][k] = s->warm;
@@ -109,14 +109,14 @@ void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int jo
 }
 
 /* Torque of all laws together, out (J, ROWS). */
-static void effects(const StopsetInputs *map, int rows, const StopsetSamples *s, const StopsetRigid *rigid, double way, int moves,
+static void effects(const StopsetInputs *map, int rows, const StopsetSamples *s, const StopsetRigid *rigid, double direction, int moves,
                     double (*out)[ROWS]) {
     double signals[STOPSET_SIGNALS][ROWS], tau[ROWS];
     memset(signals, 0, sizeof signals);
     memset(out, 0, (size_t)map->arm.n * sizeof *out);
     for (int l = 0; l < map->laws; l++) {
         const StopsetLaw *law = map->law + l;
-        stopset_law_signals(map, law, law->joint, rows, s, rigid, way, moves, signals);
+        stopset_law_signals(map, law, law->joint, rows, s, rigid, direction, moves, signals);
         stopset_play(&law->torque, (const double(*)[ROWS])signals, rows, tau);
         for (int k = 0; k < rows; k++) out[law->joint][k] += tau[k];
     }

@@ -5,7 +5,7 @@
 
 /* What laws look at, of one joint, before the rows: the order of `SIGNALS` in stopset.artifact.taped. */
 enum {
-    S_Q, S_DQ, S_DDQ, S_WAY, S_LOAD, S_TAU, S_DTAU, S_LINK, S_TEMP, S_WARM, S_T, S_STIFF, S_INERTIA, S_CORIOLIS, S_DQ_OTHER,
+    S_Q, S_DQ, S_DDQ, S_DIRECTION, S_LOAD, S_TAU, S_DTAU, S_LINK, S_TEMP, S_WARM, S_T, S_STIFF, S_INERTIA, S_CORIOLIS, S_DQ_OTHER,
     S_TILT, S_TIP = S_TILT + 2, S_MEMORY = S_TIP + 10
 };
 
@@ -18,7 +18,7 @@ typedef struct {
 /* q, dq (rows, n); `rest`: only what changes where the arm does not move. */
 void stopset_rigid_signals(const StopsetInputs *map, int rows, const double *q, const double *dq, int rest, StopsetRigid *out);
 
-/* Signals of one law; `way` 0: the direction of dq, else the given one; `moves` 0: at rest. */
+/* Signals of one law; `direction` 0: the direction of dq, else the given one; `moves` 0: at rest. */
 void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int joint, int rows, const StopsetSamples *s, const StopsetRigid *rigid,
-                         double way, int moves, double (*out)[ROWS]);
+                         double direction, int moves, double (*out)[ROWS]);
 #endif

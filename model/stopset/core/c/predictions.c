@@ -26,7 +26,7 @@ static double absolute(double x) { return x < 0.0 ? -x : x; }
  * speed, and their sizes; else columns of Ad (2n, 2n) and their sizes. `look` (2n,): part of `reach` beyond which a row is looked
  * at closely. */
 typedef struct {
-    int apart, widen, outside;
+    int decoupled, widen, outside;
     double residual[X], growth[X], look[X], worst[2][X], own[X * X], size[X * X];
 } Step;
 
@@ -61,7 +61,7 @@ UNROLLED Pair two(const double *x) {
 }
 
 /* e <- own e + r. */
-UNROLLED void step_apart(const int n, const double *own, const double *r, double *e) {
+UNROLLED void step_decoupled(const int n, const double *own, const double *r, double *e) {
     int i = 0;
     for (; i + 1 < n; i += 2) {
         const Pair q = two(e + i), v = two(e + n + i);
@@ -85,10 +85,10 @@ UNROLLED void step_coupled(const int n2, const double *columns, const double *r,
     for (int i = 0; i < n2; i++) e[i] = new[i];
 }
 
-UNROLLED void step_row(const Step *step, const int n, const int apart, double *e, double *w) {
-    if (apart) {
-        step_apart(n, step->own, step->residual, e);
-        if (step->widen) step_apart(n, step->size, step->growth, w);
+UNROLLED void step_row(const Step *step, const int n, const int decoupled, double *e, double *w) {
+    if (decoupled) {
+        step_decoupled(n, step->own, step->residual, e);
+        if (step->widen) step_decoupled(n, step->size, step->growth, w);
     } else {
         step_coupled(2 * n, step->own, step->residual, e);
         if (step->widen) step_coupled(2 * n, step->size, step->growth, w);
@@ -134,7 +134,7 @@ UNROLLED int remarkable(const double *look, const int n2, const double *e, const
     return (inside[0] & inside[1]) == 0;
 }
 
-UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int apart, Step *step, int64_t seen[2]) {
+UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int decoupled, Step *step, int64_t seen[2]) {
     const int n2 = 2 * n;
     int64_t live = 0;
     for (int64_t p = 0; p < s->rows; p++) {
@@ -148,7 +148,7 @@ UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int ap
         if (age > seen[0]) seen[0] = age;
         if (step->outside) s->foreign[p] = 1;
         double *e = s->e + p * n2, *w = s->w + p * n2;
-        step_row(step, n, apart, e, w);
+        step_row(step, n, decoupled, e, w);
         if (remarkable(step->look, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, p, age, e, w, 1, step);
     }
     return live;
@@ -165,7 +165,7 @@ static void look_ahead(const StopsetPredictions *s, Step *step) {
         double e[X], w[X];
         memcpy(e, s->e + p * n2, (size_t)n2 * sizeof *e);
         memcpy(w, s->w + p * n2, (size_t)n2 * sizeof *w);
-        step_row(step, n2 / 2, step->apart, e, w);
+        step_row(step, n2 / 2, step->decoupled, e, w);
         look_closely(s, p, s->age[p] + 1, e, w, 0, step);
         before = p;
     }
@@ -190,13 +190,13 @@ int64_t stopset_advance(const StopsetPredictions *s, const double *x, const doub
         s->room[i] = inf;
         s->row[i] = s->row[n2 + i] = -1;
     }
-    step.apart = on_their_own(s, step.own);
-    for (int k = 0; !step.apart && k < n2 * n2; k++) step.own[k] = s->Ad[k % n2 * n2 + k / n2];
-    for (int k = 0; k < (step.apart ? 4 * n : n2 * n2); k++) step.size[k] = absolute(step.own[k]);
+    step.decoupled = on_their_own(s, step.own);
+    for (int k = 0; !step.decoupled && k < n2 * n2; k++) step.own[k] = s->Ad[k % n2 * n2 + k / n2];
+    for (int k = 0; k < (step.decoupled ? 4 * n : n2 * n2); k++) step.size[k] = absolute(step.own[k]);
     look_ahead(s, &step);
-    const int64_t live = step.apart && n == 6   ? step_all(s, 6, 1, &step, seen)
-                         : step.apart && n == 7 ? step_all(s, 7, 1, &step, seen)
-                         : step.apart           ? step_all(s, n, 1, &step, seen)
+    const int64_t live = step.decoupled && n == 6   ? step_all(s, 6, 1, &step, seen)
+                         : step.decoupled && n == 7 ? step_all(s, 7, 1, &step, seen)
+                         : step.decoupled           ? step_all(s, n, 1, &step, seen)
                                                 : step_all(s, n, 0, &step, seen);
     for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
     for (int i = 0; i < n2; i++)

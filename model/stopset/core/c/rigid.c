@@ -266,11 +266,11 @@ int stopset_point(const StopsetArm *arm, const double *q, int link, const double
     return STOPSET_OK;
 }
 
-int stopset_levers(const StopsetArm *arm, int64_t N, const double *q, double *axis, double *lever) {
+int stopset_moment_arms(const StopsetArm *arm, int64_t N, const double *q, double *axis, double *moment_arm) {
     KNOWN_SIZE(arm);
     const int n = arm->n;
     double R[9 * J], o[3 * J], x[3];
-    for (int64_t k = 0; k < N; k++, axis += 3 * n, lever += 3 * n) {
+    for (int64_t k = 0; k < N; k++, axis += 3 * n, moment_arm += 3 * n) {
         double beyond = 0.0, h[3] = {0, 0, 0}; /* mass, and first moment about the present joint, of all beyond it */
         stopset_link_frames(arm, 1, q + k * n, R, o);
         for (int i = n - 1; i >= 0; i--) {
@@ -281,7 +281,7 @@ int stopset_levers(const StopsetArm *arm, int64_t N, const double *q, double *ax
             for (int r = 0; r < 3; r++) h[r] += x[r];
             beyond += P[0];
             times(R + 9 * i, arm->axis + 3 * i, axis + 3 * i);
-            cross(axis + 3 * i, h, lever + 3 * i);
+            cross(axis + 3 * i, h, moment_arm + 3 * i);
         }
     }
     return STOPSET_OK;

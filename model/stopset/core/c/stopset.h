@@ -74,8 +74,8 @@ STOPSET_API int stopset_regressors(const StopsetArm *arm, int64_t N, const doubl
 STOPSET_API int stopset_link_frames(const StopsetArm *arm, int64_t N, const double *q, double *R, double *o);
 /* Position (3,) [m], Jacobian (3, n) [m/rad] of a point (3,) [m] of `link`, in the base frame; zero for joints beyond it. */
 STOPSET_API int stopset_point(const StopsetArm *arm, const double *q, int link, const double *point, double *position, double *J);
-/* Joint axes and axis x first moment of all beyond [kg m], (N, n, 3) each, in the base frame: g = -lever . gravity. */
-STOPSET_API int stopset_levers(const StopsetArm *arm, int64_t N, const double *q, double *axis, double *lever);
+/* Joint axes and axis x first moment of all beyond [kg m], (N, n, 3) each, in the base frame: g = -moment_arm . gravity. */
+STOPSET_API int stopset_moment_arms(const StopsetArm *arm, int64_t N, const double *q, double *axis, double *moment_arm);
 
 /* ---- law.c: effects' laws, as the steps of stopset.ring.tape */
 
@@ -566,7 +566,7 @@ typedef struct {
     double *e_lo, *e_hi;                /* (steps, n) */
     double *rates[4];                   /* (steps, n) each: forward lo, hi, backward lo, hi [rad/s^2] */
     double *margin;                     /* (n,) [N m] */
-    double *way;                        /* (steps + 1, n) [rad]: from this knot on sum_i of all ways of joint i / way_i <= 1; or inf */
+    double *travel_left;                /* (steps + 1, n) [rad]: from this knot on sum_i of joint i's travel / travel_left_i <= 1; or inf */
 } StopsetTube;
 
 /* Sum of angles [rad] from the pose of expansion after which a new one is worth its cost; outward factor of energies and widening
@@ -598,14 +598,14 @@ STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const doubl
 STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
                                      const double *B_lo, const double *v_lo, const double *v_hi, double *w);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
- * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the ways (S, n) allow, as in a tube. */
+ * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows, as in a tube. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
                                    const double *d_hi, const double *v_lo, const double *v_hi, const double *near_lo,
-                                   const double *near_hi, const double *left, int link, const double *point, double *way, double *way_ball,
+                                   const double *near_hi, const double *left, int link, const double *point, double *travel, double *travel_ball,
                                    double *pace, double *pace_ball);
 /* The largest length [m], speed [m/s] and box (3, 2) [m] of such sets. */
-STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way,
-                                      const double *way_ball, const double *pace, const double *pace_ball, double *far, double *fast,
+STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *travel,
+                                      const double *travel_ball, const double *pace, const double *pace_ball, double *far, double *fast,
                                       double *box);
 /* Capsules (S, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
 STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
@@ -613,7 +613,7 @@ STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, c
 /* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
  * Returns how many. */
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
-                                   const double *e_lo, const double *e_hi, const double *t, const double *way, int64_t count,
+                                   const double *e_lo, const double *e_hi, const double *t, const double *travel_left, int64_t count,
                                    double *border, double *work, double *out_dl, double *out_dh, double *out_vl, double *out_vh,
                                    double *near_lo, double *near_hi, double *left);
 /* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
@@ -623,7 +623,7 @@ STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const d
 #define STOPSET_STOP_PATIENCE 6      /* times the expected stop before a tube is called endless, in each case */
 #define STOPSET_STOP_MORE_PATIENCE 30
 #define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
-#define STOPSET_STOP_SLICES 10       /* stretches of time that the tool's way is told for */
+#define STOPSET_STOP_SLICES 10       /* stretches of time that the tool's travel is given for */
 
 /* ---- stops/laws.c, stops/torques.c: a model's effects in a stop, each by its own law over intervals */
 
@@ -660,7 +660,7 @@ typedef struct {
 
 /* Relative, on top of friction's bounds: it drifts with wear, oil and temperature. */
 STOPSET_API extern const double stopset_friction_tolerance;
-/* Torque of an effect, way (dry + viscous |dq|) + push: out (3, 2) lower and upper ends [N m, N m s/rad, N m]. */
+/* Torque of an effect, direction (dry + viscous |dq|) + push: out (3, 2) lower and upper ends [N m, N m s/rad, N m]. */
 STOPSET_API int stopset_act(const StopsetActing *law, const StopsetSight *sight, double *out);
 
 /* All of them, see stopset.reach.stops.friction; (n,) arrays unless said. */
@@ -680,7 +680,7 @@ typedef struct {
 typedef struct {
     StopsetPlant plant;
     const double *lag;           /* (n,) [s] by which a joint's brake is always later; may be 0 */
-    double apart;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
+    double delay_spread;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
 } StopsetStops;

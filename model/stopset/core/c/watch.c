@@ -45,8 +45,8 @@ static void carry(const StopsetMonitor *m, const StopsetCarried *c, int rows, co
     for (int place = 0; place < m->places; place++) {
         StopsetSamples here = *s;
         here.warm = m->warm[place];
-        for (int way = -1; way <= 1; way += 2) { /* at rest friction may take either direction */
-            stopset_law_signals(m->map, law, law->joint, rows, &here, rigid, way, 1, signals);
+        for (int direction = -1; direction <= 1; direction += 2) { /* at rest friction may take either direction */
+            stopset_law_signals(m->map, law, law->joint, rows, &here, rigid, direction, 1, signals);
             for (int z = 0; z < 2; z++) {
                 for (int k = 0; k < rows; k++) signals[S_MEMORY][k] = z;
                 stopset_play(&law->torque, (const double(*)[ROWS])signals, rows, at[z]);

@@ -151,7 +151,7 @@ class StopBounds:
             return self._refused("0", no_certificate(self.model.joints, self.margin(q), self._reach()), q)
         margin = np.min([t.margin for t in tubes], axis=0)
         time = np.max([stopped_after(t) for t in tubes], axis=0)
-        return self._told("0", tubes, time, q, q_radius, margin, (*self.setting.assumptions, REST))
+        return self._bound_of("0", tubes, time, q, q_radius, margin, (*self.setting.assumptions, REST))
 
     def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
         """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
@@ -199,7 +199,7 @@ class StopBounds:
                 return self.refused_for(category, margin, q)
             early = early_cut(ramp, float(time.max()))
             assumptions = assumptions if early is None else (*assumptions, early)
-        return replace(self._told(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
+        return replace(self._bound_of(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
 
     def _fallback(self, q: Array, q_radius: Array, tube: Tube) -> tuple[float, float] | None:
         """Angle [rad] and time [s] added when the standstill window of a STOP 2 is left: creeping until the power is taken, then a
@@ -236,10 +236,10 @@ class StopBounds:
             # displacement since the request; what was passed before power-off lies in the starts of these boxes
             tubes.append(part._replace(d_lo=part.d_lo + lo, d_hi=part.d_hi + hi))
         assumptions = (*setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
-        bound = self._told("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        bound = self._bound_of("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
         return replace(bound, why=out_of_budget(found.loose, len(found.parts), found.tried)) if found.loose else bound
 
-    def _told(
+    def _bound_of(
         self, category: Category, tubes: list[Tube], time: Array, q: Array, q_radius: Array, margin: Array,
         assumptions: tuple[str, ...],
     ) -> StopBound:  # fmt: skip

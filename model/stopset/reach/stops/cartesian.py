@@ -44,7 +44,7 @@ class Slices(NamedTuple):
 def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
     K, n = len(tube.t) - 1, tube.d_lo.shape[1]
-    held = [given(x) for x in (tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi, tube.t, tube.way)]
+    held = [given(x) for x in (tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi, tube.t, tube.travel_left)]
     border, work, out = np.zeros(count + 1), np.empty(K + 1), np.zeros((7, count, n))
     made = lib.stopset_slices(K, n, *(view(x) for x in held), count, view(border), view(work), *(view(x) for x in out))
     return Slices(border[: made + 1], *out[:, :made])
@@ -61,14 +61,14 @@ def point_sets(
     S, n = parts.d_lo.shape
     if not 0 <= link < n or q.shape != (n,) or q_radius.shape != (n,) or point.shape != (3,):
         raise ValueError(f"a point {point.shape} of link {link} at {q.shape} +- {q_radius.shape} for {n} joints")
-    way, pace, balls = np.empty((S, 3, n + 1)), np.empty((S, 3, n + 1)), np.empty((2, S))
+    travel, pace, balls = np.empty((S, 3, n + 1)), np.empty((S, 3, n + 1)), np.empty((2, S))
     pose = [view(given(x)) for x in (q, q_radius)]
     box = [ffi.NULL if x is None else view(given(x)) for x in parts[1:]]
     arm = arm_struct(chain, None)
     check(
-        lib.stopset_point_sets(arm, *pose, S, *box, link, view(given(point)), view(way), view(balls[0]), view(pace), view(balls[1]))
+        lib.stopset_point_sets(arm, *pose, S, *box, link, view(given(point)), view(travel), view(balls[0]), view(pace), view(balls[1]))
     )  # fmt: skip
-    return way, balls[0], pace, balls[1]
+    return travel, balls[0], pace, balls[1]
 
 
 def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
@@ -77,10 +77,10 @@ def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: i
     Arguments as for `point_sets`; the box is in base coordinates.  However far joints turn, no point leaves the ball about the
     first one that the arm reaches.
     """
-    way, way_ball, pace, pace_ball = point_sets(chain, q, q_radius, parts, link, point)
+    travel, travel_ball, pace, pace_ball = point_sets(chain, q, q_radius, parts, link, point)
     far, fast, box = ffi.new("double *"), ffi.new("double *"), np.empty((3, 2))
-    arm, at, sets = arm_struct(chain, None), given(point), [view(x) for x in (way, way_ball, pace, pace_ball)]
-    lib.stopset_point_motion(arm, len(way), link, view(at), *sets, far, fast, view(box))
+    arm, at, sets = arm_struct(chain, None), given(point), [view(x) for x in (travel, travel_ball, pace, pace_ball)]
+    lib.stopset_point_motion(arm, len(travel), link, view(at), *sets, far, fast, view(box))
     return far[0], fast[0], box
 
 

@@ -49,8 +49,8 @@ class CompiledStops:
         torques, effects = (ffi.NULL, None) if s.torques.settled else torques_struct(s.torques, s.free)
         plant, tool = plant_struct(s.plant), given(s.payload_com)
         lag = ffi.NULL if s.lag is None else view(given(s.lag))
-        apart = -1.0 if s.apart is None else s.apart
-        struct = ffi.new("StopsetStops *", (plant[0][0], lag, apart, view(tool), torques))
+        delay_spread = -1.0 if s.delay_spread is None else s.delay_spread
+        struct = ffi.new("StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques))
         arrays, numbers = ({}, {}) if ramp is None else ramp_fields(s, ramp)
         held = {k: given(x) for k, x in arrays.items()}
         braking = ffi.NULL

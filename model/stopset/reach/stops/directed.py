@@ -28,14 +28,14 @@ def _unit(direction: Array) -> Array:
 class PointSets:
     """A point at ``start`` (3,) [m]: sets that hold its displacement [m] and velocity [m/s] during each stretch of a stop.
 
-    ``way``, ``pace``: (S, 3, 1 + g), centre and generators (each times [-1, 1]); ``way_ball``, ``pace_ball``: (S,) radius of a
+    ``travel``, ``pace``: (S, 3, 1 + g), centre and generators (each times [-1, 1]); ``travel_ball``, ``pace_ball``: (S,) radius of a
     ball on top. ``start`` is known within ``start_error`` [m].
     """
 
     start: Array
     start_error: float
-    way: Array
-    way_ball: Array
+    travel: Array
+    travel_ball: Array
     pace: Array
     pace_ball: Array
 
@@ -44,7 +44,7 @@ class PointSets:
 
         Raises `NotCovered` for something that is no direction.
         """
-        return max(0.0, float(_support(self.way, self.way_ball, _unit(direction)).max()))
+        return max(0.0, float(_support(self.travel, self.travel_ball, _unit(direction)).max()))
 
     def speed_along(self, direction: Array) -> float:
         """[m/s], at least 0: how fast the point can move along ``direction`` (3,). Raises `NotCovered` as above."""
@@ -58,7 +58,11 @@ class PointSets:
         """
         d = place - self.start
         distance = float(np.linalg.norm(d))
-        far = np.linalg.norm(self.way[:, :, 0], axis=1) + np.linalg.norm(self.way[:, :, 1:], axis=1).sum(axis=1) + self.way_ball
+        far = (
+            np.linalg.norm(self.travel[:, :, 0], axis=1)
+            + np.linalg.norm(self.travel[:, :, 1:], axis=1).sum(axis=1)
+            + self.travel_ball
+        )
         fast = (
             np.linalg.norm(self.pace[:, :, 0], axis=1) + np.linalg.norm(self.pace[:, :, 1:], axis=1).sum(axis=1) + self.pace_ball
         )

@@ -2,9 +2,9 @@
 
 Every entry of ``M(q)`` is a trigonometric polynomial of degree <= 2 in each angle, of ``g(q)`` of degree <= 1.  Its slope is
 exact, from the composite body behind joint k turning about axis k.  So are the second slopes of M that the tube uses; its third
-ones are bounded near the pose by the levers of what moves (Lemma 4 of docs/stops.md).  Over all poses Bernstein's inequality
+ones are bounded near the pose by the roots of inertia of what moves (Lemma 4 of docs/stops.md).  Over all poses Bernstein's inequality
 bounds second derivatives by the size of the part that moves: with ``m = max(i, j, k, l)`` only the composite body behind joint ``m``
-enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the levers to joints i and j.  The sizes
+enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the distances to joints i and j.  The sizes
 are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.  Gravity's derivatives
 are those of the potential ``-g . sum m r``: turning about joint m moves only what lies beside its axis, and turning the
 whole arm about its first axis turns gravity, of which nothing happens to the part along that axis.
@@ -56,7 +56,7 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
     n = pi.shape[0]
     size = np.abs(pi)
     mass, moment, inertia = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
-    lever = np.zeros((n + 1, n + 1))  # |o_j - o_i| at most
+    distance = np.zeros((n + 1, n + 1))  # |o_j - o_i| at most
     for i in range(n - 1, -1, -1):
         ixx, ixy, iyy, ixz, iyz, izz = size[i, 4:]
         tensor = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
@@ -66,10 +66,10 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
         # the norm of a matrix of absolute values is no smaller than the matrix's own
         inertia[i] = np.linalg.norm(tensor, 2) + inertia[i + 1] + 2.0 * moment[i + 1] * p + mass[i + 1] * p * p
         for j in range(i + 1, n):
-            lever[i, j] = p + lever[i + 1, j]
+            distance[i, j] = p + distance[i + 1, j]
     a, b, c, d = np.ogrid[:n, :n, :n, :n]
     last = np.maximum(np.maximum(a, b), np.maximum(c, d))
-    KM = 4.0 * (inertia[last] + moment[last] * (lever[a, last] + lever[b, last]))
+    KM = 4.0 * (inertia[last] + moment[last] * (distance[a, last] + distance[b, last]))
     # turning the whole arm, or all of it from joint min(i, j) on, changes no inertia M_ij
     KM[np.broadcast_to(np.minimum(c, d) <= np.minimum(a, b), KM.shape)] = 0.0
     KG = 0.5 * (KM + KM.transpose(0, 2, 1, 3) + KM.transpose(2, 0, 1, 3))

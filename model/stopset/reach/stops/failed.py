@@ -76,8 +76,8 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
     """The boxes to begin with; none where nothing says when power is taken."""
     n, top = len(dq), ramp.share
 
-    def cell(way: float, speed: float, time: float) -> StatesAtCut:
-        return StatesAtCut(np.tile([0.0, way], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
+    def cell(path_time: float, speed: float, time: float) -> StatesAtCut:
+        return StatesAtCut(np.tile([0.0, path_time], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
 
     if not ramp.monitored:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]
@@ -87,10 +87,10 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
     for k in range(SLICES + 1):  # left in slice k, until whose start the speed was below the line
         line = min(top, 1.0 - max(k - 1, 0) / SLICES + ramp.tolerance)
         s = k / SLICES
-        way = control * min(top, 1.0 + ramp.tolerance) + lasts * (s - 0.5 * s * s + ramp.tolerance * s)
+        path_time = control * min(top, 1.0 + ramp.tolerance) + lasts * (s - 0.5 * s * s + ramp.tolerance * s)
         # without drives that accelerate the speed stays below the line while power is being taken
         speed = line if top <= 1.0 else top
-        out.append(cell(way + ramp.reaction * speed, speed, control + lasts * s + ramp.reaction))
+        out.append(cell(path_time + ramp.reaction * speed, speed, control + lasts * s + ramp.reaction))
     return out
 
 

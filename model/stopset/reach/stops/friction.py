@@ -195,7 +195,7 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
 
 
 def acting(x: Torques, law: ActingLaw, speed: Array) -> Array:
-    """``way (dry + viscous |dq|) + push`` of a law that does not roam, (3, 2) [N m, N m s/rad, N m], up to ``speed`` (n,) [rad/s]."""
+    """``direction (dry + viscous |dq|) + push`` of a law that does not roam, (3, 2) [N m, N m s/rad, N m], up to ``speed`` (n,) [rad/s]."""
     keep: list[Any] = []
     j = law.joint
     temp = (0.0, 0.0) if x.kelvin is None else x.kelvin[j].tolist()

@@ -128,7 +128,18 @@ def _recorded(effect: Effect, shapes: dict[str, Interval], warm: bool, *, flow: 
 
 def _seen(tape: Tape, states: int, warm: bool) -> Signals:
     """What a law may look at in a stop; who computes with anything else is refused."""
-    bounded = ("q", "dq", "way", "load", "warm", "stiff", "inertia", "coriolis", "dq_other", *(("temp",) if warm else ()))
+    bounded = (
+        "q",
+        "dq",
+        "given_direction",
+        "load",
+        "warm",
+        "stiff",
+        "inertia",
+        "coriolis",
+        "dq_other",
+        *(("temp",) if warm else ()),
+    )
     every: dict[str, Any] = {f.name: Unbounded(f.name) for f in fields(Signals)}
     if not warm:
         every["temp"] = Unbounded("temp, and no temperature was recorded")

@@ -26,15 +26,15 @@ def weighed(model: Model, given: Array | None) -> tuple[float, Array]:
 
     Its place is ``given``, or the identified payloads' centre, or the flange.
     """
-    mass, doubt, moment = 0.0, 0.0, np.zeros(3)
+    mass, mass_uncertainty, moment = 0.0, 0.0, np.zeros(3)
     for f in model.effects:
         effect = effect_of(f)
         if effect.carried:
             m, *first = (t.symbol for t in effect.terms[:4])
-            mass, doubt = mass + f.values.get(m, 0.0), doubt + SIGMAS * f.std.get(m, 0.0)
+            mass, mass_uncertainty = mass + f.values.get(m, 0.0), mass_uncertainty + SIGMAS * f.std.get(m, 0.0)
             moment += [f.values.get(x, 0.0) for x in first]
-    com = moment / mass if mass > doubt else model.robot.tip
-    return doubt, np.asarray(com if given is None else given, float)
+    com = moment / mass if mass > mass_uncertainty else model.robot.tip
+    return mass_uncertainty, np.asarray(com if given is None else given, float)
 
 
 def bodies(model: Model, payload: tuple[float, float], com: Array) -> tuple[Array, Array]:

@@ -186,9 +186,9 @@ def _curve(ramp: Ramp, v: Array, t: Array, slow: bool, pace: float) -> tuple[Arr
     lasts = gentle if ramp.kind == "time" else np.abs(v) / gentle
     s = np.clip((t[:, None] - begin) / np.maximum(lasts, 1e-12), 0.0, 1.0)
     held = np.minimum(t[:, None], begin)
-    way = held + lasts * (s - 0.5 * s * s)  # [s] of the programmed motion that were run through
-    share = 1.0 + pace * way
-    moved = np.where(share > 0.0, way + 0.5 * pace * way * way, -0.5 / min(pace, -1e-12))
+    path_time = held + lasts * (s - 0.5 * s * s)  # [s] of the programmed motion that were run through
+    share = 1.0 + pace * path_time
+    moved = np.where(share > 0.0, path_time + 0.5 * pace * path_time * path_time, -0.5 / min(pace, -1e-12))
     return v * moved, v * (1.0 - s) * np.maximum(share, 0.0)
 
 
@@ -234,8 +234,8 @@ def _ramp_torques(
 ) -> Array:
     """(N, n) [N m] of the rigid body with rotors, ``t`` (N,) seconds into the ramp of the joints ``moving``."""
     u = np.minimum(t[:, None] / lasts, 1.0)
-    way = lasts * (u - 0.5 * u * u)
-    here, speed = q + dq * (way + 0.5 * pace * way * way), dq * (1.0 - u) * (1.0 + pace * way)
-    acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * way) / lasts), 0.0)
+    path_time = lasts * (u - 0.5 * u * u)
+    here, speed = q + dq * (path_time + 0.5 * pace * path_time * path_time), dq * (1.0 - u) * (1.0 + pace * path_time)
+    acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * path_time) / lasts), 0.0)
     out: Array = torques(model.robot.chain, pi, here, speed, acc) + rotor * acc
     return out

@@ -50,7 +50,7 @@ class Setting:
     noise: Box  # (2n,) error of a measured state (q, dq)
     start: Box  # (2n,) what a power-off stop starts from, less the measured state: its error, and what the drive still gives
     residual: Box  # (n,) [rad/s] what the drives change the speeds by while their power goes, whatever the arm did before
-    apart: float | None  # [s] see `Brakes`
+    delay_spread: float | None  # [s] see `Brakes`
     lag: Array | None  # (n,) [s] see `Brakes`
     payload: tuple[float, float]
     payload_com: Array
@@ -89,7 +89,7 @@ def setting_of(
     brakes = brakes_of(model)
     if brakes is None:
         return None
-    doubt, com = weighed(model, payload_com)
+    mass_uncertainty, com = weighed(model, payload_com)
     if com.shape != (3,) or not float(np.linalg.norm(com)) <= FARTHEST:
         raise NotCovered(
             f"a payload's centre at {com.tolist()} m in the last link; expected three numbers, at most {FARTHEST:g} m away: give it in "
@@ -110,10 +110,10 @@ def setting_of(
     inside = lo - 1e-9 <= carried[0] and carried[1] <= hi + 1e-9
     setting = Setting(
         model=model, plant=_plant(model, brakes, torques, bodies(model, carried, com), free), torques=torques, free=free, noise=noise,
-        start=start, residual=residual, apart=brakes.apart, lag=brakes.lag, payload=carried, payload_com=com, assumptions=(),
+        start=start, residual=residual, delay_spread=brakes.delay_spread, lag=brakes.lag, payload=carried, payload_com=com, assumptions=(),
         extrapolated="" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {lo:g} to {hi:g} kg",
     )  # fmt: skip
-    return replace(setting, assumptions=tuple(_assumptions(setting, brakes, regime, doubt)))
+    return replace(setting, assumptions=tuple(_assumptions(setting, brakes, regime, mass_uncertainty)))
 
 
 def payload_of(model: Model, payload: tuple[float, float] | None, extrapolate: bool) -> tuple[float, float]:
@@ -142,8 +142,8 @@ def _plant(model: Model, brakes: Brakes, torques: Torques, body: tuple[Array, Ar
     )  # fmt: skip
 
 
-def _assumptions(s: Setting, brakes: Brakes, regime: str, doubt: float) -> Iterator[str]:
-    """What a bound of this setting rests on, a sentence each; ``doubt``: of the payload's mass [kg]."""
+def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: float) -> Iterator[str]:
+    """What a bound of this setting rests on, a sentence each; ``mass_uncertainty``: of the payload's mass [kg]."""
     model, n, friction = s.model, s.model.n, s.torques.everywhere
     yield "serial arm of rigid links; rotor inertia on the link side; no contact, no joint limit on the way"
     yield (
@@ -157,8 +157,8 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, doubt: float) -> Itera
     yield f"any further torque within U of regime '{regime}': {_range(model.sets[regime].U)} N m, free in time"
     lo, hi = s.payload
     yield f"payload {lo:g} to {hi:g} kg as a point at {np.round(s.payload_com, 4).tolist()} m in the last link"
-    if doubt > 0.0:
-        yield f"payload weighed by its torque to +- {doubt:.3g} kg, its centre as identified"
+    if mass_uncertainty > 0.0:
+        yield f"payload weighed by its torque to +- {mass_uncertainty:.3g} kg, its centre as identified"
     if s.extrapolated:
         yield f"{s.extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change"
     rotor = rotor_of(model)
@@ -175,13 +175,13 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, doubt: float) -> Itera
         )
     else:
         yield "the drives give nothing more once power is taken"
-    if s.apart is not None:
-        yield _apart(s.apart, s.lag)
+    if s.delay_spread is not None:
+        yield _delay_spread(s.delay_spread, s.lag)
 
 
-def _apart(apart: float, lag: Array | None) -> str:
+def _delay_spread(delay_spread: float, lag: Array | None) -> str:
     less = "" if lag is None else f", less the {_list(lag, 1e3)} ms by which each is always later,"
-    return f"within one stop the brakes' delays{less} lie apart by no more than {1e3 * apart:.6g} ms"
+    return f"within one stop the brakes' delays{less} lie apart by no more than {1e3 * delay_spread:.6g} ms"
 
 
 def beyond_payload(lo: float, hi: float, seen: tuple[float, float]) -> str:

@@ -93,7 +93,7 @@ class Tube(NamedTuple):
     backward_hi: Array
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
     energetic: bool  # whether the kinetic energy had to help
-    way: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of all of the way / this <= 1; inf where that is not known
+    travel_left: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of travel / this <= 1; inf where that is not known
 
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
@@ -141,6 +141,6 @@ def march(
     )
     check(-min(end, 0))
     m = made[0]
-    d_lo, d_hi, v_lo, v_hi, way = knots[:, : m + 1]
+    d_lo, d_hi, v_lo, v_hi, travel_left = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
-    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, way)  # type: ignore[call-arg]
+    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, travel_left)  # type: ignore[call-arg]

@@ -40,14 +40,14 @@ def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
 
 @dataclass(slots=True)
 class Region:
-    """Angles, ``way`` (n,) [rad] beyond a box, and speeds (n,) [rad/s] that a stop is taken not to leave, until shown.
+    """Angles, ``travel`` (n,) [rad] beyond a box, and speeds (n,) [rad/s] that a stop is taken not to leave, until shown.
 
     A continuous motion that stays inside while it has not left cannot leave: so a tube counts once it lies inside the region that
     its effects were taken over (Lemma 3 of docs/stops.md).  Stops from one box share it, as what held one mostly holds the
     next; ``known``: it has been found by a tube and not guessed.
     """
 
-    way: Array
+    travel: Array
     speed: Array
     known: bool = False
     _friction: Friction | None = None
@@ -61,15 +61,15 @@ class Region:
     def plant(self, setting: Setting, plant: Plant, q: Array, q_radius: Array) -> Plant:
         """``plant`` with what the effects give in the region around ``q +- q_radius``."""
         if self._friction is None:
-            self._friction = setting.torques.over(Box(q - q_radius - self.way, q + q_radius + self.way), self.speed)
+            self._friction = setting.torques.over(Box(q - q_radius - self.travel, q + q_radius + self.travel), self.speed)
         return setting.with_friction(plant, self._friction)
 
     def holds(self, tube: Tube) -> bool:
         """Whether the tube stays inside; if not the region is now a larger one."""
         moved, fast = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)), fastest(tube)
-        if np.all(moved < self.way) and np.all(fast < self.speed):
+        if np.all(moved < self.travel) and np.all(fast < self.speed):
             return True
-        self.way, self.speed = np.maximum(self.way, 1.3 * moved), np.maximum(self.speed, 1.1 * fast)
+        self.travel, self.speed = np.maximum(self.travel, 1.3 * moved), np.maximum(self.speed, 1.1 * fast)
         self.known, self._friction = True, None
         return False
 
@@ -133,8 +133,8 @@ def tubes_of(
 
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once
-    apart = setting.apart if pieces > 1 or fast else None
-    for plant in reversed(windows(setting.plant, apart, setting.lag, FAST_WINDOWS if fast else None)):
+    delay_spread = setting.delay_spread if pieces > 1 or fast else None
+    for plant in reversed(windows(setting.plant, delay_spread, setting.lag, FAST_WINDOWS if fast else None)):
         out += certify(one, plant, q, lasts, pieces, last_resort)
         if out[-1].end != OK:
             break

@@ -61,8 +61,8 @@ class StopBound:
         if self.time is None or self.forward is None or self.back is None:
             return shown(f"STOP {self.category}: no stop provable", self.why)
         rows = [(k + 1, t, f, b) for k, (t, f, b) in enumerate(zip(self.time, self.forward, self.back, strict=True))]
-        way = "not provable" if self.tcp is None else f"{self.tcp:.4g} m"
-        said = f"Tool centre point: {way}. {self.extrapolated or ('Certified for the stated assumptions.' if self.certified else '')} {self.why}"
+        distance = "not provable" if self.tcp is None else f"{self.tcp:.4g} m"
+        said = f"Tool centre point: {distance}. {self.extrapolated or ('Certified for the stated assumptions.' if self.certified else '')} {self.why}"
         head = ("joint", "time [s]", "forward [rad]", "back [rad]")
         return shown(f"STOP {self.category}: upper bounds", " ".join(said.split()), head, rows)
 

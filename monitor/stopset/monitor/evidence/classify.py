@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,10 @@ from stopset.monitor.evidence.trace import Window
 from stopset.types import Array
 
 FEWEST, BEFORE = 8, 2  # rows after and before the first contradiction; with fewer nothing is told
+AHEAD, AFTER = 0.2, 0.6  # [s] of readings around the first contradiction, without a gap, that tell delays and pushes apart
 REPEATS = 5  # identical readings in a row that are no coincidence where the arm moves
 FEW = 3.0  # smallest steps of a position that a speed must have made for it to be called frozen
+TURN = 8.0  # smallest steps that a torque which turns round makes, at most, as long before or after as it seems to stay
 SPIKE = 3  # rows that a spike lasts at most
 LATEST = 12  # cycles that torque is tried late by
 TRIED = 12  # of the most promising ways of being late, held against the model
@@ -65,13 +67,22 @@ def classify(
     """
     lo, hi = window.run(first)
     if hi - first < FEWEST or first - lo < BEFORE:
-        return UNCLASSED
+        return replace(UNCLASSED, t=float(window.t[first]))
     w = window.part(lo, hi)
     case = Case(w, first - lo, joint, signal, model, Readings.of(w), pause)
-    for look in (repeated, spike, jump, late_torque):
+    for look in (repeated, spike, jump):
         if (found := look(case)) is not None:
             return found
-    return pushed(case)
+    if hi - first < round(AFTER / model.dt):
+        return _untold(case, case.at, "to tell delays and pushes apart")
+    return late_torque(case) or pushed(case)
+
+
+def _untold(c: Case, row: int, what: str) -> Cause:
+    """Over so short a time one kind looks like another."""
+    ahead, after = c.at * c.model.dt, (len(c.w) - c.at) * c.model.dt
+    says = f"readings without a gap: {ahead:.2f} s before and {after:.2f} s after it; {AHEAD:g} and {AFTER:g} s are needed {what}"
+    return replace(UNCLASSED, t=float(c.w.t[row]), says=says)
 
 
 def _same(x: Array) -> NDArray[np.bool_]:
@@ -110,7 +121,7 @@ def repeated(c: Case) -> Cause | None:
             if found is None or not _moved(c, found, [j]) or _usual(same, found, c.at):
                 continue
             a, b = found
-            if signal == "q" and not _says_it_moves(c, found, j):
+            if not _says_it_moves(c, found, j) if signal == "q" else _turns(c, found, j):
                 continue
             what = "torque" if signal == "tau" else "position and speed" if len(columns) == 2 else "position"
             return c.cause(
@@ -125,8 +136,16 @@ def _says_it_moves(c: Case, rows: tuple[int, int], j: int) -> bool:
     a, b = rows
     steps = np.abs(np.diff(c.w.q[:, j]))
     smallest = float(steps[steps > 0].min(initial=np.inf))
-    way = float(np.abs(c.w.dq[a : b + 1, j]).min()) * (b - a) * c.model.dt
-    return way > FEW * smallest
+    travel = float(np.abs(c.w.dq[a : b + 1, j]).min()) * (b - a) * c.model.dt
+    return travel > FEW * smallest
+
+
+def _turns(c: Case, rows: tuple[int, int], j: int) -> bool:
+    """Whether a torque may only have turned round there, below its smallest step: it changes little as long before and after."""
+    (a, b), tau = rows, c.w.tau[:, j]
+    steps = np.abs(np.diff(tau))
+    around = abs(tau[a] - tau[max(0, 2 * a - b)]), abs(tau[min(len(tau) - 1, 2 * b - a)] - tau[b])
+    return bool(max(around) <= TURN * steps[steps > 0].min(initial=np.inf))
 
 
 def _moved(c: Case, rows: tuple[int, int], joints: range | list[int]) -> bool:
@@ -313,6 +332,8 @@ def pushed(c: Case) -> Cause:
             Kind.MISSING_EFFECT, f"{what} needs a torque that goes with its {name}: an effect that the model lacks, or that has changed",
             j, law.onset, signal="tau", size=law.size, unit="", depends_on=name,
         )  # fmt: skip
+    if min(c.at, int(np.argmax(beyond[:, j] > 0.0))) < round(AHEAD / c.model.dt):
+        return _untold(c, 0, f"to tell how the push on {c.model.joints[j]} began")
     if _sharp(c, pushes[:, j]) or step.left <= ramp.left:
         return _contact(c, pushes, beyond, j)
     size = float(ramp.size * (N - 1 - ramp.onset))

@@ -61,7 +61,7 @@ def late_words(seconds: float) -> str:
     )
 
 
-def kept_position(folder: Path) -> Array | None:
+def stored_position(folder: Path) -> Array | None:
     """Where the arm was when the monitor was last at work [rad]; None if that is not known."""
     try:
         return np.array([float(x) for x in json.loads((folder / POSITION).read_text())["q"]])

@@ -25,7 +25,7 @@ from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.evidence import plausible
 from stopset.monitor.evidence.bundle import BundleContents, Incident, span, write_bundle
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
-from stopset.monitor.evidence.classify import classify
+from stopset.monitor.evidence.classify import AFTER, classify
 from stopset.monitor.evidence.dynamics import Dynamics
 from stopset.monitor.evidence.running import Running
 from stopset.monitor.evidence.trace import Trace, Window
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from stopset.monitor.sample import Quantum, Sample
     from stopset.monitor.verdict import Deviation, Verdict
 
-AFTER = 0.6  # [s] of readings after the first contradiction that the class is taken from
-PATIENCE = 1.0  # [s] beyond that in which they must have come
+PATIENCE = 1.0  # [s] beyond `AFTER` in which the readings after a contradiction must have come
 SWITCH = 5e-4  # [s] the loop waits at most for the interpreter while the recorder computes
 WAITING = 8  # incidents and words that may wait; more are dropped, counted
 SAID = frozenset({"event", "health", "state/json"})
@@ -163,7 +162,7 @@ class Recorder:
 
     def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
         """Where the arm is, against where it was left; kept for the next life."""
-        if not begun and (before := plausible.kept_position(self.folder)) is not None:
+        if not begun and (before := plausible.stored_position(self.folder)) is not None:
             self._position = before
             if words := plausible.moved_words(before, q, joints):
                 self.notes.append(words)

@@ -21,7 +21,9 @@ SILENT_S = 1.0  # without words: five that should have come
 LARGEST = 1 << 20  # bytes of a message
 MOST = 20_000  # arms; tokens of strangers do not fill the memory
 GONE = "NO DATA"
-ORDER = ("FAULT", "VIOLATION", GONE, "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+ORDER = ("FAULT", "VIOLATION", GONE, "SHUTDOWN", "INIT", "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+
+SENT = {s.name for s in State} - {State.NEVER_SENT.name}
 
 
 class _StopRow(msgspec.Struct):
@@ -72,7 +74,7 @@ class Fleet:
         except (msgspec.MsgspecError, ValueError, RecursionError):
             words = None
         with self._lock:
-            if words is None or words.state not in State.__members__:
+            if words is None or words.state not in SENT:
                 self.garbled += 1
                 return
             if (arm := self._arm(key)) is not None:
@@ -93,6 +95,12 @@ class Fleet:
             now = self._clock()
             rows = [_row(name, arm, now) for name, arm in self._arms.items()]
         return sorted(rows, key=lambda r: (ORDER.index(r["word"]), r["arm"]))
+
+    def row(self, name: str) -> dict[str, Any] | None:
+        """Of one arm; None where nobody of that name was heard."""
+        with self._lock:
+            arm = self._arms.get(name)
+            return None if arm is None else _row(name, arm, self._clock())
 
     def snapshot(self, most: int = 400) -> dict[str, Any]:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""

@@ -21,13 +21,13 @@ def terminal(fleet: Fleet, lines: int = 40) -> RenderableType:
     for r in shot["rows"]:
         word = Text(f" {r['word']} ", style=f"bold white on {COLOURS.get(r['word'], 'blue')}")
         why = f"{r['class']}: {r['why']}" if r["class"] else r["why"]
-        table.add_row(r["arm"], word, *(_way(r, c) for c in ("0", "1")), f"{r['since_s']:.0f} s", why)
+        table.add_row(r["arm"], word, *(_stop_words(r, c) for c in ("0", "1")), f"{r['since_s']:.0f} s", why)
     rest = shot["arms"] - len(shot["rows"])
     more = [Text(f"and {rest} more", style="dim")] if rest else []
     return Group(Text(f"{shot['arms']} arms: {counts or 'none has spoken yet'}"), table, *more)
 
 
-def _way(row: dict[str, object], category: str) -> str:
+def _stop_words(row: dict[str, object], category: str) -> str:
     stops = row["stops"]
     found = stops.get(category) if isinstance(stops, dict) else None
     return "" if found is None else bound(found["tcp_m"], "mm", 1e3)

@@ -132,7 +132,7 @@ class Encoder:
     maps: dict[int, FrameMap] = field(init=False)
     _count: int = 0
     _beats: int = 0  # heartbeat periods that have gone by
-    _told: dict[int, bytes] = field(default_factory=dict)  # what was sent last; event-driven frames go when it changes
+    _sent: dict[int, bytes] = field(default_factory=dict)  # what was sent last; event-driven frames go when it changes
 
     def __post_init__(self) -> None:
         self.maps = frame_maps(self.profile)
@@ -155,8 +155,8 @@ class Encoder:
                 x = 0.0 if target is None else float(counts[target])
                 out.append(x if code in "fd" else self._whole(x, code, target))
             data = m.layout.pack(*out)
-            if m.synchronous or self._told.get(m.cob_id) != data:
-                self._told[m.cob_id] = data
+            if m.synchronous or self._sent.get(m.cob_id) != data:
+                self._sent[m.cob_id] = data
                 yield m.cob_id, data
         period = self.profile.heartbeat_s
         beats = int(self._count * self.profile.cycle_s / period + 1e-9) if period else 0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stopset.artifact.taped import Kept
+from stopset.artifact.taped import Pinned
 from stopset.core.library import ffi, lib
 from stopset.monitor.links.batch import Batch, Frame
 from stopset.monitor.links.canopen_map import FrameMap, frame_maps
@@ -49,7 +49,7 @@ class Decoder:
     maps: dict[int, FrameMap] = field(init=False)
     nodes: Nodes = field(init=False)
     _struct: Any = field(init=False)  # the core's `StopsetDecoder`
-    _kept: Kept = field(init=False)  # what it points at
+    _pinned: Pinned = field(init=False)  # what it points at
     _log: Any = field(init=False)
     _values: Array = field(init=False)
     _one: Batch = field(default_factory=Batch)
@@ -58,7 +58,7 @@ class Decoder:
         self.cycle_s = self.cycle_s or self.profile.cycle_s
         self.maps = frame_maps(self.profile)
         self.nodes = Nodes(self.profile.nodes, self.profile.heartbeat_s)
-        n, maps, kept = len(self.profile.nodes), list(self.maps.values()), Kept([])
+        n, maps, pinned = len(self.profile.nodes), list(self.maps.values()), Pinned([])
         shape = (len(SIGNALS), n)
         scale, raw = np.ones(shape), np.full(shape, np.nan)
         for name, s in self.profile.signals.items():
@@ -77,16 +77,16 @@ class Decoder:
         place[self.profile.sync_id] = lib.STOPSET_SYNC
         self._values, self._log = np.empty(shape), ffi.new("StopsetFrame[]", self.room)
         structs = ffi.new("StopsetPdo[]", pdos), ffi.new("StopsetField[]", fields)
-        kept.held.extend(structs)
+        pinned.held.extend(structs)
         self._struct = ffi.new("StopsetDecoder *", {
             "n": n, "signals": len(SIGNALS), "pdos": len(maps), "synchronous": sum(m.synchronous for m in maps),
-            "overflow": self.profile.sync_overflow, "cycle_s": self.cycle_s, "place": kept.array(place, np.int32),
-            "pdo": structs[0], "field": structs[1], "scale": kept.array(scale), "raw": kept.array(raw),
-            "held": kept.array(np.empty(shape)), "values": kept.shared(self._values), "came": kept.array(np.zeros(len(maps)), np.uint8),
-            "node": kept.shared(self.nodes.standing), "heard": kept.shared(self.nodes.heard), "patience": self.nodes.patience,
+            "overflow": self.profile.sync_overflow, "cycle_s": self.cycle_s, "place": pinned.array(place, np.int32),
+            "pdo": structs[0], "field": structs[1], "scale": pinned.array(scale), "raw": pinned.array(raw),
+            "held": pinned.array(np.empty(shape)), "values": pinned.shared(self._values), "came": pinned.array(np.zeros(len(maps)), np.uint8),
+            "node": pinned.shared(self.nodes.standing), "heard": pinned.shared(self.nodes.heard), "patience": self.nodes.patience,
             "foreign": -1, "shift": np.inf, "log": self._log, "room": self.room,
         })  # fmt: skip
-        self._kept = kept
+        self._pinned = pinned
 
     @property
     def incomplete(self) -> int:
@@ -134,8 +134,8 @@ class Decoder:
         Only these are taken apart: seconds of a violation, of the minute that is kept.
         """
         seen, log = self.frames, np.frombuffer(ffi.buffer(self._log), FRAME)
-        kept = log[:seen] if seen <= self.room else np.concatenate([log[seen % self.room :], log[: seen % self.room]])
-        rows = kept[(first <= kept["t"]) & (kept["t"] <= last)]
+        entries = log[:seen] if seen <= self.room else np.concatenate([log[seen % self.room :], log[: seen % self.room]])
+        rows = entries[(first <= entries["t"]) & (entries["t"] <= last)]
         return [(t, x, data[:length]) for x, length, data, t in zip(
             rows["id"].tolist(), rows["length"].tolist(), [d.tobytes() for d in rows["data"]], rows["t"].tolist(), strict=True
         )]  # fmt: skip

@@ -23,7 +23,7 @@ class Event(msgspec.Struct):
     key: str = ""
     model_sha256: str = ""
 
-    def told(self) -> str:
+    def line(self) -> str:
         """The event in a line."""
         kind = self.kind.replace("_", " ")
         by = f"by {self.name}{'' if self.proven else ' (as they call themselves)'}: {self.reason}" if self.name else ""
@@ -42,7 +42,7 @@ class Grouped:
         key = f"{event.kind} {re.sub(r'[0-9.]+', '#', event.why)} {event.signals} {event.name} {event.reason}"
         known = self._groups.pop(key, {"count": 0})
         self._groups[key] = {
-            "kind": event.kind, "told": event.told(), "why": event.why, "t_ns": event.t_ns, "count": known["count"] + 1,
+            "kind": event.kind, "told": event.line(), "why": event.why, "t_ns": event.t_ns, "count": known["count"] + 1,
         }  # fmt: skip
         if len(self._groups) > GROUPS:
             del self._groups[next(iter(self._groups))]

@@ -40,14 +40,14 @@ function show(s) {
   $('notice').textContent = `${t.notice} Model ${t.model_sha256.slice(0, 16)}, configuration ${t.config_sha256.slice(0, 16)}. ${t.guarantee}`;
 }
 function stops(all, stale) {
-  const told = [], refused = new Map();  // a reason stands once, whatever it is the reason for
+  const given = [], refused = new Map();  // a reason stands once, whatever it is the reason for
   Object.entries(all).forEach(([c, v]) => {
-    if (v.time_s != null || v.tcp_m != null) told.push(el('tr', {title: v.why}, el('td', null, 'STOP ' + c), figure(num(v.time_s, 1e3, 'ms', 0)), figure(num(v.tcp_m, 1e3, 'mm', 0))));
+    if (v.time_s != null || v.tcp_m != null) given.push(el('tr', {title: v.why}, el('td', null, 'STOP ' + c), figure(num(v.time_s, 1e3, 'ms', 0)), figure(num(v.tcp_m, 1e3, 'mm', 0))));
     else refused.set(v.why, [...(refused.get(v.why) || []), c]);
   });
-  refused.forEach((names, why) => told.push(el('tr', null, el('td', null, 'STOP ' + names.join(', ')), el('td', {colSpan: 2}, 'no number', el('small', null, why)))));
-  if (!told.length) told.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
-  fill('stops', heads('', 'time', 'flange'), ...told);
+  refused.forEach((names, why) => given.push(el('tr', null, el('td', null, 'STOP ' + names.join(', ')), el('td', {colSpan: 2}, 'no number', el('small', null, why)))));
+  if (!given.length) given.push(el('tr', null, el('td', {colSpan: 3}, stale ? 'withdrawn: nothing current is heard' : 'none is asked for')));
+  fill('stops', heads('', 'time', 'flange'), ...given);
 }
 // what is left to the limits of the configuration if the arm is stopped now; rounded down, for it must not promise more
 const rest = (x, f, u, d) => { const v = Math.floor(x * f * 10 ** d + 1e-9) / 10 ** d; return el('span', {className: v < 0 ? 'bad' : ''}, `${v < 0 ? '✕ ' : ''}${v.toFixed(d)} ${u}`); };

@@ -19,7 +19,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.artifact.store import model_of
 from stopset.errors import ModelFileError
-from stopset.monitor.consumer import MS, SAYS, Consumer, Doubt, Expected
+from stopset.monitor.consumer import MS, SAYS, Consumer, Expected, Fault
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
 
@@ -168,8 +168,8 @@ class View:
     def wants_model(self) -> bool:
         """Whether the model that is spoken of is not the one that is drawn."""
         with self._lock:
-            told = None if self.twin is None else self.twin["model_sha256"]
-            return bool(told) and (self.model is None or self.model.sha256 != told)
+            reported = None if self.twin is None else self.twin["model_sha256"]
+            return bool(reported) and (self.model is None or self.model.sha256 != reported)
 
     def take_model(self, data: bytes) -> None:
         """``model``: the answer to a query."""
@@ -207,7 +207,7 @@ class View:
                 return "NO DATA", "nothing heard yet"
             now = time.monotonic_ns()
             state = c.state(now)
-            if c.why is Doubt.SILENT:
+            if c.why is Fault.SILENT:
                 return "NO DATA", f"silent for {(now - c.arrived) / MS:.0f} ms"
             if c.why:
                 return "NO DATA", SAYS[c.why]

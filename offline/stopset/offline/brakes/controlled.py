@@ -85,8 +85,8 @@ def _shape(kind: str, t: Array, v0: Array, control: float, value: float, pace: f
     """Displacement and speeds (K, n) of a ramp."""
     lasts = np.maximum(np.full(v0.shape, value) if kind == "time" else np.abs(v0) / value, 1e-9)
     s = np.clip((t[:, None] - control) / lasts, 0.0, 1.0)
-    way = np.minimum(t[:, None], control) + lasts * (s - 0.5 * s * s)
-    return v0 * (way + 0.5 * pace * way * way), v0 * (1.0 - s) * np.maximum(1.0 + pace * way, 0.0)
+    path_time = np.minimum(t[:, None], control) + lasts * (s - 0.5 * s * s)
+    return v0 * (path_time + 0.5 * pace * path_time * path_time), v0 * (1.0 - s) * np.maximum(1.0 + pace * path_time, 0.0)
 
 
 def fit_all(kind: str, stops: Sequence[Recording]) -> list[RampFit]:
@@ -147,5 +147,5 @@ def _tracking(kind: str, r: Recording, fit: RampFit) -> Array:
     k = trigger_of(r)
     assert k is not None
     t, v, v0 = _motion(r)
-    way, speeds = _shape(kind, t, v0, fit.control, fit.value, fit.pace)
-    return np.array([np.abs(r.q[k:] - r.q[k] - way).max(axis=0), np.abs(v - speeds).max(axis=0)])
+    path_time, speeds = _shape(kind, t, v0, fit.control, fit.value, fit.pace)
+    return np.array([np.abs(r.q[k:] - r.q[k] - path_time).max(axis=0), np.abs(v - speeds).max(axis=0)])

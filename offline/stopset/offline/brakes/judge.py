@@ -76,7 +76,7 @@ def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> StopVerdi
         if pace is not None and not ramp.pace[0] <= pace <= ramp.pace[1]:
             uncovered.append(r.label)
             continue
-        left = first_outside([stop1_tube(ramp, noise, r)], r, noise) or first_restless(ramp, noise, r)
+        left = first_outside([stop1_tube(ramp, noise, r)], r, noise) or first_still_moving(ramp, noise, r)
         if left is not None:
             outside.append((r.label, *left))
     return StopVerdict(len(stops), len(stops) - len(uncovered), tuple(outside), tuple(uncovered))
@@ -102,7 +102,7 @@ def stop1_tube(ramp: Ramp, noise: Box, r: Recording) -> Tube:
     return ramp_tube(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
 
 
-def first_restless(ramp: Ramp, noise: Box, r: Recording) -> tuple[int, float] | None:
+def first_still_moving(ramp: Ramp, noise: Box, r: Recording) -> tuple[int, float] | None:
     """Joint and time after the trigger [s] at which a controlled stop still moves though its bound says it rests; None if it never
     does, or nothing is said."""
     k = trigger_of(r)

@@ -18,7 +18,7 @@ from stopset.artifact import Brakes, Model, UncertaintySets
 from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
-from stopset.offline.brakes.timing import GRID, RISES, Told, tell
+from stopset.offline.brakes.timing import GRID, RISES, BrakeEstimate, brake_estimate
 from stopset.reach.stops.setting import setting_of
 from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.sets import Box
@@ -28,7 +28,7 @@ LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
 SIGMAS = 4.0  # of a measured speed's noise within its bound
-APART = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
+OWN_LAG = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
 ROUNDS = 10  # of medians
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
 TYPICAL = 0.1  # relative spread of friction between stops
@@ -42,7 +42,7 @@ class Seen:
     """What one stop told, joint by joint; ``start``: (n,) [rad/s] by which it went as if started faster, nan if not known."""
 
     suite: SuiteKey
-    told: tuple[Told | None, ...]
+    estimates: tuple[BrakeEstimate | None, ...]
     start: Array
 
 
@@ -56,11 +56,17 @@ def look(model: Model, brakes: Brakes, stops: Sequence[Recording], noise: Box) -
     torque, out = brakes.torque.centre, []
     for r in stops:
         curves = impulses(setting, r, noise.radius[n:] / SIGMAS)
-        told = tuple(None if c is None else tell(c, float(torque[i]), float(spread[i])) for i, c in enumerate(curves))
-        momentum = np.array([0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, told, strict=True)])
+        estimates = tuple(
+            None if c is None else brake_estimate(c, float(torque[i]), float(spread[i])) for i, c in enumerate(curves)
+        )
+        momentum = np.array(
+            [0.0 if w is None or c is None else c.sign * w.impulse for c, w in zip(curves, estimates, strict=True)]
+        )
         signs = [0.0 if c is None else c.sign for c in curves]
-        told = tuple(None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(told, signs, strict=True))
-        out.append(Seen(r.suite_key, told, speed_error(setting, r, momentum)))
+        estimates = tuple(
+            None if w is None else replace(w, torque_error=w.torque_error * s) for w, s in zip(estimates, signs, strict=True)
+        )
+        out.append(Seen(r.suite_key, estimates, speed_error(setting, r, momentum)))
     return out
 
 
@@ -80,7 +86,7 @@ def guessed_brakes(model: Model, stops: Sequence[Recording], noise: Box) -> Brak
 
 def _table(seen: Sequence[Seen], field: str) -> Array:
     """(stops, n) of one field of what was told, nan where nothing was."""
-    return np.array([[np.nan if w is None else getattr(w, field) for w in s.told] for s in seen])
+    return np.array([[np.nan if w is None else getattr(w, field) for w in s.estimates] for s in seen])
 
 
 def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list[str]) -> Model | None:
@@ -93,9 +99,9 @@ def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list
 def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, notes: list[str]) -> Model | None:
     """The model with brakes and the regime STOP 0 from what stops told under the brakes ``wide`` assumed before."""
     n = model.n
-    told = _table(seen, "delay")
-    own = own_lags(told)
-    delay = without_strays(told, own, notes)
+    delays = _table(seen, "delay")
+    own = own_lags(delays)
+    delay = without_strays(delays, own, notes)
     if np.sum(~np.isnan(delay)) < LEAST:
         notes.append("too few joints were still moving when their brakes engaged; brakes cannot be identified from these stops")
         return None
@@ -108,26 +114,26 @@ def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, no
         )
         return None
     suites = [s.suite for s in seen]
-    timing, apart, silent = timing_of(delay, own, suites)
-    stops_told = int(np.sum(~np.isnan(delay).all(axis=1)))
-    if stops_told < ENOUGH:
-        notes.append(f"only {stops_told} stops tell when the brakes engaged: the delays assumed before stay possible")
+    timing, delay_spread, silent = timing_of(delay, own, suites)
+    informative = int(np.sum(~np.isnan(delay).all(axis=1)))
+    if informative < ENOUGH:
+        notes.append(f"only {informative} stops tell when the brakes engaged: the delays assumed before stay possible")
     elif silent:
         notes.append(
             f"fewer than {LEAST} stops of {silent} tell when the brakes engaged: the delays assumed before stay possible"
         )
-    if stops_told < ENOUGH or silent:
+    if informative < ENOUGH or silent:
         timing = timing | wide.delay
-    lost = np.isnan(delay).all(axis=0) & ~np.isnan(told).all(axis=0)
+    lost = np.isnan(delay).all(axis=0) & ~np.isnan(delays).all(axis=0)
     if np.any(lost):
         names = ", ".join(model.joints[i] for i in np.flatnonzero(lost))
         notes.append(f"every delay told of the brakes of {names} was left out: those assumed before stay possible, at any time")
-        apart, both = None, timing | wide.delay
+        delay_spread, both = None, timing | wide.delay
         timing = Box.of(np.where(lost, both.lo, timing.lo), np.where(lost, both.hi, timing.hi))
     brakes = Brakes(
         _torques(model, wide, torque, suites, notes), timing, Box.of(*np.tile(_rises(_table(seen, "rise")), (n, 1)).T),
-        source=f"identified from {len(seen)} recorded stops, {stops_told} of which tell a delay and {int(np.isfinite(torque).sum())} "
-        "joints a torque", apart=apart, lag=None if apart is None or not own.any() else own - own.min(),
+        source=f"identified from {len(seen)} recorded stops, {informative} of which tell a delay and {int(np.isfinite(torque).sum())} "
+        "joints a torque", delay_spread=delay_spread, lag=None if delay_spread is None or not own.any() else own - own.min(),
     )  # fmt: skip
     return replace(model, brakes=brakes, sets={**model.sets, "stop0": _regime(model, seen, noise)})
 
@@ -138,19 +144,19 @@ def own_lags(delay: Array) -> Array:
 
     A stop's common time and a joint's lag are fitted in turn, by medians: a few misfits move neither.
     """
-    n, told = delay.shape[1], ~np.isnan(delay)
-    together = told.sum(axis=1) > 1
+    n, given = delay.shape[1], ~np.isnan(delay)
+    together = given.sum(axis=1) > 1
     rows, own = delay[together], np.zeros(n)
     if not len(rows):
         return own
     for _ in range(ROUNDS):
         common = np.nanmedian(rows - own, axis=1, keepdims=True)
         for i in range(n):
-            mine = (rows - common)[told[together, i], i]
+            mine = (rows - common)[given[together, i], i]
             own[i] = np.median(mine) if len(mine) >= LEAST else 0.0
     for i in range(n):
-        mine = (rows - common)[told[together, i], i]
-        if len(mine) < LEAST or abs(own[i]) <= max(APART, 2.0 * 1.4826 * float(np.median(np.abs(mine - own[i])))):
+        mine = (rows - common)[given[together, i], i]
+        if len(mine) < LEAST or abs(own[i]) <= max(OWN_LAG, 2.0 * 1.4826 * float(np.median(np.abs(mine - own[i])))):
             own[i] = 0.0
     return own
 
@@ -186,10 +192,10 @@ def timing_of(delay: Array, own: Array, suites: Sequence[SuiteKey]) -> tuple[Box
             groups[suite] = ([*values, *common[s][rows[s]]], count + 1)
     lo, hi = hull(groups)
     box = Box.of(np.maximum(lo + own, 0.0), np.maximum(hi + own, 1e-3))
-    apart = [float(np.ptp(common[s][rows[s]])) for s in range(len(delay)) if rows[s].sum() > 1]
-    if len(apart) < 2:
+    spreads = [float(np.ptp(common[s][rows[s]])) for s in range(len(delay)) if rows[s].sum() > 1]
+    if len(spreads) < 2:
         return box, None, _silent(groups, suites)
-    return box, farther(len(apart)) * max(apart) + GRID, _silent(groups, suites)
+    return box, farther(len(spreads)) * max(spreads) + GRID, _silent(groups, suites)
 
 
 def _silent(groups: Mapping[SuiteKey, tuple[list[float], int]], suites: Sequence[SuiteKey]) -> str:
@@ -201,20 +207,20 @@ def _torques(model: Model, wide: Brakes, torque: Array, suites: Sequence[SuiteKe
     """(n,) [N m]: each brake's middle times what all brakes of the arm varied by."""
     nominal = wide.torque.centre
     share = torque / nominal
-    told = ~np.isnan(share)
-    if told.sum() < LEAST:
+    given = ~np.isnan(share)
+    if given.sum() < LEAST:
         notes.append("no brake's torque could be told from these stops; it stays as before")
         return wide.torque
     usual = float(np.nanmedian(share))
     middle = np.full(model.n, usual)
     for i in range(model.n):
-        mine = share[told[:, i], i]
+        mine = share[given[:, i], i]
         if len(mine) >= LEAST:
             middle[i] = float(np.median(mine))
         elif len(mine) == 0:
             notes.append(f"the brake of {model.joints[i]} was not seen closing: it is taken to vary as the others do")
     groups: dict[SuiteKey, tuple[list[float], int]] = {}
-    for s, i in np.argwhere(told):
+    for s, i in np.argwhere(given):
         values, count = groups.get(suites[s], ([], 0))
         groups[suites[s]] = ([*values, float(share[s, i] / middle[i])], count + 1)
     lo, hi = hull(groups, TORQUES)

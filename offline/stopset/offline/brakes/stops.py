@@ -88,7 +88,7 @@ def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list
         known = None
     if known is None:
         return model, None
-    regular, few = _apart(held, stops)
+    regular, few = _by_suite_size(held, stops)
     return known, guarantee_line("STOP 0", judge_stop0(known, regular), judge_stop0(known, few), len(train))
 
 
@@ -99,7 +99,7 @@ def _controlled(
     if not _enough(train, "stop1", notes):
         return None, None
     ramp = fit_ramp(train, requests, noise, notes)
-    regular, few = _apart(held, stops)
+    regular, few = _by_suite_size(held, stops)
     return ramp, guarantee_line("STOP 1", judge_stop1(ramp, noise, regular), judge_stop1(ramp, noise, few), len(train))
 
 
@@ -127,7 +127,7 @@ def _suites(stops: Sequence[Recording]) -> dict[SuiteKey, list[Recording]]:
     return out
 
 
-def _apart(held: Sequence[Recording], stops: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+def _by_suite_size(held: Sequence[Recording], stops: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
     """Held-out stops from suites of many and of few stops; all count as of many where every suite has few."""
     few = {s for s, rows in _suites(stops).items() if len(rows) < FEW}
     if len(few) == len(_suites(stops)):

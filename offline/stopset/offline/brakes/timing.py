@@ -27,7 +27,7 @@ MISFIT = 2.5  # squared misfit per sample beyond which no ramp explains the curv
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class BrakeEstimate:
     """What one joint told in one stop; nan where it told nothing.
 
     ``delay``, ``rise`` [s]; ``torque`` [N m]; ``impulse`` [N m s] the drive still gave along the motion; ``torque_error``
@@ -42,7 +42,7 @@ class Told:
     torque_error_std: float
 
 
-def tell(c: Impulse, torque: float, friction_spread: float) -> Told:
+def brake_estimate(c: Impulse, torque: float, friction_spread: float) -> BrakeEstimate:
     """The best ramp of one curve; ``torque``: [N m] assumed, ``friction_spread``: [N m] one sigma."""
     delays = np.arange(0.0, float(c.t[-1]) + 0.5 * RISES[-1], GRID)
     size = np.array([np.hypot(c.noise, FADING * c.drive), friction_spread])
@@ -60,18 +60,18 @@ def tell(c: Impulse, torque: float, friction_spread: float) -> Told:
     none = float(y @ rest @ y)  # misfit without any brake
     if min(cost[d, r], none) > MISFIT * len(c.t):  # an elastic joint, say: what it does right after the cut counts as given
         early = c.taken[c.t <= EARLY]
-        return Told(np.nan, np.nan, np.nan, -float(early[np.argmax(np.abs(early))]), np.nan, np.inf)
+        return BrakeEstimate(np.nan, np.nan, np.nan, -float(early[np.argmax(np.abs(early))]), np.nan, np.inf)
     spread = size * np.sqrt(np.diag(np.linalg.inv(np.eye(2) + line.T @ line)))
     if none < cost[d, r] + 2.0 * SIGNIFICANT:
         x = size * (gain @ y)
-        return Told(np.nan, np.nan, np.nan, -float(x[0]), -float(x[1]), float(spread[1]))
+        return BrakeEstimate(np.nan, np.nan, np.nan, -float(x[0]), -float(x[1]), float(spread[1]))
     alike = delays[cost.min(axis=1) < cost.min() + SIGNIFICANT]
     rises = RISES[cost.min(axis=0) < cost.min() + 0.5 * SIGNIFICANT]
     credible = CREDIBLE[0] * torque <= level[d, r] <= CREDIBLE[1] * torque
     sharp = credible and np.ptp(alike) <= SHARP and float(alike[-1]) < float(c.t[-1])
     mean, std = _level(cost, level, curvature + weight)
     x = size * (gain @ (y - level[d, r] * R[d, r]))
-    return Told(
+    return BrakeEstimate(
         delay=float(delays[d]) if sharp else np.nan,
         rise=float(RISES[r]) if sharp and np.ptp(rises) <= SHARP else np.nan,
         torque=mean if sharp and std <= TELLING * torque else np.nan,

@@ -19,7 +19,7 @@ def tagged(campaign: Campaign, flags: Sequence[str], paths: Sequence[str | Path]
 
     Raises `RecordingError` for a flag of another form, or of a file that is not among them.
     """
-    told: dict[int, list[str]] = {}
+    stated: dict[int, list[str]] = {}
     for flag in flags:
         text, _, name = flag.partition("@")
         key, equals, value = text.partition("=")
@@ -31,14 +31,14 @@ def tagged(campaign: Campaign, flags: Sequence[str], paths: Sequence[str | Path]
         if not which:
             raise RecordingError(f"--condition {flag}: {name} is not among the recordings of --data; name one of them")
         for k in which:
-            told.setdefault(k, []).append(f"{key}={value}")
-    if not told:
+            stated.setdefault(k, []).append(f"{key}={value}")
+    if not stated:
         return campaign
 
     def trials() -> Iterator[Recording]:
         for r in campaign.trials():
             own = [r.condition] if r.condition else []
-            yield replace(r, condition=", ".join([*own, *told.get(r.file, [])]))
+            yield replace(r, condition=", ".join([*own, *stated.get(r.file, [])]))
 
     return replace(campaign, trials=trials)
 

@@ -26,7 +26,7 @@ SEAM = 0.25  # [s] that may be lost, or recorded twice, between pieces
 FEWEST_JOINTS = 3  # of an arm whose state tells where in its motion it is
 SEAM_ANGLE, SEAM_SPEED = 2e-3, 0.05  # [rad], [rad/s] besides a tenth of what the arm moved and a usual acceleration
 SEAM_ACCELERATION = 10.0  # [rad/s^2]
-UNDER_WAY = 0.05  # [rad/s] slower, every trial that starts where the last one rested would be a piece
+MOVING = 0.05  # [rad/s] slower, every trial that starts where the last one rested would be a piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +107,17 @@ def _near(ends: Sequence[Ends]) -> list[tuple[int, int]]:
 
 def goes_on(a: Ends, b: Ends) -> bool:
     """Whether ``b`` begins where ``a`` ended: in position and speed under way, or at rest where the clock ran on."""
-    way, speed = b.q[0] - a.q[1], 0.5 * (a.dq[1] + b.dq[0])
+    jump, speed = b.q[0] - a.q[1], 0.5 * (a.dq[1] + b.dq[0])
     top = float(np.abs(speed).max())
     # the time lost between them that fits best
-    seam = SEAM if len(way) >= FEWEST_JOINTS else 0.0  # one or two joints meet by chance, sooner or later
-    gap = float(np.clip(way @ speed / max(float(speed @ speed), 1e-12), -seam, seam))
-    off, turned = np.abs(way - gap * speed).max(), np.abs(b.dq[0] - a.dq[1]).max()
+    seam = SEAM if len(jump) >= FEWEST_JOINTS else 0.0  # one or two joints meet by chance, sooner or later
+    gap = float(np.clip(jump @ speed / max(float(speed @ speed), 1e-12), -seam, seam))
+    off, turned = np.abs(jump - gap * speed).max(), np.abs(b.dq[0] - a.dq[1]).max()
     if off > SEAM_ANGLE + 0.1 * abs(gap) * top or turned > SEAM_SPEED + 0.1 * top + SEAM_ACCELERATION * abs(gap):
         return False
     # an arm at rest tells nothing, unless the clock ran on: a trial's own time begins at zero
-    under_way = min(float(np.abs(a.dq[1]).max()), float(np.abs(b.dq[0]).max())) > UNDER_WAY
-    return bool(under_way or (b.t[0] > 0 and abs(b.t[0] - a.t[1]) <= SEAM))
+    moving = min(float(np.abs(a.dq[1]).max()), float(np.abs(b.dq[0]).max())) > MOVING
+    return bool(moving or (b.t[0] > 0 and abs(b.t[0] - a.t[1]) <= SEAM))
 
 
 class _Signals:
@@ -146,16 +146,16 @@ class _Signals:
             return False
         product = irfft((self.spectrum[i] * self.spectrum[k].conj()).sum(axis=0), self.size)[shift]
         ours, theirs = self.squares[i][i0 + m] - self.squares[i][i0], self.squares[k][k0 + m] - self.squares[k][k0]
-        apart = np.sqrt(np.maximum(ours + theirs - 2.0 * product, 0.0) / m)
+        distance = np.sqrt(np.maximum(ours + theirs - 2.0 * product, 0.0) / m)
         noise = np.sqrt(self.noise[i] + self.noise[k])
         # nothing varies by more than its size: most pairs are told apart by that already
-        near = np.flatnonzero(apart <= NOISES * noise + ALIKE * np.sqrt(theirs / m))
+        near = np.flatnonzero(distance <= NOISES * noise + ALIKE * np.sqrt(theirs / m))
         if not len(near):
             return False
         k0, m = k0[near], m[near]
         middle = ((self.sums[k][k0 + m] - self.sums[k][k0]) ** 2).sum(axis=1) / m
         varies = np.sqrt(np.maximum(theirs[near] - middle, 0.0) / m)
-        same = apart[near] <= NOISES * noise + ALIKE * varies
+        same = distance[near] <= NOISES * noise + ALIKE * varies
         return bool(np.any(same & (varies > VARIES * noise) & (varies > 0)))
 
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 from stopset.errors import StopsetError
 from stopset.offline.campaign.trials import Source
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording
 
 Range = tuple[int, int]  # trials by place in the campaign: first, one past the last
@@ -34,11 +34,11 @@ A = TypeVar("A", bound=Mergeable)
 B = TypeVar("B", bound=Mergeable)
 
 
-class Progress:
-    """Tells every tenth of the trials as they are done, by however many threads."""
+class TrialCounter:
+    """Reports every tenth of the trials as they are done, by however many threads."""
 
-    def __init__(self, trials: int, tell: Tell) -> None:
-        self._trials, self.tell, self._done = max(trials, 1), tell, 0
+    def __init__(self, trials: int, progress: Progress) -> None:
+        self._trials, self.progress, self._done = max(trials, 1), progress, 0
         self._lock = Lock()
 
     def step(self) -> None:
@@ -46,10 +46,10 @@ class Progress:
         with self._lock:
             before, self._done = self._done, self._done + 1
             if 10 * self._done // self._trials > 10 * before // self._trials:
-                self.tell(f"{self._done} of {self._trials} trials", min(1.0, self._done / self._trials))
+                self.progress(f"{self._done} of {self._trials} trials", min(1.0, self._done / self._trials))
 
 
-def passing(source: Source, trials: int, passes: int, doing: str, tell: Tell) -> Source:
+def passing(source: Source, trials: int, passes: int, doing: str, progress: Progress) -> Source:
     """``source`` of so many trials, which is read about so many times: after each trial it is told how far that is."""
     done = 0
 
@@ -58,7 +58,7 @@ def passing(source: Source, trials: int, passes: int, doing: str, tell: Tell) ->
         for r in source():
             yield r
             done += 1
-            tell(doing, min(1.0, done / (trials * passes)))
+            progress(doing, min(1.0, done / (trials * passes)))
 
     return counted
 
@@ -82,16 +82,18 @@ def ranges(trials: int, parts: int) -> list[Range]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def in_parts(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, tell: Tell = silent) -> tuple[A, B]:
+def in_parts(
+    work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str | None = None, progress: Progress = silent
+) -> tuple[A, B]:
     """``work`` on every part, merged in order: in threads (the heavy kernels release the interpreter), or on a Dask cluster.
 
     ``scheduler``: address of a running Dask scheduler whose workers can read the same files; a part whose worker dies is
-    given to another one; ``tell`` is told the cluster's parts as they come in.
+    given to another one; ``progress`` is given the cluster's parts as they come in.
 
     Raises `StopsetError` if there is no such scheduler or no worker left.
     """
     if scheduler is not None:
-        results = _on_cluster(work, trials, scheduler, tell)
+        results = _on_cluster(work, trials, scheduler, progress)
     else:
         parts = max(1, min(os.cpu_count() or 1, trials // FEWEST, 4))
         with ThreadPoolExecutor(parts) as pool:
@@ -121,12 +123,12 @@ def connected(scheduler: str) -> Iterator[Any]:
         yield client
 
 
-def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str, tell: Tell) -> list[tuple[A, B]]:
+def _on_cluster(work: Callable[[Range], tuple[A, B]], trials: int, scheduler: str, progress: Progress) -> list[tuple[A, B]]:
     from distributed import as_completed
 
     with connected(scheduler) as client:
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         jobs = client.map(work, ranges(trials, max(workers, min(workers * PER_WORKER, trials // FEWEST))), pure=False)
         for done, _ in enumerate(as_completed(jobs, loop=client.loop), 1):
-            tell(f"{done} of {len(jobs)} parts of the campaign from {workers} workers", done / len(jobs))
+            progress(f"{done} of {len(jobs)} parts of the campaign from {workers} workers", done / len(jobs))
         return list(client.gather(jobs))

@@ -104,7 +104,7 @@ class Tally:
     longest: float = 0.0
     irregular: bool = False
     conditions: set[str] = field(default_factory=set)
-    kept: list[Recording] = field(default_factory=list)
+    retained: list[Recording] = field(default_factory=list)
     stride: int = 1
 
     def add(self, r: Recording) -> None:
@@ -128,9 +128,9 @@ class Tally:
         self.ends[r.suite_key] = self.ends[r.suite_key].until(ends) if r.suite_key in self.ends else ends
         self.repeats[r.suite_key] = self.repeats.get(r.suite_key, 0) + 1
         if (len(self.steps) - 1) % self.stride == 0:
-            self.kept.append(r)
-            if len(self.kept) > KEEP:
-                self.kept, self.stride = self.kept[::2], 2 * self.stride
+            self.retained.append(r)
+            if len(self.retained) > KEEP:
+                self.retained, self.stride = self.retained[::2], 2 * self.stride
         self.samples += len(r.t)
         self.longest = max(self.longest, float(r.t[-1] - r.t[0]))
 
@@ -149,7 +149,7 @@ class Tally:
             phase=self.phase, dt=round(float(np.median(self.steps)), 6) if dt is None else dt, trials=len(self.steps),
             samples=self.samples, longest=self.longest, places=self.places, motion=motion,
             readings=self.noise.error(held), late=self.noise.late(held), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
-            temp=self.hulls.get("temp"), sample=tuple(self.kept), irregular=self.irregular,
+            temp=self.hulls.get("temp"), sample=tuple(self.retained), irregular=self.irregular,
             session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
         )  # fmt: skip
 

@@ -22,7 +22,7 @@ from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.offline.nominal.model import roller
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording, read_meta, stream_recordings
@@ -105,10 +105,10 @@ def _on_grid(paths: Sequence[str | Path], model: Model, found: Survey, dt: float
             yield g
 
 
-def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> Comparison:
+def compare(model: Model, paths: Sequence[str | Path], progress: Progress = silent) -> Comparison:
     """Hold the recordings against the model over all window starts and ages; one trial in memory at a time.
 
-    ``tell`` is told every trial, and how many leave the sets so far.
+    ``progress`` is given every trial, and how many leave the sets so far.
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
@@ -123,7 +123,7 @@ def compare(model: Model, paths: Sequence[str | Path], tell: Tell = silent) -> C
     cutoff = 0.0 if model.effort == "compensated_torque" else recorded_low_pass(model.robot, found.sample)
     for motion, r, u in inputs(model, paths, found, dt):
         share = min(1.0, len(rows) / max(found.trials, 1))
-        tell(f"{len(rows)} of {found.trials} trials compared, {out} leave the sets so far", share)
+        progress(f"{len(rows)} of {found.trials} trials compared, {out} leave the sets so far", share)
         figures.add(r, u)
         if model.effort != "compensated_torque":
             left += _known(model, r, u, cutoff)

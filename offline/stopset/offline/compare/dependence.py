@@ -39,7 +39,7 @@ class Explained:
     error: Array
     values: tuple[Array, ...]
 
-    def telling(self, joint: int) -> int:
+    def strongest(self, joint: int) -> int:
         """Number of the variable that explains most at a joint; of those that explain about as much, one of its own, the plainest.
 
         Joints that are moved together explain each other's errors as well as their own: only a clearly better one is believed.
@@ -54,7 +54,7 @@ def foreign(variable: str) -> bool:
     return variable.startswith(("q of ", "dq of "))
 
 
-def telling_first(found: Explained) -> NDArray[np.intp]:
+def strongest_first(found: Explained) -> NDArray[np.intp]:
     """Numbers of the variables, the ones that tell most first, without those that say the same as one before them."""
     order = np.argsort(-found.share.max(axis=0) + np.array([TIE * foreign(v) for v in found.variables]), kind="stable")
     retained: list[int] = []
@@ -90,7 +90,7 @@ def partial_residual(found: Explained, joint: int, variable: int | None = None) 
     together, like the first one's law.  Source: Hastie & Tibshirani (1990), backfitting.
     """
     e = found.error[:, joint] - found.error[:, joint].mean()
-    first = found.telling(joint) if variable is None else variable
+    first = found.strongest(joint) if variable is None else variable
     places = [_places(v[:, joint]) for v in found.values]
     left = e - _means(e, places[first])[places[first]]
     rest = [k for k in range(len(places)) if k != first]

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
-from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, telling_first
+from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, strongest_first
 from stopset.offline.compare.tubes import chosen, left, tubes
 from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure, in_full, verdict
 from stopset.offline.conform.bands import narrower
@@ -92,7 +92,7 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
 
 def _heat_map(out: Page, model: Model, shares: Explained) -> None:
     out.heading("What the torque error depends on")
-    order = telling_first(shares)[:COLUMNS]
+    order = strongest_first(shares)[:COLUMNS]
     names = [shares.variables[k] for k in order]
     out.shares(
         model.joints, names, shares.share[:, order],

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Abstraction
-from stopset.offline.campaign.map_reduce import Progress, Range, in_parts, within
+from stopset.offline.campaign.map_reduce import Range, TrialCounter, in_parts, within
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
@@ -76,7 +76,13 @@ def set_problem(run: Run, abstraction: Abstraction, template: Template | None = 
 
 
 def sums_of(
-    run: Run, nominal: NominalPart, form: SetForm, *, keep: bool, scheduler: str | None = None, progress: Progress | None = None
+    run: Run,
+    nominal: NominalPart,
+    form: SetForm,
+    *,
+    keep: bool,
+    scheduler: str | None = None,
+    counter: TrialCounter | None = None,
 ) -> Sums:
     """The heavy pass over the trials of a linear model; ``keep``: all that any later recordings could ask for too."""
     problem = set_problem(run, nominal.abstraction, form.template)
@@ -86,7 +92,7 @@ def sums_of(
     source, effort = run.trials, run.meta.effort
     halves = keep or few_motions(len(split(sorted(set(found.motion.values()))).used))
     in_bands = None if form.bands is None else form.bands.of
-    here = progress if scheduler is None else None  # a cluster's parts come back whole
+    here = counter if scheduler is None else None  # a cluster's parts come back whole
 
     def part(trials: Range) -> tuple[Gathered, Figures]:
         figures = Figures(nominal.abstraction, found.dt, roller(nominal, effort, found))
@@ -100,4 +106,4 @@ def sums_of(
 
         return gather(pairs, problem, halves=halves, bands=in_bands), figures
 
-    return Sums(*in_parts(part, found.places, scheduler, silent if progress is None else progress.tell))
+    return Sums(*in_parts(part, found.places, scheduler, silent if counter is None else counter.progress))

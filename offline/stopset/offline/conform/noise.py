@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.offline.conform.reading_error import Apart, ReadingError, apart
+from stopset.offline.conform.reading_error import ReadingError, ReadingResidual, reading_residual
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array
@@ -81,9 +81,9 @@ class NoiseEstimate:
     to the readings of powered motion is the most that their error may be, see `ReadingError`.
     """
 
-    def __init__(self, kept: RetainedNoise | None = None) -> None:
-        self.kept = kept or RetainedNoise({}, {}, {}, {})
-        self._spread, self._quantum = self.kept.spread, self.kept.quantum
+    def __init__(self, retained: RetainedNoise | None = None) -> None:
+        self.retained = retained or RetainedNoise({}, {}, {}, {})
+        self._spread, self._quantum = self.retained.spread, self.retained.quantum
 
     def add(self, r: Recording, dt: float = 0.0) -> None:
         """Take one trial in; ``dt`` [s]: the grid it is on if it counts for what the sets are found from."""
@@ -93,16 +93,16 @@ class NoiseEstimate:
             self._spread.setdefault(r.suite_key, []).append(spread(x))
             self._quantum[r.suite_key] = _finest(self._quantum.get(r.suite_key, quantum), quantum)
         if dt > 0.0:
-            self._powered(r.suite_key, apart(r.q, r.dq, dt))
+            self._powered(r.suite_key, reading_residual(r.q, r.dq, dt))
 
-    def _powered(self, suite: SuiteKey, seen: Apart) -> None:
-        reach, late = self.kept.reach, self.kept.late
+    def _powered(self, suite: SuiteKey, seen: ReadingResidual) -> None:
+        reach, late = self.retained.reach, self.retained.late
         reach[suite] = np.maximum(reach.get(suite, seen.reach), seen.reach)
         late[suite] = late.get(suite, 0.0) + seen.late
 
     def late(self, without: Collection[SuiteKey] = ()) -> Array:
         """(n,) time [s] by which velocities come after the slope of their positions; 0 where nothing moves."""
-        late = [x for s, x in self.kept.late.items() if s not in without]
+        late = [x for s, x in self.retained.late.items() if s not in without]
         above, below = np.sum(late, axis=0) if late else np.zeros((2, 1))
         return np.divide(above, below, out=np.zeros_like(above), where=below > 0.0)
 
@@ -113,7 +113,7 @@ class NoiseEstimate:
         enough.
         """
         least = self._noise(without)
-        reach = [x for s, x in self.kept.reach.items() if s not in without]
+        reach = [x for s, x in self.retained.reach.items() if s not in without]
         most = np.maximum(least, np.max(reach, axis=0)) if reach else least
         return ReadingError(Box.symmetric(least), Box.symmetric(most))
 

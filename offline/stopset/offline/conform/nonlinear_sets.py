@@ -24,7 +24,7 @@ from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.linear_sets import ConformedSets, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
 from stopset.offline.conform.problem import Options, SetProblem
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.reach.nonlinear import predicted_tube
 from stopset.recording import Recording
 from stopset.types import Array
@@ -84,17 +84,17 @@ class Algorithm:
         return self.remembered[key]
 
 
-def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell = silent) -> ConformedSets:
-    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``tell`` is told how long it takes.
+def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, progress: Progress = silent) -> ConformedSets:
+    """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``progress`` is given how long it takes.
 
     The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
     """
     begun = time.monotonic()
     abstraction, options, dt = problem.abstraction, problem.options, problem.dt
-    kept, lengths = _kept(pairs, trials)
+    retained, lengths = _retained(pairs, trials)
     every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
-    data = {m: along.coarser([t for t, _ in rows], every) for m, rows in kept.items()}
-    labels = {id(x): name for m, rows in kept.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
+    data = {m: along.coarser([t for t, _ in rows], every) for m, rows in retained.items()}
+    labels = {id(x): name for m, rows in retained.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
     longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
     grid = dt * every
     steps = min(round(problem.horizon / grid), longest)
@@ -104,7 +104,7 @@ def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, tell: Tell
     other = "position" if options.conform == "all" else "all"
     fit, second = algorithm.fit(used, options.conform), algorithm.fit(used, other)
     rest = (time.monotonic() - begun) * (g.FOLDS + len(division.held) + 1)  # as many windows each
-    tell(f"sets of {len(division.used)} motions found; margin and check, about {rest:.0f} s to go")
+    progress(f"sets of {len(division.used)} motions found; margin and check, about {rest:.0f} s to go")
     margin, how, notes = _margin(algorithm, data, division.used, options)
     chosen = options.margin if options.margin is not None else margin
     grown, companion = fit.inflated(chosen), second.inflated(chosen)
@@ -183,7 +183,7 @@ def _scope(abstraction: Abstraction, options: Options, starts: int) -> str:
     return "every sample" if abstraction.decoupled else f"{starts} starts spread over the recordings"
 
 
-def _kept(pairs: Pairs, trials: int) -> tuple[dict[int, list[tuple[Trial, str]]], list[int]]:
+def _retained(pairs: Pairs, trials: int) -> tuple[dict[int, list[tuple[Trial, str]]], list[int]]:
     """Trials with their labels by motion, thinned evenly to about `KEEP`; the first of every motion stays.
 
     And the number of samples of every trial.

@@ -41,7 +41,7 @@ class ReadingError:
 
 
 @dataclass(frozen=True, slots=True)
-class Apart:
+class ReadingResidual:
     """Readings of one trial against the sliding cubic of their positions.
 
     ``error`` (K, 2n): positions less the cubic, velocities less its slope; ``bend`` (K, n): its curvature [rad/s^2].
@@ -62,13 +62,13 @@ class Apart:
         return np.stack([-(v * self.bend).sum(axis=0), (self.bend**2).sum(axis=0)])
 
 
-def apart(q: Array, dq: Array, dt: float) -> Apart:
-    """`Apart` of readings ``q, dq`` (N, n) every ``dt`` [s]; no rows where the trial is shorter than the cubic."""
+def reading_residual(q: Array, dq: Array, dt: float) -> ReadingResidual:
+    """`ReadingResidual` of readings ``q, dq`` (N, n) every ``dt`` [s]; no rows where the trial is shorter than the cubic."""
     half = max(FEWEST // 2, round(SMOOTH / dt / 2.0))
     if len(q) <= 2 * half:
-        return Apart(np.zeros((0, 2 * q.shape[1])), np.zeros((0, q.shape[1])))
+        return ReadingResidual(np.zeros((0, 2 * q.shape[1])), np.zeros((0, q.shape[1])))
     powers = np.vander(dt * np.arange(-half, half + 1), 4, increasing=True)
     value, slope, bend = np.linalg.pinv(powers)[:3]
     at = slice(half, len(q) - half)
     smooth, speed, curved = (np.column_stack([np.convolve(c, w[::-1], "valid") for c in q.T]) for w in (value, slope, 2.0 * bend))
-    return Apart(np.hstack([q[at] - smooth, dq[at] - speed]), curved)
+    return ReadingResidual(np.hstack([q[at] - smooth, dq[at] - speed]), curved)

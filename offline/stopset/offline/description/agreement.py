@@ -50,14 +50,14 @@ def held_to_pinocchio(robot: Robot) -> Agreement:
     ours = torques(robot.chain, robot.pi, q, dq, ddq)
     data = model.createData()
     theirs = np.array([pinocchio.rnea(model, data, _configuration(pinocchio, model, q[k]), dq[k], ddq[k]) for k in range(STATES)])
-    apart = np.abs(ours - theirs).max(axis=0)
-    worst = int(np.argmax(apart))
-    if apart[worst] > AGREES * float(np.abs(theirs).max()):
+    difference = np.abs(ours - theirs).max(axis=0)
+    worst = int(np.argmax(difference))
+    if difference[worst] > AGREES * float(np.abs(theirs).max()):
         raise RobotError(
-            f"the description of {robot.name} is taken in two ways: at {robot.joints[worst]} torques differ by {apart[worst]:.3g} N m from "
+            f"the description of {robot.name} is taken in two ways: at {robot.joints[worst]} torques differ by {difference[worst]:.3g} N m from "
             "pinocchio's; expected both to agree to rounding: look for frames or inertias that only one of them knows, or report this URDF"
         )
-    return Agreement(f"pinocchio {pinocchio.__version__}", STATES, float(f"{apart[worst]:.1g}"))
+    return Agreement(f"pinocchio {pinocchio.__version__}", STATES, float(f"{difference[worst]:.1g}"))
 
 
 def _configuration(pinocchio: Any, model: Any, q: Array) -> Array:

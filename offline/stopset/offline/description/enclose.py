@@ -49,10 +49,10 @@ def capsule_around(points: Array) -> Array:
 
 def distance(points: Array, ends: Array) -> Array:
     """(m,) [m] of ``points`` (m, 3) from the segment between ``ends`` (6,)."""
-    a, way = ends[:3], ends[3:6] - ends[:3]
-    length2 = way @ way
-    share = np.clip((points - a) @ way / length2, 0.0, 1.0) if length2 > 0 else np.zeros(len(points))
-    return np.asarray(np.linalg.norm(points - a - share[:, None] * way, axis=1))
+    a, line = ends[:3], ends[3:6] - ends[:3]
+    length2 = line @ line
+    share = np.clip((points - a) @ line / length2, 0.0, 1.0) if length2 > 0 else np.zeros(len(points))
+    return np.asarray(np.linalg.norm(points - a - share[:, None] * line, axis=1))
 
 
 def _volume(ends: Array, points: Array) -> float:

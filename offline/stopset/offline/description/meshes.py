@@ -36,10 +36,10 @@ def _places(name: str, folder: Path | None) -> Iterator[Path]:
     scheme, _, rest = name.rpartition("://")
     above = [] if folder is None else [folder, *folder.resolve().parents]
     if scheme in ("package", "model"):
-        told = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
-        told += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+        listed = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+        listed += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
         package, _, inside = rest.partition("/")
-        for place in (*above, *told):
+        for place in (*above, *listed):
             yield place / rest
             if place.name == package:
                 yield place / inside

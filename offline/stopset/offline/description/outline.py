@@ -127,18 +127,18 @@ def check_joints(tree: Outline, locked: Collection[str], tip: str | None) -> lis
     if not set(locked) <= names:
         strange = ", ".join(sorted(set(locked) - names))
         raise RobotError(f"{tree.source} has no joint {strange} to lock; expected of its joints: mend --lock")
-    way = tree.joints if tip is None else tree.to(tip)
-    for j in way:
+    chain = tree.joints if tip is None else tree.to(tip)
+    for j in chain:
         if j.kind == "fixed" or j.name in locked:
             continue
         why = f"follows joint {j.follows} (mimic)" if j.follows else f"is {j.kind}"
         if j.follows or j.kind not in TURNS:
-            others = [o.name for o in way if o.name not in locked and (o.follows or o.kind not in (*TURNS, "fixed"))]
+            others = [o.name for o in chain if o.name not in locked and (o.follows or o.kind not in (*TURNS, "fixed"))]
             raise RobotError(
                 f"{tree.source}: joint {j.name} {why}; expected joints that turn by themselves: lock what stands still "
                 f"(--lock {','.join(others)}), or name the arm's last link with --tip where it is beside the arm"
             )
-    turning = {j.name for j in way if j.kind != "fixed" and j.name not in locked}
+    turning = {j.name for j in chain if j.kind != "fixed" and j.name not in locked}
     return [j.name for j in tree.joints if j.kind != "fixed" and j.name not in turning]
 
 

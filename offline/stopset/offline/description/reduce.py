@@ -99,14 +99,14 @@ def _heard() -> Iterator[list[str]]:
     """Sentences that the parser behind pinocchio writes to the terminal: it goes on after some errors, with zeros."""
     said: list[str] = []
     sys.stderr.flush()
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as captured:
         terminal = os.dup(2)
-        os.dup2(told.fileno(), 2)
+        os.dup2(captured.fileno(), 2)
         try:
             yield said
         finally:
             os.dup2(terminal, 2)
             os.close(terminal)
-            told.seek(0)
-            lines = told.read().decode("utf-8", "replace").splitlines()
+            captured.seek(0)
+            lines = captured.read().decode("utf-8", "replace").splitlines()
             said[:0] = [" ".join(x.removeprefix("Error:").split()) for x in lines if x.startswith("Error:")]

@@ -26,7 +26,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
 
@@ -47,7 +47,7 @@ class _Trial:
 
 
 def diagnose_open_loop(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = silent
 ) -> Diagnosis:
     """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
     found = survey(lambda: recordings.trials)
@@ -69,7 +69,7 @@ def diagnose_open_loop(
     ranked: list[tuple[Ranked, tuple[str, ...]]] = []
     trained = batches(even)
     for k, (joint, train, held) in enumerate(zip(model.joints, trained, batches(odd), strict=True)):
-        tell(
+        progress(
             f"simulating {joint} with every effect: joint {k} of {model.n} done, {len(ranked)} effects found so far", k / model.n
         )
         mine = [f for f in compensated(model.effects, model.abstraction) if f.joint in (joint, None)]
@@ -117,7 +117,7 @@ def _blind(model: Model, batches: Sequence[JointBatch]) -> tuple[Blind, ...]:
         if silent and "temp" in effect.needs:
             out.append(Blind(effect.name, (), UNRECORDED, REMEDIES[UNRECORDED]))
         elif silent and "warm" not in effect.needs:
-            out.append(Blind(effect.name, silent, TRACELESS, effect.tell_apart))
+            out.append(Blind(effect.name, silent, TRACELESS, effect.distinguished_by))
     return tuple(out)
 
 

@@ -26,7 +26,7 @@ from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.prior import Tolerance
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -93,18 +93,18 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 
 def diagnose_model(
-    model: Model, recordings: Recordings, names: Sequence[str] | None = None, tell: Tell = silent
+    model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = silent
 ) -> tuple[Diagnosis, str]:
     """`diagnose` for a model file, with ``names`` of these effects only; also says what the recordings were measured against.
 
-    ``tell`` is told each step.
+    ``progress`` is given each step.
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
-        return diagnose_open_loop(model, recordings, names, tell), "open-loop simulation from each trial's start"
+        return diagnose_open_loop(model, recordings, names, progress), "open-loop simulation from each trial's start"
     moving = [r for r in recordings if moves(r)]
     cutoff = recorded_low_pass(model.robot, moving)
     if cutoff:
@@ -116,18 +116,20 @@ def diagnose_model(
     fitted = settled(model) if base.known is None else model.effects
     if not moving:
         return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
-    found = answered(examine(base.robot, recordings, fitted, known=base.known, tell=tell), names)
+    found = answered(examine(base.robot, recordings, fitted, known=base.known, progress=progress), names)
     chosen = {f.label for f in model.effects} - {f.label for f in fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    told = (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *told, *found.notes))
+    filtered = (
+        (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    )
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *filtered, *found.notes))
     found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())) if base.known is None else taken_out)
     if base.known is None or names is not None:
         return found, base.against
-    tell("what changed since identification")
+    progress("what changed since identification")
     return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
 
 

@@ -17,7 +17,7 @@ from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
@@ -52,7 +52,7 @@ def estimates(
     names: Sequence[str],
     fitted: Sequence[Fitted] = (),
     known: Known | None = None,
-    tell: Tell = silent,
+    progress: Progress = silent,
 ) -> Estimates:
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
 
@@ -60,14 +60,14 @@ def estimates(
     """
     if not any(map(moves, recordings)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(robot, recordings, fitted, known=known, tell=tell)
+    x = examine(robot, recordings, fitted, known=known, progress=progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     named = {e.name for e in out}
     for name in names:
         if name in named:
             continue
         beside = (*fitted, *(e.fitted for e in out))
-        alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known, tell=tell)
+        alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known, progress=progress)
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
 

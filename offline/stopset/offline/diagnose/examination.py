@@ -20,7 +20,7 @@ from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.types import Array
@@ -55,18 +55,18 @@ class Examination:
 
 def examine(
     robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
-    names: Sequence[str] | None = None, known: Known | None = None, tell: Tell = silent,
+    names: Sequence[str] | None = None, known: Known | None = None, progress: Progress = silent,
 ) -> Examination:  # fmt: skip
     """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
 
-    ``tell`` is told each step.
+    ``progress`` is given each step.
     """
-    tell(f"{len(recordings)} recordings; preparing their rows")
+    progress(f"{len(recordings)} recordings; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)
     already = _with_own(Hypothesis(engine), fitted)
-    tell(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
-    found = search(already, names, tell=tell)
-    tell("what is left, and what these recordings cannot tell")
+    progress(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
+    found = search(already, names, progress=progress)
+    progress("what is left, and what these recordings cannot tell")
     left = left_of(found)
     return Examination(already, found, left, _ranked(found, already, left))
 

@@ -40,4 +40,4 @@ class GravityMoments(NamedTuple):
 
 def gravity_moments(chain: Chain, pi: Array, q: Array) -> GravityMoments:
     """Of the positions ``q`` (N, n) [rad] for the links' standard parameters ``pi`` (n, 10)."""
-    return GravityMoments(*rigid.levers(chain, pi, q))
+    return GravityMoments(*rigid.moment_arms(chain, pi, q))

@@ -27,7 +27,7 @@ FAR_OVER_NOISE = 2.0  # variance over the sensors' noise
 SWINGS = (4.0, 70.0)  # [rad/s]
 BEGINNINGS = 12  # rows
 FEWEST_ROWS = 50
-RIPPLES_APART = 4.0  # [cycles per turn]
+RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
 CREEP = 0.02  # [rad/s]
 FEWEST_SAMPLES = 8
@@ -51,7 +51,7 @@ PATTERN = 100.0  # gain in twice the log likelihood
 PATTERN_SHARE = 0.2  # of the claims' score
 PATTERN_ROWS = 100
 TOGETHER = 1.5  # times the best variable alone
-TOLD_TOO = 0.5  # of the best variable's share
+NAMED_BESIDE = 0.5  # of the best variable's share
 FRICTION_SCATTER = 0.06  # relative
 SCATTERS = (0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2)  # relative
 USUAL_SCATTER = 0.02  # relative
@@ -158,7 +158,7 @@ SETTLED = (
               "chosen"),
     Threshold("FEWEST_ROWS", "moving rows of a joint from which on it is asked at all", "",
               "chosen"),
-    Threshold("RIPPLES_APART", "ripples of one joint that count as different", "cycles per turn",
+    Threshold("RIPPLE_SEPARATION", "ripples of one joint that count as different", "cycles per turn",
               "chosen: a trial's motion hardly tells nearer ones apart"),
     Threshold("CREEP", "speed below which stiction makes the torque indeterminate", "rad/s",
               "30 times the smoothed speed's own noise"),
@@ -203,7 +203,7 @@ SETTLED = (
               "chosen: 24 steps of four rows"),
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",
               "chosen"),
-    Threshold("TOLD_TOO", "share of the best variable's from which on another one is told beside it", "%",
+    Threshold("NAMED_BESIDE", "share of the best variable's from which on another one is named beside it", "%",
               "chosen"),
     Threshold("FRICTION_SCATTER", "friction scatter", "", "healthy: 0.02 to 0.03"),
     Threshold("SCATTERS", "how friction may scatter from trial to trial; found by evidence", "%",

@@ -70,7 +70,7 @@ def find_arms(folder: Path) -> list[ArmFolder]:
 def examined(arm: ArmFolder) -> ArmAnswer:
     """Identify one arm as ``stopset identify`` does, and diagnose it as ``stopset diagnose`` does on its later recordings,
     or on its own where there are none. A sentence for bad input is part of the answer: one arm does not stop the others."""
-    return _told(arm.name, lambda: _examined(arm))
+    return _answer_or_fault(arm.name, lambda: _examined(arm))
 
 
 def _examined(arm: ArmFolder) -> ArmAnswer:
@@ -81,7 +81,7 @@ def _examined(arm: ArmFolder) -> ArmAnswer:
     return ArmAnswer(arm.name, text, float(model.powered.U.width.sum()), diagnosis.as_json())
 
 
-def _told(name: str, work: Callable[[], ArmAnswer]) -> ArmAnswer:
+def _answer_or_fault(name: str, work: Callable[[], ArmAnswer]) -> ArmAnswer:
     try:
         return work()
     except StopsetError as e:

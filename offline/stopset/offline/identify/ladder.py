@@ -21,7 +21,7 @@ from stopset.offline.compare.tightness import JUDGED, LIMIT, WIDE
 from stopset.offline.identify.model_file import Identification
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
-from stopset.progress import Tell
+from stopset.progress import Progress
 
 Abstracted = Callable[[Settings], NominalPart]
 WithSets = Callable[[Settings, NominalPart], Identification]
@@ -48,7 +48,7 @@ def too_wide(found: Identification) -> str:
 
 def climbed(
     first: Callable[[], Identification], start: NominalPart, learnt: Survey, settings: Settings, effort: str,
-    steps: tuple[Abstracted, WithSets], tell: Tell,
+    steps: tuple[Abstracted, WithSets], progress: Progress,
 ) -> Identification:  # fmt: skip
     """The first abstraction's identification, or that of a richer one that is clearly tighter, with what was tried in its notes."""
     abstracted, with_sets = steps
@@ -61,7 +61,7 @@ def climbed(
             return best
     except NotConformant as e:
         failed, why = e, "it cannot enclose the recordings"
-    tell(f"model 1: {why}; trying the next abstraction")
+    progress(f"model 1: {why}; trying the next abstraction")
     before, tried = lacking(start, learnt, effort), list[str]()
     for rung in rungs(settings):
         name = f"model {rung.model} of order {rung.order}"
@@ -79,12 +79,12 @@ def climbed(
         if narrower >= WORTH:
             said = "encloses them" if best is None else f"has tubes {narrower:.0%} narrower after 0.1 s"
             tried.append(f"{name} {said} and was taken")
-            return _told(found, why, tried)
+            return _with_notes(found, why, tried)
         tried.append(f"{name} lacks {share:.0%} less torque, but its tubes after 0.1 s are {_narrow(narrower)}")
     if best is None:
         assert failed is not None
         raise NotConformant("; ".join([str(failed), *tried])) from failed
-    return _told(best, why, [*tried, "the linear model stays: what is left is no matter of its abstraction"])
+    return _with_notes(best, why, [*tried, "the linear model stays: what is left is no matter of its abstraction"])
 
 
 def _lower(before: np.ndarray, after: np.ndarray) -> float:
@@ -104,7 +104,7 @@ def _narrow(share: float) -> str:
     return f"only {share:.0%} narrower" if share > 0 else f"{-share:.0%} wider"
 
 
-def _told(found: Identification, why: str, tried: Sequence[str]) -> Identification:
+def _with_notes(found: Identification, why: str, tried: Sequence[str]) -> Identification:
     note = f"next abstraction: {why} with the linear model; {'; '.join(tried)}"
     model = replace(found.model, notes=(*found.model.notes, note))
     return replace(found, model=model)

@@ -24,10 +24,10 @@ from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.model import NominalPart
-from stopset.offline.nominal.parameter_uncertainty import notes as doubts
+from stopset.offline.nominal.parameter_uncertainty import notes as uncertainty_notes
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.offline.update.signals_file import RetainedSignals
-from stopset.progress import Tell
+from stopset.progress import Progress
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording
 
@@ -42,7 +42,7 @@ class Identification:
     settings: Settings
     tightness: Tightness
     absurd: tuple[str, ...]
-    kept: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
+    retained: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
 
 
 def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: Tally | None = None) -> Identification:
@@ -68,8 +68,8 @@ def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: 
     fitted = found.learnt or frozenset(found.motion) - found.held_out
     nominal = replace(nominal, notes=(*robot.notes, *nominal.notes))
     files = len(meta.sources)
-    kept = RetainedSums(tally, sums, nominal, meta, fitted, found.session, found.dt, form, found.motion, files)
-    return replace(out, kept=kept)
+    retained = RetainedSums(tally, sums, nominal, meta, fitted, found.session, found.dt, form, found.motion, files)
+    return replace(out, retained=retained)
 
 
 def packed(
@@ -104,18 +104,18 @@ def packed(
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,
         provenance=_provenance(run, nominal), revisions=(Revision(0, "", {}, total),),
-        notes=(*meta.warnings, *robot.notes, *nominal.notes, *doubts(seen, result.sets, robot.joints), *notes, *said),
+        notes=(*meta.warnings, *robot.notes, *nominal.notes, *uncertainty_notes(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
     return Identification(model, result, found, run.settings, tightness, tuple(o.says for o in odd if o.grave))
 
 
-def stopped(found: Identification, stops: Sequence[Recording], tell: Tell) -> Identification:
+def stopped(found: Identification, stops: Sequence[Recording], progress: Progress) -> Identification:
     """With brakes and ramps from recorded stops, where there are any; else the data sheet's brakes stay, as an assumption."""
-    kept = replace(found.kept, stops=tuple(stops)) if isinstance(found.kept, RetainedSums) else None
+    retained = replace(found.retained, stops=tuple(stops)) if isinstance(found.retained, RetainedSums) else None
     if not stops or found.model.effort == "compensated_torque":
-        return replace(found, kept=kept)
-    tell(f"brakes and ramps from {len(stops)} recorded stops")
-    return replace(found, model=with_stops(found.model, identify_stops(found.model, stops)), kept=kept)
+        return replace(found, retained=retained)
+    progress(f"brakes and ramps from {len(stops)} recorded stops")
+    return replace(found, model=with_stops(found.model, identify_stops(found.model, stops)), retained=retained)
 
 
 def _sums(errors: dict[str, dict[str, Any]]) -> dict[str, float]:

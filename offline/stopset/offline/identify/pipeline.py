@@ -16,7 +16,7 @@ from stopset.errors import NotConformant, NotCovered
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.abstraction.swift import swift
 from stopset.offline.campaign.conditions import one_condition
-from stopset.offline.campaign.map_reduce import Progress, passing
+from stopset.offline.campaign.map_reduce import TrialCounter, passing
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Tally, tallied
@@ -40,7 +40,7 @@ from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effect
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.update.signals_file import RetainedSignals
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
 
@@ -52,37 +52,37 @@ Keep = Literal["signals", "sums"] | None
 
 
 def identify(
-    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, tell: Tell = silent,
+    robot: Robot, paths: Sequence[str | Path], settings: Settings | None = None, progress: Progress = silent,
     scheduler: str | None = None, known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """Identify a reachset-conformant model of ``robot`` from the recordings in ``paths``.
 
-    ``tell`` is told each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
+    ``progress`` is given each step; ``scheduler``: address of a Dask scheduler to run the heavy pass on; ``keep``: keep what
     later recordings can be added to (`stopset.offline.update.update`), the signals themselves or sums of constant size;
     ``known``: numbers of those of ``settings.effects`` that were estimated before (motor torque only).
 
     Raises `RecordingError`, `NotConformant`.
     """
-    return identified(robot, campaign_of(robot, paths), settings or Settings(), tell, scheduler, known, keep)
+    return identified(robot, campaign_of(robot, paths), settings or Settings(), progress, scheduler, known, keep)
 
 
 def identified(
-    robot: Robot, campaign: Campaign, chosen: Settings, tell: Tell = silent, scheduler: str | None = None,
+    robot: Robot, campaign: Campaign, chosen: Settings, progress: Progress = silent, scheduler: str | None = None,
     known: tuple[Fitted, ...] = (), keep: Keep = None,
 ) -> Identification:  # fmt: skip
     """`identify` from the trials of a ``campaign``, wherever they come from."""
     meta, source = campaign.meta, campaign.trials
     held_to_pinocchio(robot)
-    tell("reading the recordings")
+    progress("reading the recordings")
     tally, stops = tallied(source)
     if not chosen.mixed:
         one_condition(tally.conditions)
     found = tally.survey()
-    told = check_signals(robot, meta, found.sample)
-    for text in told:
-        tell(text)
-    meta = replace(meta, warnings=(*meta.warnings, *told))
-    tell(f"{found.trials} {found.phase} trials, {found.samples} samples")
+    warnings = check_signals(robot, meta, found.sample)
+    for text in warnings:
+        progress(text)
+    meta = replace(meta, warnings=(*meta.warnings, *warnings))
+    progress(f"{found.trials} {found.phase} trials, {found.samples} samples")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
@@ -92,9 +92,9 @@ def identified(
 
     if meta.effort != "compensated_torque" and (cutoff := recorded_low_pass(robot, learnt.sample)):
         learnt = replace(learnt, low_pass=cutoff)
-        tell(in_words(cutoff))
+        progress(in_words(cutoff))
     run = Run(robot, meta, source, found, chosen)
-    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, tell), survey=learnt)
+    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, progress), survey=learnt)
     shared = _shared(fitting, known)
     numbers = known_effects(robot, meta, fitting.trials, chosen, known, [g.name for g in shared])
     shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))
@@ -106,7 +106,7 @@ def identified(
 
     def with_sets(asked: Settings, part: NominalPart) -> Identification:
         try:
-            return _with_sets(replace(run, settings=asked), part, tell, scheduler, tally if keep == "sums" else None)
+            return _with_sets(replace(run, settings=asked), part, progress, scheduler, tally if keep == "sums" else None)
         except NotConformant as e:
             raise NotConformant("; ".join([str(e), *part.limited])) from e
 
@@ -123,43 +123,43 @@ def identified(
             "signals, or take the linear model (--model 1 --order 1)"
         )
     if chosen.ladder and keep is None and meta.effort != "compensated_torque":
-        out = climbed(lambda: with_sets(first, nominal), nominal, learnt, chosen, meta.effort, (formed, with_sets), tell)
+        out = climbed(lambda: with_sets(first, nominal), nominal, learnt, chosen, meta.effort, (formed, with_sets), progress)
     else:
         out = with_sets(first, nominal)
-    out = stopped(out, stops, tell)
-    return replace(out, kept=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
+    out = stopped(out, stops, progress)
+    return replace(out, retained=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
 
 
 def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:
     """Pairs of joints that share a motor by the evidence, where that is to be looked for and nobody has said so already."""
     if run.meta.effort == "compensated_torque" or run.settings.friction != "evidence":
         return ()
-    told = {f.label for f in known} | set(run.settings.effects)
+    stated = {f.label for f in known} | set(run.settings.effects)
     found = coupled(run.robot, run.trials, run.survey.sample, Preprocessing(low_pass=run.survey.low_pass))
-    return tuple(g for g in found if g.effect not in told and g.name not in told)
+    return tuple(g for g in found if g.effect not in stated and g.name not in stated)
 
 
-def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None, tally: Tally | None) -> Identification:
+def _with_sets(run: Run, nominal: NominalPart, progress: Progress, scheduler: str | None, tally: Tally | None) -> Identification:
     found, settings = run.survey, run.settings
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
-    tell(f"{run.motions} independent motions; deviations of every prediction up to {run.horizon:.2f} s ahead")
+    progress(f"{run.motions} independent motions; deviations of every prediction up to {run.horizon:.2f} s ahead")
     if nominal.abstraction.linear:
         form = SetForm(bands, template_of(run, nominal) if settings.shape == "zonotope" else None)
-        progress = Progress(found.trials, tell)
-        sums = sums_of(run, nominal, form, keep=tally is not None, scheduler=scheduler, progress=progress)
-        tell("identifying the sets")
+        counter = TrialCounter(found.trials, progress)
+        sums = sums_of(run, nominal, form, keep=tally is not None, scheduler=scheduler, counter=counter)
+        progress("identifying the sets")
         return concluded(run, nominal, form, sums, tally)
     # its windows do not fold into an envelope: trials in memory, one process
     figures = Figures(nominal.abstraction, found.dt)
     pairs = pairs_of(run.trials, found, nominal, run.meta.effort)
     for _, r, u in pairs():
         figures.add(r, u)
-    tell("identifying the sets along the nominal solutions")
+    progress("identifying the sets along the nominal solutions")
 
     problem = set_problem(run, nominal.abstraction)
 
     def sets_of(some: Pairs, margin: float | None) -> ConformedSets:
-        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, tell)
+        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, progress)
 
     while True:
         try:
@@ -170,7 +170,7 @@ def _with_sets(run: Run, nominal: NominalPart, tell: Tell, scheduler: str | None
                 raise
             problem = replace(problem, horizon=max(0.5 * problem.horizon, NEAREST))
             short = f"predictions run away further ahead: the sets of this model reach {problem.horizon:.3g} s ahead"
-            tell(short)
+            progress(short)
     if problem.horizon < run.horizon:
         nominal = replace(nominal, notes=(*nominal.notes, short))
     by_band = {}

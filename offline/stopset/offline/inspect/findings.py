@@ -162,7 +162,7 @@ def saturation(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
 def velocity(t: SignalSums, joints: Sequence[str], meta: Meta) -> list[Finding]:
     """dq that is not the derivative of q: unit, sign, lag, unrelated; or derived though called measured."""
     out: list[Finding] = []
-    aa, ab, bb = t.way
+    aa, ab, bb = t.travel
     moved = _moved(t)
     period = float(np.median(t.period)) if t.period else float("nan")
     clear: dict[int, float] = {}
@@ -207,7 +207,7 @@ def _scaled(scale: dict[int, float], joints: Sequence[str]) -> list[Finding]:
 def _moved(t: SignalSums) -> NDArray[np.bool_]:
     """(n,) whether a joint went further than the steps of its encoder, and than many windows of noise at standstill add up to."""
     step = np.where(np.isfinite(t.resolution), t.resolution, 0.0)
-    return np.asarray(t.way[0] > np.maximum((30 * step) ** 2, t.windows * (STILL * step) ** 2))
+    return np.asarray(t.travel[0] > np.maximum((30 * step) ** 2, t.windows * (STILL * step) ** 2))
 
 
 def _lag(t: SignalSums, j: int, joint: str, period: float) -> list[Finding]:
@@ -300,7 +300,7 @@ def torque_delay(
     least = max(least, 0.6 * period)
     own = max(OWN_DELAY, least, 1.2 * period)
 
-    def told(d: float, s: float, limit: float) -> bool:
+    def significant(d: float, s: float, limit: float) -> bool:
         return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(limit, 4 * s))
 
     def finding(name: str | None, d: float, s: float, against: str, least: float) -> Finding:
@@ -308,10 +308,10 @@ def torque_delay(
         return Finding("torque_delay", "warning", name, seen, f"less than {least * 1e3:.1f} ms",
                        "identification takes a common delay out; look for different clocks or a filter", d)  # fmt: skip
 
-    out = [finding(None, common, std, "the motion", least)] if told(common, std, least) else []
+    out = [finding(None, common, std, "the motion", least)] if significant(common, std, least) else []
     for j, name in enumerate(joints):
         d, s = float(joint[j] - common), float(np.hypot(joint_std[j], std))
-        if told(d, s, own):
+        if significant(d, s, own):
             out.append(finding(name, d, s, "the other joints'", own))
     return out
 

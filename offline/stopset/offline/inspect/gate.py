@@ -35,13 +35,13 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
     beyond = torque_limits(tally, robot.joints, robot.torque_limit)
     # a wrong unit is told best by the rigid body: of motor torque when that is fitted, see `check_torque`
-    told = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints), *beyond]
+    found = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints), *beyond]
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
         _refuse(beyond)
-    return _in_words(told)
+    return _in_words(found)
 
 
 def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, ...]:

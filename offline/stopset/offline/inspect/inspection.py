@@ -184,8 +184,8 @@ def _torque(
     """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
     compensated = meta.effort == "compensated_torque"
     against = against_model(robot, meta, *scales, detect.RIGHT_TORN if torn or compensated else detect.RIGHT)
-    told = {f.joint for f in against}
-    out = [*against, *(f for f in sign if f.joint not in told)]
+    blamed = {f.joint for f in against}
+    out = [*against, *(f for f in sign if f.joint not in blamed)]
     if out or torn:
         return out
     delay = estimate_delay(data, prior_of(robot))

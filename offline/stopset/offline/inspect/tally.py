@@ -40,8 +40,8 @@ class SignalSums:
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
     period: list[float] = field(default_factory=list)  # per trial: the usual one
     mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
-    windows: int = 0  # of `WINDOW`, that `way` sums over
-    way: Array = field(init=False)  # (3, n) sums of a^2, a b, b^2: way of q, integral of dq
+    windows: int = 0  # of `WINDOW`, that `travel` sums over
+    travel: Array = field(init=False)  # (3, n) sums of a^2, a b, b^2: way of q, integral of dq
     lagged: Array = field(init=False)  # (2 LAGS + 1, n) squared difference of dq, shifted, to the derivative of q
     speed2: Array = field(init=False)
     difference: Array = field(init=False)  # (3, n) squared difference of dq to backward, central, forward difference
@@ -57,7 +57,7 @@ class SignalSums:
 
     def __post_init__(self) -> None:
         n = self.n
-        self.way, self.difference, self.power = np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
+        self.travel, self.difference, self.power = np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
         self.lagged, self.speed2 = np.zeros((2 * LAGS + 1, n)), np.zeros(n)
         self.resolution, self.acceleration, self.slow = np.full(n, np.inf), np.zeros(n), np.zeros(n)
         for name in ("range_q", "range_dq", "range_tau", "range_temp"):
@@ -105,13 +105,13 @@ class SignalSums:
             self.missing += missing
             self.longest_gap = max(self.longest_gap, float(dt.max()))
         fast = np.abs(r.dq[1:]) > MOVING
-        way = np.abs(0.5 * (r.dq[1:] + r.dq[:-1]) * dt[:, None])
-        expected = way.max(axis=1)
+        travel = np.abs(0.5 * (r.dq[1:] + r.dq[:-1]) * dt[:, None])
+        expected = travel.max(axis=1)
         visible = expected > 4 * np.where(np.isfinite(self.resolution), self.resolution, 0.0).max()
         same = np.all(np.diff(r.q, axis=0) == 0, axis=1) & np.all(np.diff(r.tau, axis=0) == 0, axis=1)
         self.repeated += int(np.sum(same & visible & fast.any(axis=1)))
         step = np.abs(np.diff(r.q, axis=0))
-        ratio = step[np.arange(len(step)), way.argmax(axis=1)] / np.maximum(expected, 1e-12)
+        ratio = step[np.arange(len(step)), travel.argmax(axis=1)] / np.maximum(expected, 1e-12)
         follows = ~visible | (np.abs(ratio - 1.0) < FOLLOWS)
         # a lost sample is one step too long between steps that are right; many in a row are a dq that does not follow
         alone = np.r_[True, follows[:-1]] & np.r_[follows[1:], True]
@@ -129,7 +129,7 @@ class SignalSums:
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
             self.windows += len(a)
-            self.way += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
+            self.travel += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
             mean = np.diff(b, axis=0) / (w * h) ** 2
             if len(mean):
                 self.acceleration = np.maximum(self.acceleration, np.abs(mean).max(axis=0))

@@ -278,7 +278,8 @@ def friction_columns(
     signals = arm_signals(robot, Samples(m.q, m.dq, m.ddq, m.temp, t=m.t), needs or {"dq"})
     # within the stiction band the sign of the noise is no direction; beyond it this is the plain sign
     signals = tuple(
-        replace(s, way=np.clip(s.dq / still, -1.0, 1.0) if direction is None else np.full(len(m.t), direction)) for s in signals
+        replace(s, given_direction=np.clip(s.dq / still, -1.0, 1.0) if direction is None else np.full(len(m.t), direction))
+        for s in signals
     )
     raw: list[Array] = []
     for j, columns in enumerate(layout.columns):

@@ -112,7 +112,7 @@ def roll_out(
         u = batch.u[k] - theta[0]
         if terms:
             s = Signals(
-                q=q, dq=dq, way=np.tanh(dq / DIRECTION_WIDTH), load=batch.load[k], temp=batch.temp[k], warm=batch.warm,
+                q=q, dq=dq, given_direction=np.tanh(dq / DIRECTION_WIDTH), load=batch.load[k], temp=batch.temp[k], warm=batch.warm,
                 t=k * batch.dt,
             )  # fmt: skip
             seen = {j: replace(s, memory=tuple(m)) for j, m in memories.items()}

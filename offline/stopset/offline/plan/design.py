@@ -23,7 +23,7 @@ from stopset.offline.plan.excitation import Series, excitations
 from stopset.offline.plan.motion import MotionLimits, PlannedMotion, envelope, violations
 from stopset.offline.plan.poses import static_poses
 from stopset.offline.plan.ptp import ptp, random_goals
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.types import Array
@@ -64,7 +64,7 @@ class PlanPart:
     motions: tuple[PlannedMotion, ...]
     repeats: int
     seconds: float
-    tells: dict[str, Any] = field(default_factory=dict)
+    determines: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +88,9 @@ def design(
     robot: Robot,
     wishes: Wishes,
     recordings: Iterable[Recording] | None = None,
-    tell: Tell = silent,
+    progress: Progress = silent,
 ) -> Plan:
-    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined; ``tell`` is told each step.
+    """Design all experiments for ``robot``; with ``recordings`` also what these leave undetermined; ``progress`` is given each step.
 
     Raises `RobotError` for a robot without speed limits or whose torque limits cannot hold it.
     """
@@ -98,21 +98,21 @@ def design(
     rng = np.random.default_rng(wishes.seed)
     data = None if recordings is None else accumulate(robot, recordings, usual_friction())
     e = envelope(robot, wishes.speed, wishes.torque, wishes.floor)
-    tell("static poses")
+    progress("static poses")
     poses = static_poses(robot, e, wishes.poses, rng)
-    tell("excitation")
+    progress("excitation")
     waves, condition, blind = excitations(
-        robot, e, Series(wishes.excitations, wishes.period, wishes.rate, wishes.evaluations), rng, tell
+        robot, e, Series(wishes.excitations, wishes.period, wishes.rate, wishes.evaluations), rng, progress
     )
     goals = random_goals(robot, e, wishes.motions, rng)
     fast = []
     for k, (a, b) in enumerate(pairwise(goals)):
-        tell(f"PTP motion {k + 1} of {len(goals) - 1}", k / (len(goals) - 1))
+        progress(f"PTP motion {k + 1} of {len(goals) - 1}", k / (len(goals) - 1))
         fast.append(ptp(robot, e, a, b, wishes.rate))
     slow = [p.slower(1 / wishes.slow) for p in fast[: max(1, min(8, len(fast)))]]
     suites, stops = _suites(fast, wishes), _stops(robot, fast, wishes)
     parts = _parts(poses, waves, slow, fast, suites, stops, wishes)
-    tell("what each part tells")
+    progress("what each part tells")
     nominal = None if data is None else solve_nominal(robot, data)
     parts, outlook = _outlook(robot, e, parts, poses, data, nominal)
     warnings = [f"{p.name} {k + 1}: {v}" for p in parts for k, m in enumerate(p.motions) for v in violations(robot, e, m)]
@@ -189,9 +189,9 @@ def _poses_as_recordings(robot: Robot, poses: Array) -> list[Recording]:
     out = []
     t: Array = 0.004 * np.arange(4, dtype=np.float64)
     for k, q in enumerate(poses):
-        for trial, way in enumerate((1.0, -1.0)):
+        for trial, direction in enumerate((1.0, -1.0)):
             rows = np.tile(q, (4, 1))
-            out.append(Recording("static", k, trial, 0, t, rows, 0 * rows, way * np.ones_like(rows)))
+            out.append(Recording("static", k, trial, 0, t, rows, 0 * rows, direction * np.ones_like(rows)))
     return out
 
 
@@ -211,8 +211,8 @@ def _outlook(
             mine = accumulate(robot, (m.recording(part.phase, k, 0, robot) for k, m in enumerate(part.motions)), usual_friction())
         if part.motions or part.name == "static":
             total = mine if total is None else total + mine
-            tells = _tells(robot, mine, prior, sigma)
-            part = PlanPart(part.name, part.phase, part.identifies, part.motions, part.repeats, part.seconds, tells)
+            determines = _determines(robot, mine, prior, sigma)
+            part = PlanPart(part.name, part.phase, part.identifies, part.motions, part.repeats, part.seconds, determines)
         out.append(part)
     assert total is not None
     after = expected_covariance(total, prior, sigma)
@@ -220,7 +220,7 @@ def _outlook(
     return tuple(out), _parameters(robot, total, prior, now, after)
 
 
-def _tells(robot: Robot, data: NormalEquations, prior: Prior, sigma: Array) -> dict[str, Any]:
+def _determines(robot: Robot, data: NormalEquations, prior: Prior, sigma: Array) -> dict[str, Any]:
     """Base parameters whose error at least halves, and the mean expected errors of rotor and friction."""
     n = robot.n
     C = expected_covariance(data, prior, sigma)

@@ -15,7 +15,7 @@ import numpy as np
 
 from stopset.offline.nominal.unidentifiable import parameter_scale
 from stopset.offline.plan.motion import MotionLimits, PlannedMotion, fitted, heights
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
 from stopset.types import Array
@@ -124,12 +124,12 @@ def excitations(
     e: MotionLimits,
     asked: Series,
     rng: np.random.Generator,
-    tell: Tell = silent,
+    progress: Progress = silent,
 ) -> tuple[list[PlannedMotion], float, float]:
     """The trajectories asked for, together as well conditioned as the search finds.
 
     Returns them with the condition number of all together, and that of the same number of random ones.
-    Each next trajectory is optimised for what those before it tell together with it; ``tell`` is told how far the search is.
+    Each next trajectory is optimised for what those before it tell together with it; ``progress`` is given how far the search is.
     """
     n, count, period, evaluations = robot.n, asked.count, asked.period, asked.evaluations
     weight = 1 / np.where(np.isfinite(e.tau), e.tau, 1.0)
@@ -147,7 +147,7 @@ def excitations(
         return np.log(condition(known + G)) + 50 * low, G
 
     for k in range(count):
-        tell(f"excitation {k + 1} of {count}", k / count)
+        progress(f"excitation {k + 1} of {count}", k / count)
         best, best_cost, first = np.zeros(0), np.inf, None
         tries = max(20, evaluations // 8)
         for _ in range(tries):
@@ -165,7 +165,7 @@ def excitations(
             else:
                 step = max(step * 0.92, 1e-3)
             if i % 50 == 0:
-                tell(f"excitation {k + 1} of {count}", (k + (tries + i) / evaluations) / count)
+                progress(f"excitation {k + 1} of {count}", (k + (tries + i) / evaluations) / count)
         total = total + cost(best, total)[1]
         blind = blind + (first if first is not None else 0.0)
         fine = np.arange(0.0, period + 0.5 / asked.rate, 1 / asked.rate)

@@ -42,7 +42,7 @@ def as_dict(plan: Plan) -> dict[str, Any]:
         "robot": plan.robot.name, "wishes": asdict(plan.wishes),
         "parts": [
             {"name": p.name, "phase": p.phase, "identifies": p.identifies, "motions": len(p.motions), "repeats": p.repeats,
-             "seconds": round(p.seconds, 1), "tells": p.tells}
+             "seconds": round(p.seconds, 1), "tells": p.determines}
             for p in plan.parts
         ],
         "condition": {"excitation": float(f"{plan.condition:.4g}"), "random": float(f"{plan.condition_random:.4g}")},
@@ -67,7 +67,7 @@ def summary(plan: Plan) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for p in plan.parts:
-        t = p.tells
+        t = p.determines
         base = f"{t['base_parameters_halved']} of {t['base_parameters']}" if t else "-"
         rotor = f"{t['rotor_std_percent']:.2g} %" if t and t["rotor_std_percent"] is not None else "-"
         dry = f"{t['F_c_std_Nm']:.2g} N m" if t and t["F_c_std_Nm"] is not None else "-"

@@ -29,7 +29,7 @@ def page(plan: Plan) -> Page:
     out.heading("What to drive, and what it tells")
     rows = []
     for p in plan.parts:
-        t = p.tells
+        t = p.determines
         base = f"{t['base_parameters_halved']} of {t['base_parameters']}" if t else None
         rotor, dry = (t.get(k) for k in ("rotor_std_percent", "F_c_std_Nm"))
         rows.append((p.name, count(plan, p), p.repeats, p.seconds / 60, p.identifies, base, rotor, dry))

@@ -21,7 +21,7 @@ from stopset.types import Array
 GRID = 60
 SMOOTH = 0.08  # [s] length of the moving average
 HOLDABLE = 0.9  # of the allowed torque that gravity and friction may take on the way: the rest accelerates
-LEAST_WAY = 0.6  # [rad] that some joint moves, or the motion is not worth its time
+LEAST_TRAVEL = 0.6  # [rad] that some joint moves, or the motion is not worth its time
 
 
 def random_goals(robot: Robot, e: MotionLimits, count: int, rng: np.random.Generator) -> Array:
@@ -39,8 +39,8 @@ def random_goals(robot: Robot, e: MotionLimits, count: int, rng: np.random.Gener
         if not goals:
             goals = [q] if _admissible(robot, e, q[None]) else []
             continue
-        way = goals[-1] + np.linspace(0, 1, 24)[:, None] * (q - goals[-1])
-        if np.abs(q - goals[-1]).max() >= LEAST_WAY and _admissible(robot, e, way):
+        line = goals[-1] + np.linspace(0, 1, 24)[:, None] * (q - goals[-1])
+        if np.abs(q - goals[-1]).max() >= LEAST_TRAVEL and _admissible(robot, e, line):
             goals.append(q)
     if len(goals) < 2:
         raise RobotError(
@@ -70,8 +70,12 @@ def ptp(robot: Robot, e: MotionLimits, start: Array, goal: Array, rate: float) -
     s = np.clip(s[max(inner[0] - 1, 0) : inner[-1] + 2], 0.0, 1.0)[:, None]
     ds = derivative(s, h)
     dds = derivative(ds, h)
-    way = goal - start
-    return fitted(robot, e, PlannedMotion(h * np.arange(len(s), dtype=np.float64), start + s * way, ds * way, dds * way))
+    displacement = goal - start
+    return fitted(
+        robot,
+        e,
+        PlannedMotion(h * np.arange(len(s), dtype=np.float64), start + s * displacement, ds * displacement, dds * displacement),
+    )
 
 
 def _fastest(robot: Robot, e: MotionLimits, start: Array, goal: Array) -> tuple[Array, Array]:

@@ -16,8 +16,8 @@ def extremes(y: Array, points: int) -> Index:
         return np.arange(n)
     edges = np.linspace(0, n, max(1, (points - 2) // 2) + 1).astype(int)
     stretches = [(a, b) for a, b in pairwise(edges) if b > a]
-    kept = [a + f(y[a:b]) for a, b in stretches for f in (np.argmin, np.argmax)]
-    return np.unique([0, n - 1, *kept])
+    rows = [a + f(y[a:b]) for a, b in stretches for f in (np.argmin, np.argmax)]
+    return np.unique([0, n - 1, *rows])
 
 
 def hulls(lo: Array, hi: Array, points: int) -> tuple[Index, Array, Array]:

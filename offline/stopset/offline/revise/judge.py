@@ -24,7 +24,7 @@ from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
-from stopset.progress import Tell
+from stopset.progress import Progress
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -65,7 +65,7 @@ class Judge:
     campaign: Campaign
     division: HoldOut
     session: Session
-    tell: Tell
+    progress: Progress
 
     def simulated(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
         """Errors of the nominal model fitted to one part of the recordings, on the other."""
@@ -79,7 +79,7 @@ def by_simulation(
     errors = start = dict(first) if first else judge.simulated(settings, ())
     judged = []
     for name in names:
-        judge.tell(f"judging {name} on held-out data")
+        judge.progress(f"judging {name} on held-out data")
         more = replace(settings, effects=(*settings.effects, name))
         after = judge.simulated(more, ())
         effect, joints = parse_effect(name, judge.robot)
@@ -95,19 +95,19 @@ def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
-    judge.tell("estimating what was asked for, beside every effect of the catalogue")
+    judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
     base = baseline(judge.model, recordings)
     had = settled(judge.model)
-    kept = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known, judge.tell)
+    retained = tuple(f for f in had if not get(f.effect).base)
+    answer = estimates(base.robot, recordings, names, had, base.known, judge.progress)
     found = answer.found
     joints = judge.model.joints
-    judge.tell("simulating without and with it")
+    judge.progress("simulating without and with it")
     wanted = [n for n in names if any(e.name == n for e in found)]
     more = replace(settings, effects=(*settings.effects, *wanted))
-    taken = (*kept, *(e.fitted for e in found))
-    simulated = [dict(first)] if first else [judge.simulated(settings, kept)]
+    taken = (*retained, *(e.fitted for e in found))
+    simulated = [dict(first)] if first else [judge.simulated(settings, retained)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
     rows = [found[0].before if found else answer.before, *(e.after for e in found)]
     errors = [_with_torque(simulated[min(k, 1)], joints, row) for k, row in enumerate(rows)]

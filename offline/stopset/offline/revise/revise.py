@@ -24,7 +24,7 @@ from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.identify.pipeline import Keep, Settings, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
 from stopset.robot import Robot
 
@@ -42,7 +42,7 @@ class Revised:
     after: dict[str, float]
     judged: tuple[Judged, ...]
     judged_on: str
-    kept: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
+    retained: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
 
     @property
     def helps(self) -> bool:
@@ -56,7 +56,7 @@ def add(
     campaign: Campaign,
     *,
     force: bool = False,
-    tell: Tell = silent,
+    progress: Progress = silent,
     keep: Keep = None,
 ) -> Revised:
     """A revision of ``model`` with ``effects``, identified from the recordings of ``campaign``.
@@ -70,16 +70,16 @@ def add(
     if not settings.mixed:
         one_condition(r.condition for r in campaign.trials())
     surveyed = survey(campaign.trials)
-    judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, tell)
+    judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, progress)
     first = _judged_before(model, campaign)
     verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
-    tell("identifying the new revision")
-    found = identified(robot, campaign, verdict.settings, tell, known=verdict.known, keep=keep)
+    progress("identifying the new revision")
+    found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
     fresh = found.model
-    tell("bounding stops before and after")
+    progress("bounding stops before and after")
     before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
     after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
@@ -90,7 +90,7 @@ def add(
     number = model.revisions[-1].number + 1 if model.revisions else 1
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
-    return Revised(revised, before, after, verdict.judged, verdict.words, found.kept)
+    return Revised(revised, before, after, verdict.judged, verdict.words, found.retained)
 
 
 def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
@@ -155,13 +155,13 @@ def stop_figures(model: Model, seen: Model) -> dict[str, float]:
 
 def settings_of(model: Model) -> Settings:
     """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
-    kept = dict(model.provenance.get("settings", {}))
-    kept["effects"] = tuple(kept.get("effects", ()))
-    kept.setdefault("friction", "plain")  # models older than the choice had none
+    stored = dict(model.provenance.get("settings", {}))
+    stored["effects"] = tuple(stored.get("effects", ()))
+    stored.setdefault("friction", "plain")  # models older than the choice had none
     try:
-        return Settings(**kept)
+        return Settings(**stored)
     except TypeError as e:
-        unknown = ", ".join(sorted(kept.keys() - {f.name for f in fields(Settings)}))
+        unknown = ", ".join(sorted(stored.keys() - {f.name for f in fields(Settings)}))
         raise ModelFileError(
             f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
             "identify again"

@@ -19,7 +19,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.offline.stops.poses import Poses
-from stopset.progress import Tell, counted, silent
+from stopset.progress import Progress, counted, silent
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
 from stopset.reach.stops.setting import HEAVIEST, beyond_domain, beyond_payload
@@ -164,8 +164,8 @@ def _tip(model: Model, q: Array, tip: Array) -> Array:
     return out
 
 
-def stop_table(model: Model, question: Question, tell: Tell = silent) -> Table:
-    """The whole table; ``tell`` is told how far it is."""
+def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
+    """The whole table; ``progress`` is given how far it is."""
     tip = model.robot.tip if question.payload_com is None else question.payload_com
     poses = Poses.of(model.robot, tip, model.domain.q)
     speed = top_speed(model)
@@ -181,7 +181,7 @@ def stop_table(model: Model, question: Question, tell: Tell = silent) -> Table:
     ]
     ready: dict[float, StopBounds] = {}
     outside: set[str] = set()
-    for percent, kg, extension, group in counted(cases, len(cases), "stop bounds", tell):
+    for percent, kg, extension, group in counted(cases, len(cases), "stop bounds", progress):
         bounds = ready.get(kg) or replace(prepared(model, kg, question), tubes=TABLE_TUBES)
         ready[kg] = bounds
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
@@ -275,8 +275,8 @@ def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Arr
 
 def farthest(rows: Sequence[StopRow]) -> StopRow | None:
     """The row whose flange goes farthest; None where no row has a number and a pose."""
-    told = [r for r in rows if r.tcp_m is not None and r.pose]
-    return max(told, key=lambda r: r.tcp_m or 0.0, default=None)
+    provable = [r for r in rows if r.tcp_m is not None and r.pose]
+    return max(provable, key=lambda r: r.tcp_m or 0.0, default=None)
 
 
 def _up(x: float, digits: int = 6) -> float:

@@ -43,11 +43,11 @@ class RetainedSignals:
     known: tuple[Fitted, ...] = ()
 
 
-def save_signals(path: str | Path, kept: RetainedSignals, model: Model) -> None:
+def save_signals(path: str | Path, retained: RetainedSignals, model: Model) -> None:
     """Write every trial behind ``model`` (as saved, with its SHA-256), whole or not at all."""
     head = {
-        "format": FORMAT, "schema": SCHEMA, "model_sha256": model.sha256, "meta": asdict(kept.campaign.meta),
-        "places": kept.places, "known": [asdict(f) for f in kept.known],
+        "format": FORMAT, "schema": SCHEMA, "model_sha256": model.sha256, "meta": asdict(retained.campaign.meta),
+        "places": retained.places, "known": [asdict(f) for f in retained.known],
     }  # fmt: skip
     schema = _schema(model.joints).with_metadata({KEY: json.dumps(head).encode()})
     waiting: list[pa.Table] = []
@@ -55,7 +55,7 @@ def save_signals(path: str | Path, kept: RetainedSignals, model: Model) -> None:
         part, schema, compression="zstd", use_dictionary=["phase"], write_page_checksum=True,
         column_encoding={f.name: "BYTE_STREAM_SPLIT" for f in schema if pa.types.is_floating(f.type)},
     ) as writer:  # fmt: skip
-        for r in kept.campaign.trials():
+        for r in retained.campaign.trials():
             waiting.append(_table(r, schema))
             if sum(len(t) for t in waiting) >= GROUP_ROWS:
                 writer.write_table(pa.concat_tables(waiting).combine_chunks())

@@ -41,7 +41,7 @@ def _known(data: NormalEquations, model: Model) -> tuple[Fitted, ...]:
     return tuple(f for f in model.effects if f"{f.effect}:{f.joint}" not in data.layout.effects)
 
 
-def apart(data: NormalEquations, robot: Robot, model: Model) -> Array:
+def torque_difference(data: NormalEquations, robot: Robot, model: Model) -> Array:
     """RMS torque (n,) [N m] over all samples of ``data`` by which its own nominal model differs from the one in ``model``."""
     again = solve_nominal(described(robot, _known(data, model)), data)
     friction = {(f.effect, f.joint): f.values for f in model.effects}
@@ -56,7 +56,7 @@ def apart(data: NormalEquations, robot: Robot, model: Model) -> Array:
 
 
 def note(model: Model, old: Figures, new: Figures, difference: Array | None) -> str:
-    """What the new recordings say about the nominal model that was kept, in one sentence; ``difference``: see `apart`."""
+    """What the new recordings say about the nominal model that was kept, in one sentence; ``difference``: see `torque_difference`."""
     before, after = ([row["torque_rmse"] for row in f.result(model.joints).values()] for f in (old, new))
     ratio = [a / b if a is not None and b else 1.0 for a, b in zip(after, before, strict=True)]
     worst = int(np.argmax(ratio))

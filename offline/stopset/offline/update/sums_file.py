@@ -46,7 +46,7 @@ SIGNALS = ("t", "q", "dq", "tau", "temp", "current", "stop_trigger")
 ENVELOPE = ("hi", "lo", "hi_at", "lo_at", "count")
 
 
-def save_sums(path: str | Path, kept: RetainedSums, model: Model) -> None:
+def save_sums(path: str | Path, retained: RetainedSums, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
     arrays: Arrays = {}
     head = {
@@ -54,25 +54,25 @@ def save_sums(path: str | Path, kept: RetainedSums, model: Model) -> None:
         "schema": SCHEMA,
         "model_sha256": model.sha256,
         "settings_sha256": settings_sha256(settings_of(model)),
-        "meta": asdict(kept.meta),
-        "notes": list(kept.nominal.notes),
-        "doubt": kept.nominal.uncertain_torque.tolist(),
-        "learnt": sorted(kept.learnt),
-        "fitted_files": kept.fitted_files,
-        "session": asdict(kept.session),
-        "dt": kept.dt,
-        "bands": None if kept.form.bands is None else list(kept.form.bands.inner),
-        "motion": [[*s, m] for s, m in kept.motion.items()],
-        "tally": _pack_tally(kept.tally, arrays),
-        "sums": _pack_sums(kept.sums, arrays),
-        "stops": [_pack_stop(r, f"stop_{k}", arrays) for k, r in enumerate(kept.stops)],
+        "meta": asdict(retained.meta),
+        "notes": list(retained.nominal.notes),
+        "doubt": retained.nominal.uncertain_torque.tolist(),
+        "learnt": sorted(retained.learnt),
+        "fitted_files": retained.fitted_files,
+        "session": asdict(retained.session),
+        "dt": retained.dt,
+        "bands": None if retained.form.bands is None else list(retained.form.bands.inner),
+        "motion": [[*s, m] for s, m in retained.motion.items()],
+        "tally": _pack_tally(retained.tally, arrays),
+        "sums": _pack_sums(retained.sums, arrays),
+        "stops": [_pack_stop(r, f"stop_{k}", arrays) for k, r in enumerate(retained.stops)],
     }
-    if kept.form.bands is not None:
-        arrays["reference"] = _edges(kept.form.bands.reference)
-    if kept.form.template is not None:
-        arrays["generators"], arrays["directions"] = kept.form.template.generators, kept.form.template.directions
-    if kept.nominal.data is not None:
-        arrays["nominal"] = np.frombuffer(sums_bytes(kept.nominal.data), np.uint8)
+    if retained.form.bands is not None:
+        arrays["reference"] = _edges(retained.form.bands.reference)
+    if retained.form.template is not None:
+        arrays["generators"], arrays["directions"] = retained.form.template.generators, retained.form.template.directions
+    if retained.nominal.data is not None:
+        arrays["nominal"] = np.frombuffer(sums_bytes(retained.nominal.data), np.uint8)
     buffer = BytesIO()
     arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
@@ -176,7 +176,7 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
         arrays["means"] = np.array(tally.means)
     for name, box in tally.hulls.items():
         arrays[f"hull_{name}"] = _edges(box)
-    noise = tally.noise.kept
+    noise = tally.noise.retained
     arrays["noise_spread"] = np.vstack([x for rows in noise.spread.values() for x in rows])
     arrays["noise_quantum"] = np.vstack(list(noise.quantum.values()))
     arrays["noise_reach"] = np.vstack(list(noise.reach.values()))

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
-from stopset.offline.campaign.map_reduce import Progress
+from stopset.offline.campaign.map_reduce import TrialCounter
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.source import continued, joined, numbered_on
@@ -34,18 +34,18 @@ from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
 from stopset.offline.update.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.recording import Recording, suite_label
 
 __all__ = ["load_state", "save_state", "update"]
 
 
-def save_state(path: str | Path, kept: RetainedSums | RetainedSignals, model: Model) -> None:
+def save_state(path: str | Path, retained: RetainedSums | RetainedSignals, model: Model) -> None:
     """Write what is kept of the recordings of ``model``, whole or not at all; ``model`` as saved, with its SHA-256."""
-    if isinstance(kept, RetainedSignals):
-        save_signals(path, kept, model)
+    if isinstance(retained, RetainedSignals):
+        save_signals(path, retained, model)
     else:
-        save_sums(path, kept, model)
+        save_sums(path, retained, model)
 
 
 def load_state(path: str | Path, model: Model) -> RetainedSums | RetainedSignals:
@@ -65,26 +65,28 @@ def load_state(path: str | Path, model: Model) -> RetainedSums | RetainedSignals
 
 def update(
     model: Model,
-    kept: RetainedSums | RetainedSignals,
+    retained: RetainedSums | RetainedSignals,
     paths: Sequence[str | Path],
-    tell: Tell = silent,
+    progress: Progress = silent,
     scheduler: str | None = None,
 ) -> Identification:
-    """``model`` with the recordings of ``paths`` added to those it was made from, of which ``kept`` is left.
+    """``model`` with the recordings of ``paths`` added to those it was made from, of which ``retained`` is left.
 
     From signals the result is that of all recordings, history aside; from sums that of all recordings with this nominal model.
     Raises `RecordingError` for recordings that are part of it already or hold another kind of torque.
     """
-    if isinstance(kept, RetainedSignals):
-        return _again(model, kept, paths, tell, scheduler)
-    return _folded(model, kept, paths, tell, scheduler)
+    if isinstance(retained, RetainedSignals):
+        return _again(model, retained, paths, progress, scheduler)
+    return _folded(model, retained, paths, progress, scheduler)
 
 
-def _again(model: Model, kept: RetainedSignals, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+def _again(
+    model: Model, retained: RetainedSignals, paths: Sequence[str | Path], progress: Progress, scheduler: str | None
+) -> Identification:
     """Everything identified anew from the kept signals and the new recordings."""
-    robot, old = model.robot.as_described, kept.campaign.meta
-    campaign = continued(kept.campaign, robot, paths, kept.places)
-    fresh = identified(robot, campaign, settings_of(model), tell, scheduler, kept.known, "signals")
+    robot, old = model.robot.as_described, retained.campaign.meta
+    campaign = continued(retained.campaign, robot, paths, retained.places)
+    fresh = identified(robot, campaign, settings_of(model), progress, scheduler, retained.known, "signals")
     names = ", ".join(name for name, _ in campaign.meta.sources[len(old.sources) :])
     note = (
         f"{names} added to {', '.join(name for name, _ in old.sources)}; everything is identified from all of these, as if they had "
@@ -93,61 +95,63 @@ def _again(model: Model, kept: RetainedSignals, paths: Sequence[str | Path], tel
     return replace(fresh, model=_next_revision(model, fresh.model, f"recordings {names}", note))
 
 
-def _folded(model: Model, kept: RetainedSums, paths: Sequence[str | Path], tell: Tell, scheduler: str | None) -> Identification:
+def _folded(
+    model: Model, retained: RetainedSums, paths: Sequence[str | Path], progress: Progress, scheduler: str | None
+) -> Identification:
     """The new recordings folded into sums; raises `RecordingError` too if they hold neither powered motion nor stops."""
     settings, robot = settings_of(model), replace(model.robot.as_described, notes=())
-    meta, files = joined(kept.meta, paths), len(kept.meta.sources)
+    meta, files = joined(retained.meta, paths), len(retained.meta.sources)
 
     def source() -> Iterator[Recording]:
-        return numbered_on(kept.meta, robot, paths, kept.tally.places)
+        return numbered_on(retained.meta, robot, paths, retained.tally.places)
 
-    tell("reading the new recordings")
-    tally = copy.deepcopy(kept.tally)
+    progress("reading the new recordings")
+    tally = copy.deepcopy(retained.tally)
     phases: Counter[str] = Counter()
-    stops = list(kept.stops)
+    stops = list(retained.stops)
     for r in source():
         phases[r.phase] += 1
         tally.add(r)
         if r.phase in STOPS:
             stops.append(r)
-    _check_phases(phases, tally, kept)
-    found = tally.survey(kept.learnt, kept.session, kept.dt)
+    _check_phases(phases, tally, retained)
+    found = tally.survey(retained.learnt, retained.session, retained.dt)
     check_signals(robot, meta, found.sample)
-    numbers = _numbers(kept, found)
-    new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(kept.tally.steps)
-    tell(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")
-    nominal, difference = kept.nominal, None
+    numbers = _numbers(retained, found)
+    new, trials = len(set(found.motion.values()) - set(numbers.values())), len(tally.steps) - len(retained.tally.steps)
+    progress(f"{trials} {found.phase} trials, {new} new motions beside the {len(set(numbers.values()))} known ones")
+    nominal, difference = retained.nominal, None
     if nominal.data is not None:
         nominal = replace(nominal, data=staleness.folded(nominal.data, robot, model, source(), found))
         assert nominal.data is not None
-        difference = staleness.apart(nominal.data, robot, model)
-    progress = Progress(trials, tell)
+        difference = staleness.torque_difference(nominal.data, robot, model)
+    counter = TrialCounter(trials, progress)
     run = Run(robot, meta, source, found, settings)
-    later = sums_of(run, nominal, kept.form, keep=True, scheduler=scheduler, progress=progress)
-    earlier = Sums(kept.sums.gathered.mapped(lambda env: env, numbers), kept.sums.figures)
-    tell("identifying the sets")
-    fresh = concluded(run, nominal, kept.form, earlier.merge(later), tally)
-    assert isinstance(fresh.kept, RetainedSums)
+    later = sums_of(run, nominal, retained.form, keep=True, scheduler=scheduler, counter=counter)
+    earlier = Sums(retained.sums.gathered.mapped(lambda env: env, numbers), retained.sums.figures)
+    progress("identifying the sets")
+    fresh = concluded(run, nominal, retained.form, earlier.merge(later), tally)
+    assert isinstance(fresh.retained, RetainedSums)
     names = ", ".join(name for name, _ in meta.sources[files:])
     note = (
         f"{trials} trials ({new} new motions) of {names} added; the nominal model stays that of "
-        f"{', '.join(dict.fromkeys(name for name, _ in kept.meta.sources[: kept.fitted_files]))}"
+        f"{', '.join(dict.fromkeys(name for name, _ in retained.meta.sources[: retained.fitted_files]))}"
     )
     if trials:
-        note += "; " + staleness.note(model, kept.sums.figures, later.figures, difference)
-    if len(stops) > len(kept.stops):
-        note += f"; {len(stops) - len(kept.stops)} stops added to {len(kept.stops)}"
-    fresh = stopped(replace(fresh, kept=replace(fresh.kept, fitted_files=kept.fitted_files)), stops, tell)
+        note += "; " + staleness.note(model, retained.sums.figures, later.figures, difference)
+    if len(stops) > len(retained.stops):
+        note += f"; {len(stops) - len(retained.stops)} stops added to {len(retained.stops)}"
+    fresh = stopped(replace(fresh, retained=replace(fresh.retained, fitted_files=retained.fitted_files)), stops, progress)
     return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
 
 
-def _check_phases(phases: Counter[str], tally: Tally, kept: RetainedSums) -> None:
+def _check_phases(phases: Counter[str], tally: Tally, retained: RetainedSums) -> None:
     best = next((p for p in POWERED if phases[p]), None)
     if best is not None and POWERED.index(best) < POWERED.index(tally.phase):
         raise RecordingError(
             f"the new recordings hold {best} trials, the model's sets rest on {tally.phase} ones; identify again from all recordings"
         )
-    if len(tally.steps) > len(kept.tally.steps) or any(phases[p] for p in STOPS):
+    if len(tally.steps) > len(retained.tally.steps) or any(phases[p] for p in STOPS):
         return
     raise RecordingError(
         f"the new recordings hold only {', '.join(sorted(phases))} trials and none of three samples that the model rests on; "
@@ -155,10 +159,10 @@ def _check_phases(phases: Counter[str], tally: Tally, kept: RetainedSums) -> Non
     )
 
 
-def _numbers(kept: RetainedSums, found: Survey) -> dict[int, int]:
+def _numbers(retained: RetainedSums, found: Survey) -> dict[int, int]:
     """Old number of each motion -> new one; a new recording may show two old motions to be one."""
     out: dict[int, int] = {}
-    for suite, number in kept.motion.items():
+    for suite, number in retained.motion.items():
         if out.setdefault(number, found.motion[suite]) != found.motion[suite]:
             raise ModelFileError(
                 f"motion {number} of the kept state falls apart ({suite_label(suite)}); expected motions to be told apart as "

@@ -11,10 +11,10 @@ from typing import Any
 from stopset.artifact import Model
 from stopset.offline.compare.compare import Comparison
 from stopset.offline.compare.dependence import Explained
-from stopset.progress import Tell, left
+from stopset.progress import Progress, left
 
 Answer = dict[str, Any]
-Export = Callable[[Model, Path, Tell], None]  # writes a model as FMU; comes from above, this part knows no FMU
+Export = Callable[[Model, Path, Progress], None]  # writes a model as FMU; comes from above, this part knows no FMU
 STEPS = 40  # kept of what a job said
 
 
@@ -32,7 +32,7 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """How far it is, as `Tell` is told."""
+    """How far it is, as `Progress` is given it."""
 
     text: str
     share: float | None
@@ -92,8 +92,8 @@ class Job:
     def action(self) -> str:
         return self.what.partition(" ")[0]
 
-    def tell(self, text: str, share: float | None = None) -> None:
-        """As `Tell`: a step without a share is one of its own, counted ones follow each other."""
+    def report(self, text: str, share: float | None = None) -> None:
+        """As `Progress`: a step without a share is one of its own, counted ones follow each other."""
         if share is None or self.share is None or share < self.share:
             self.step_began = time.monotonic()
         if share is None:

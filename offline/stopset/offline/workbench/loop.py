@@ -171,7 +171,7 @@ class Loop:
                 return
             at = self._models[-1]
             if isinstance(message, Says):
-                job.tell(message.text, message.share)
+                job.report(message.text, message.share)
                 return
             if isinstance(message, RevisionWritten):
                 self._models.append(Opened(message.path, load_model(message.path)))

@@ -189,10 +189,10 @@ function waterfall(f, revisions, floor) {
 // ---- the arm over a recording
 let scene = null, sceneOf = '', playing = 0, view = [0, Infinity], asking = false, again = false;
 function stage(s, a) {
-  const told = a.recordings;
-  $('stage').hidden = !told; $('nostage').hidden = !!told;
-  if (!told) { scene = null; sceneOf = ''; return; }
-  open('recording', true, told.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
+  const reply = a.recordings;
+  $('stage').hidden = !reply; $('nostage').hidden = !!reply;
+  if (!reply) { scene = null; sceneOf = ''; return; }
+  open('recording', true, reply.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
   if ($('shownjoint').options.length !== s.joints.length) fill('shownjoint', ...s.joints.map(j => el('option', {value: j}, j)));
   if ($('beside').options.length !== s.models.length) {
     open('beside', false, [el('option', {value: '-'}, 'nothing'), ...s.models.slice(0, -1).map((m, k) => el('option', {value: String(k)}, m.file.split('/').pop()))]);
@@ -253,8 +253,8 @@ async function poll() {
   if (asked) return;
   asked = true;
   try {
-    const told = await (await fetch('/job')).json();
-    if (told.version !== shown) { const s = await (await fetch('/state')).json(); shown = s.version; show(s); } else job(told.job);
+    const reply = await (await fetch('/job')).json();
+    if (reply.version !== shown) { const s = await (await fetch('/state')).json(); shown = s.version; show(s); } else job(reply.job);
   } catch (e) { shown = -1; $('job').className = 'row-section bad'; $('jobtext').textContent = 'The workbench does not answer: it has ended, or this machine has lost it. It is asked again twice a second; what runs there goes on.'; }
   asked = false;
 }

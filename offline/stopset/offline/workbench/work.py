@@ -71,7 +71,7 @@ def _done(order: Order, send: Send, export: Export | None) -> Ended:
     return Ended()
 
 
-class _Teller:
+class _StepSender:
     """Sends every step, and of a counted one as many as somebody can read."""
 
     def __init__(self, send: Send) -> None:
@@ -85,31 +85,31 @@ class _Teller:
 
 
 def _compare(order: Order, model: Model, send: Send) -> None:
-    tell = _Teller(send)
-    tell("reading the recordings")
-    found = compare(model, order.data, tell)
+    progress = _StepSender(send)
+    progress("reading the recordings")
+    found = compare(model, order.data, progress)
     said = verdict(found)
     light = replace(found, survey=replace(found.survey, sample=()))
     send(Compared(light))
     send(Answered("recordings", {"listed": listed(found)}))
     send(Answered("verdict", {"text": said.text, "kind": said.kind}))
     send(Answered("compare", answer(model, found)))
-    tell("looking for what the error depends on")
+    progress("looking for what the error depends on")
     shares = explained(model, inputs(model, order.data, found.survey, model.powered.dt), found.survey)
     send(Compared(light, shares))
     send(Answered("dependence", {"variables": list(shares.variables), "share": shares.share.tolist()}))
-    tell("drawing the page")
+    progress("drawing the page")
     send(Answered("compare", answer(model, found), compare_page(model, found, order.data, shares).html()))
 
 
 def _diagnose(order: Order, model: Model, send: Send) -> None:
-    tell = _Teller(send)
-    tell("reading the recordings")
-    found, against = diagnose_model(model, read_recordings(order.data, model.robot), None, tell)
-    told = found.as_json() | {"against": against, "evidence": [_evidence(r) for r in found.ranked]}
-    send(Answered("diagnose", told))
-    tell("drawing the page")
-    send(Answered("diagnose", told, diagnose_page(model, found, against, order.data).html()))
+    progress = _StepSender(send)
+    progress("reading the recordings")
+    found, against = diagnose_model(model, read_recordings(order.data, model.robot), None, progress)
+    content = found.as_json() | {"against": against, "evidence": [_evidence(r) for r in found.ranked]}
+    send(Answered("diagnose", content))
+    progress("drawing the page")
+    send(Answered("diagnose", content, diagnose_page(model, found, against, order.data).html()))
 
 
 def _evidence(r: Ranked) -> Answer | None:
@@ -135,11 +135,11 @@ def _evidence(r: Ranked) -> Answer | None:
 def _add(order: Order, model: Model, send: Send) -> None:
     effect, joint, force = (order.options.get(k) for k in ("effect", "joint", "force"))
     assert order.target is not None
-    tell = _Teller(send)
+    progress = _StepSender(send)
     target = writable(order.target)
     name = f"{effect or ''}:{joint}" if joint else str(effect or "")
     campaign = tagged(campaign_of(model.robot.as_described, order.data), order.conditions, order.data)
-    done = add(model, [name], campaign, force=bool(force), tell=tell)
+    done = add(model, [name], campaign, force=bool(force), progress=progress)
     row = {
         "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
         "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),
@@ -156,9 +156,9 @@ def _add(order: Order, model: Model, send: Send) -> None:
 def _plan(order: Order, model: Model, send: Send) -> None:
     """The experiments that decide, as files: the whole campaign, with the sentence of the diagnosis on top."""
     assert order.target is not None
-    folder, tell = order.target, _Teller(send)
-    tell("designing the experiments")
-    plan = design(model.robot.as_described, Wishes(), read_recordings(order.data, model.robot), tell)
+    folder, progress = order.target, _StepSender(send)
+    progress("designing the experiments")
+    plan = design(model.robot.as_described, Wishes(), read_recordings(order.data, model.robot), progress)
     try:
         folder.mkdir()
     except OSError as e:
@@ -168,13 +168,19 @@ def _plan(order: Order, model: Model, send: Send) -> None:
     if decides:
         write_text(folder / "decides.txt", decides + "\n")
     minutes = sum(p.seconds for p in plan.parts) / 60.0
-    told = {"folder": str(folder), "files": len(files), "minutes": minutes, "decides": decides, "warnings": list(plan.warnings)}
-    send(Answered("plan", told, plan_page(plan).html()))
+    content = {
+        "folder": str(folder),
+        "files": len(files),
+        "minutes": minutes,
+        "decides": decides,
+        "warnings": list(plan.warnings),
+    }
+    send(Answered("plan", content, plan_page(plan).html()))
 
 
 def _fmu(order: Order, model: Model, send: Send, export: Export | None) -> None:
     if export is None:
         raise OutputError("this workbench was started without FMUs; expected the part fmu: `stopset export-fmu` writes one")
     assert order.target is not None
-    export(model, writable(order.target), _Teller(send))
+    export(model, writable(order.target), _StepSender(send))
     send(Answered("fmu", {"file": str(order.target), "size": order.target.stat().st_size}))

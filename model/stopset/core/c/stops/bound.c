@@ -1,4 +1,4 @@
-/* One power-off stop from a box of states, as a loop asks for it: the brakes' windows, a tube of each, the tool's way.
+/* One power-off stop from a box of states, as a loop asks for it: the brakes' windows, a tube of each, the tool's travel.
  *
  * The same as stopset.reach.stops.bounds with `fast`. The windows of the brakes' common delay are told in stopset.reach.stops.windows, the
  * region in which effects are evaluated in stopset.reach.stops.tubes.
@@ -46,7 +46,7 @@ static void window(const StopsetStops *s, double early, double late, double lo[S
 }
 
 /* Delays (n,) of every window of the common delay, all of them where delays are independent or no such stop fits; returns how many.
- * The common delay is at most every joint's largest and at least every joint's least less `apart`, so all have delays in a window. */
+ * The common delay is at most every joint's largest and at least every joint's least less `delay_spread`, so all have delays in a window. */
 static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WINDOWS][SN]) {
     const StopsetPlant *p = &s->plant;
     const int n = p->arm.n;
@@ -58,15 +58,15 @@ static int windows(const StopsetStops *s, double lo[WINDOWS][SN], double hi[WIND
         soonest = least(soonest, b);
         last = most(last, b);
     }
-    const double apart = s->apart, begin = most(first, latest - apart), end = least(soonest, most(last - apart, begin));
-    if (!(apart >= 0.0) || end < begin - TINY) {
+    const double delay_spread = s->delay_spread, begin = most(first, latest - delay_spread), end = least(soonest, most(last - delay_spread, begin));
+    if (!(delay_spread >= 0.0) || end < begin - TINY) {
         memcpy(lo[0], p->delay_lo, (size_t)n * sizeof(double));
         memcpy(hi[0], p->delay_hi, (size_t)n * sizeof(double));
         return 1;
     }
     const double room = end - begin > TINY ? end - begin : 0.0;
-    const int count = room / most(WIDTH, 0.5 * apart) > 1.0 ? WINDOWS : 1; /* WINDOWS is two */
-    for (int k = 0; k < count; k++) window(s, k * (room / count) + begin, (k + 1 < count ? (k + 1) * (room / count) + begin : end) + apart, lo[k], hi[k]);
+    const int count = room / most(WIDTH, 0.5 * delay_spread) > 1.0 ? WINDOWS : 1; /* WINDOWS is two */
+    for (int k = 0; k < count; k++) window(s, k * (room / count) + begin, (k + 1 < count ? (k + 1) * (room / count) + begin : end) + delay_spread, lo[k], hi[k]);
     return count;
 }
 
@@ -106,7 +106,7 @@ void stops_guess(const StopAsk *a, Region *region) {
     region->known = region->asked = 0;
     for (int i = 0; torques && i < a->stops->plant.arm.n; i++) {
         const double fast = size_of(a->dq[i]) + a->dq_radius[i], speed = 1.05 * fast + 0.05, limit = torques->speed[i];
-        region->way[i] = 1.1 * a->lasts * fast + 0.01;
+        region->travel[i] = 1.1 * a->lasts * fast + 0.01;
         region->speed[i] = fast < limit ? least(speed, limit) : speed;
     }
 }
@@ -117,8 +117,8 @@ static int asked(const StopAsk *a, Region *region) {
     double lo[SN], hi[SN];
     if (region->asked) return 1;
     for (int i = 0; i < s->plant.arm.n; i++) {
-        lo[i] = a->q[i] - a->q_radius[i] - region->way[i];
-        hi[i] = a->q[i] + a->q_radius[i] + region->way[i];
+        lo[i] = a->q[i] - a->q_radius[i] - region->travel[i];
+        hi[i] = a->q[i] + a->q_radius[i] + region->travel[i];
     }
     region->asked = stopset_friction_over(&s->plant, s->torques, lo, hi, region->speed, region->friction) == STOPSET_OK;
     return region->asked;
@@ -130,10 +130,10 @@ static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
     double moved[SN];
     int held = 1;
     extent(a, fastest, moved);
-    for (int i = 0; i < n; i++) held = held && moved[i] < region->way[i] && fastest[i] < region->speed[i];
+    for (int i = 0; i < n; i++) held = held && moved[i] < region->travel[i] && fastest[i] < region->speed[i];
     if (held) return 1;
     for (int i = 0; i < n; i++) {
-        region->way[i] = most(region->way[i], 1.3 * moved[i]);
+        region->travel[i] = most(region->travel[i], 1.3 * moved[i]);
         region->speed[i] = most(region->speed[i], 1.1 * fastest[i]);
     }
     region->known = 1;
@@ -195,12 +195,12 @@ static void tool_motion(const StopAsk *a, const double *q, const double *q_radiu
     double *room = a->cut, border[SLICES + 1], box[6];
     double *dl = take(&room, SLICES * n), *dh = take(&room, SLICES * n), *vl = take(&room, SLICES * n), *vh = take(&room, SLICES * n);
     double *near_lo = take(&room, SLICES * n), *near_hi = take(&room, SLICES * n), *left = take(&room, SLICES * n);
-    double *way = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *way_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
+    double *travel = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *travel_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
     const int64_t cut =
-        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, t->way, SLICES, border, a->lines, dl, dh,
+        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, t->travel_left, SLICES, border, a->lines, dl, dh,
                        vl, vh, near_lo, near_hi, left);
-    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, near_lo, near_hi, left, n - 1, a->stops->tool, way, way_ball, pace, pace_ball);
-    stopset_point_motion(arm, cut, n - 1, a->stops->tool, way, way_ball, pace, pace_ball, far, fast, box);
+    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, near_lo, near_hi, left, n - 1, a->stops->tool, travel, travel_ball, pace, pace_ball);
+    stopset_point_motion(arm, cut, n - 1, a->stops->tool, travel, travel_ball, pace, pace_ball, far, fast, box);
 }
 
 void stops_widen(const StopAsk *a, const double *q, const double *q_radius, const double fastest[SN], const StopsetBound *out) {
@@ -230,7 +230,7 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
     a->tube.e_hi = take(&room, lines);
     for (int k = 0; k < 4; k++) a->tube.rates[k] = take(&room, lines);
     a->tube.margin = take(&room, n);
-    a->tube.way = take(&room, knots);
+    a->tube.travel_left = take(&room, knots);
     a->lines = take(&room, STEPS + 1);
     a->cut = room;
     for (int i = 0; i < n; i++) out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;

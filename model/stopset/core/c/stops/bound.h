@@ -3,10 +3,10 @@
 #define STOPSET_BOUND_H
 #include "stops.h"
 
-/* Angles, `way` beyond the box, and speeds that a stop is taken not to leave, until shown; `known`: found by a tube and not guessed.
+/* Angles, `travel` beyond the box, and speeds that a stop is taken not to leave, until shown; `known`: found by a tube and not guessed.
  * `friction`: what the effects give there, once `asked`. The same as stopset.reach.stops.tubes.Region. */
 typedef struct {
-    double way[SN], speed[SN], friction[6 * SN];
+    double travel[SN], speed[SN], friction[6 * SN];
     int known, asked;
 } Region;
 

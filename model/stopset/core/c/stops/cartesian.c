@@ -68,10 +68,10 @@ typedef struct {
     Point start;
 } Asked;
 
-/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of ways / left_i <= 1 (left 0: not at all): the
+/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the
  * point moves by no more than max_i reach_i left_i. `here`, `reach`: at the middle, and from everywhere. Returns the ball's radius. */
 static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Point *here, double *wide, double *reach,
-                        double *way) {
+                        double *travel) {
     const int n = a->arm->n, m = n + 1;
     double c[SN], r[SN], far[SN], at[SN], farther = 0.0;
     for (int i = 0; i < n; i++) {
@@ -84,36 +84,36 @@ static double displaced(const Asked *a, const double *d_lo, const double *d_hi, 
     locate(a->arm, at, a->link, a->point, here);
     reach_of(a->arm, here->distance, far, a->link, a->point, reach);
     double ball = 0.5 * curved(reach, wide, wide, a->link) + 0.5 * curved(reach, a->q_radius, a->q_radius, a->link);
-    for (int x = 0; x < 3; x++) way[x * m] = here->p[x] - a->start.p[x];
+    for (int x = 0; x < 3; x++) travel[x * m] = here->p[x] - a->start.p[x];
     for (int i = 0; i <= a->link; i++) {
         const double *J = here->J, *S = a->start.J, change[3] = {J[i] - S[i], J[n + i] - S[n + i], J[2 * n + i] - S[2 * n + i]};
         ball += a->q_radius[i] * sqrt(dot(change, change));
-        for (int x = 0; x < 3; x++) way[x * m + i + 1] = J[x * n + i] * r[i];
+        for (int x = 0; x < 3; x++) travel[x * m + i + 1] = J[x * n + i] * r[i];
         if (left) farther = most(farther, reach[i] * left[i]);
     }
     return ball + farther * (1.0 + 1e-12);
 }
 
-static double span_of(const double *way, int m, int link, double ball) {
+static double span_of(const double *travel, int m, int link, double ball) {
     double one[SN];
-    const double from[3] = {way[0], way[m], way[2 * m]};
+    const double from[3] = {travel[0], travel[m], travel[2 * m]};
     for (int i = 0; i <= link; i++) one[i] = 1.0;
-    return longest(from, way + 1, m, one, link) + ball;
+    return longest(from, travel + 1, m, one, link) + ball;
 }
 
 int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
                        const double *v_lo, const double *v_hi, const double *near_lo, const double *near_hi, const double *left, int link,
-                       const double *point, double *way, double *way_ball, double *pace, double *pace_ball) {
+                       const double *point, double *travel, double *travel_ball, double *pace, double *pace_ball) {
     const int n = arm->n, m = n + 1;
     Asked a = {arm, q, q_radius, point, link, {{0}, {0}, {0}}};
     Point here, there;
     double wide[SN], fast[SN], reach[SN], other[SN], widest[SN], set[3 * (SN + 1)];
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     locate(arm, q, link, point, &a.start);
-    memset(way, 0, (size_t)(S * 3 * m) * sizeof *way);
+    memset(travel, 0, (size_t)(S * 3 * m) * sizeof *travel);
     memset(pace, 0, (size_t)(S * 3 * m) * sizeof *pace);
-    for (int64_t s = 0; s < S; s++, way += 3 * m, pace += 3 * m) {
-        way_ball[s] = displaced(&a, d_lo + s * n, d_hi + s * n, 0, &here, wide, reach, way);
+    for (int64_t s = 0; s < S; s++, travel += 3 * m, pace += 3 * m) {
+        travel_ball[s] = displaced(&a, d_lo + s * n, d_hi + s * n, 0, &here, wide, reach, travel);
         for (int i = 0; i <= link; i++) {
             const double vc = 0.5 * (v_lo[s * n + i] + v_hi[s * n + i]), vr = 0.5 * (v_hi[s * n + i] - v_lo[s * n + i]);
             fast[i] = size_of(vc) + vr;
@@ -126,14 +126,14 @@ int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_r
         if (!left || !(left[s * n] < STOPS_INF)) continue;
         memset(set, 0, sizeof set);
         const double ball = displaced(&a, near_lo + s * n, near_hi + s * n, left + s * n, &there, widest, other, set);
-        if (!(span_of(set, m, link, ball) < span_of(way, m, link, way_ball[s]))) continue;
-        memcpy(way, set, (size_t)(3 * m) * sizeof *way);
-        way_ball[s] = ball;
+        if (!(span_of(set, m, link, ball) < span_of(travel, m, link, travel_ball[s]))) continue;
+        memcpy(travel, set, (size_t)(3 * m) * sizeof *travel);
+        travel_ball[s] = ball;
     }
     return STOPSET_OK;
 }
 
-void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *way, const double *way_ball,
+void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *travel, const double *travel_ball,
                           const double *pace, const double *pace_ball, double *far, double *fast, double *box) {
     const int m = arm->n + 1;
     double reach = sqrt(dot(point, point)), one[SN];
@@ -141,15 +141,15 @@ void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const doub
     memset(box, 0, 6 * sizeof *box);
     for (int i = 1; i <= link; i++) reach += sqrt(dot(arm->p + 3 * i, arm->p + 3 * i));
     for (int i = 0; i <= link; i++) one[i] = 1.0;
-    for (int64_t s = 0; s < S; s++, way += 3 * m, pace += 3 * m) {
-        const double from[3] = {way[0], way[m], way[2 * m]}, going[3] = {pace[0], pace[m], pace[2 * m]};
-        *far = most(*far, longest(from, way + 1, m, one, link) + way_ball[s]);
+    for (int64_t s = 0; s < S; s++, travel += 3 * m, pace += 3 * m) {
+        const double from[3] = {travel[0], travel[m], travel[2 * m]}, going[3] = {pace[0], pace[m], pace[2 * m]};
+        *far = most(*far, longest(from, travel + 1, m, one, link) + travel_ball[s]);
         *fast = most(*fast, longest(going, pace + 1, m, one, link) + pace_ball[s]);
         for (int x = 0; x < 3; x++) {
-            double half = way_ball[s];
-            for (int i = 0; i <= link; i++) half += size_of(way[x * m + i + 1]);
-            box[2 * x] = least(box[2 * x], way[x * m] - half);
-            box[2 * x + 1] = most(box[2 * x + 1], way[x * m] + half);
+            double half = travel_ball[s];
+            for (int i = 0; i <= link; i++) half += size_of(travel[x * m + i + 1]);
+            box[2 * x] = least(box[2 * x], travel[x * m] - half);
+            box[2 * x + 1] = most(box[2 * x + 1], travel[x * m] + half);
         }
     }
     /* however far joints turn, no point leaves the ball about the first one that the arm reaches */
@@ -183,15 +183,15 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
     return STOPSET_OK;
 }
 
-/* The knot up to `last` from which what is left of the ways adds least, joints nearer to the base counted more; -1 if none knows. */
-static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_hi, const double *way) {
+/* The knot up to `last` from which what is left of the travel adds least, joints nearer to the base counted more; -1 if none knows. */
+static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_hi, const double *travel) {
     int64_t best = -1;
     double least_so_far = STOPS_INF;
     for (int64_t k = 0; k <= last; k++) {
         double width = 0.0, farthest = 0.0;
         for (int i = 0; i < n; i++) {
             width += (n - i) * (d_hi[k * n + i] - d_lo[k * n + i]);
-            farthest = most(farthest, (n - i) * way[k * n + i]);
+            farthest = most(farthest, (n - i) * travel[k * n + i]);
         }
         if (!(width + 2.0 * farthest < least_so_far)) continue;
         least_so_far = width + 2.0 * farthest;
@@ -201,20 +201,20 @@ static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_
 }
 
 int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi, const double *e_lo,
-                       const double *e_hi, const double *t, const double *way_left, int64_t count, double *border, double *work,
+                       const double *e_hi, const double *t, const double *travel_left, int64_t count, double *border, double *work,
                        double *out_dl, double *out_dh, double *out_vl, double *out_vh, double *near_lo, double *near_hi, double *left) {
     int64_t begin = 0, made = 0;
-    double *way = work;
-    way[0] = 0.0;
+    double *travel = work;
+    travel[0] = 0.0;
     border[0] = 0.0;
     for (int64_t k = 0; k < K; k++) {
         double sum = 0.0;
         for (int64_t i = k * n; i < (k + 1) * n; i++) sum += 0.5 * size_of(d_lo[i + n] + d_hi[i + n] - d_lo[i] - d_hi[i]);
-        way[k + 1] = way[k] + sum;
+        travel[k + 1] = travel[k] + sum;
     }
     for (int64_t s = 0; s < count && begin < K; s++) {
         int64_t end = begin + 1;
-        while (end < K && (s == count - 1 || way[end] < way[K] * (double)(s + 1) / (double)count)) end++;
+        while (end < K && (s == count - 1 || travel[end] < travel[K] * (double)(s + 1) / (double)count)) end++;
         for (int i = 0; i < n; i++) {
             double dl = STOPS_INF, dh = -STOPS_INF, vl = STOPS_INF, vh = -STOPS_INF;
             for (int64_t k = begin; k <= end; k++) {
@@ -236,11 +236,11 @@ int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi,
             out_vl[s * n + i] = vl;
             out_vh[s * n + i] = vh;
         }
-        const int64_t from = nearest(n, begin, d_lo, d_hi, way_left);
+        const int64_t from = nearest(n, begin, d_lo, d_hi, travel_left);
         for (int i = 0; i < n; i++) {
             near_lo[s * n + i] = from < 0 ? 0.0 : d_lo[from * n + i];
             near_hi[s * n + i] = from < 0 ? 0.0 : d_hi[from * n + i];
-            left[s * n + i] = from < 0 ? STOPS_INF : way_left[from * n + i];
+            left[s * n + i] = from < 0 ? STOPS_INF : travel_left[from * n + i];
         }
         made = s + 1;
         border[made] = t[end];

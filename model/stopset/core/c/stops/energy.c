@@ -141,22 +141,22 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
 
 /* How far [rad] each joint can still go from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known. Brakes only gain torque:
  * once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than y^2 / 2 |w_i|.
- * That decides where gravity is asked for: ways are claimed first, and claimed again while too short. */
-int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                   const StopsetParts *parts, Local *at, double *way) {
+ * That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
+int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                      const StopsetParts *parts, Local *at, double *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
     double x_lo[SN], x_hi[SN], w[SN];
     Energy there;
     for (int i = 0; i < n; i++) {
         if (!(B_lo[i] > 0.0)) return 0;
-        way[i] = 1.1 * work / B_lo[i] + 1e-9;
+        travel[i] = 1.1 * work / B_lo[i] + 1e-9;
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
         for (int i = 0; i < n; i++) {
-            x_lo[i] = q_lo[i] - way[i];
-            x_hi[i] = q_hi[i] + way[i];
+            x_lo[i] = q_lo[i] - travel[i];
+            x_hi[i] = q_hi[i] + travel[i];
         }
         stops_box_terms(E, &p->curvature, x_lo, x_hi, none, none, parts, at); /* at rest: h is gravity alone */
         for (int i = 0; i < n; i++) {
@@ -166,13 +166,13 @@ int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, c
         stops_power_excess(n, &there, p->u_lo, p->u_hi, B_lo, none, none, w);
         for (int i = 0; i < n; i++) {
             if (!(w[i] < 0.0)) return 0;
-            if (!(work / -w[i] < way[i])) {
+            if (!(work / -w[i] < travel[i])) {
                 enough = 0;
-                way[i] = 1.1 * work / -w[i] + 1e-9;
+                travel[i] = 1.1 * work / -w[i] + 1e-9;
             }
         }
         if (!enough) continue;
-        for (int i = 0; i < n; i++) way[i] = work / -w[i] * stopset_energy_rounding;
+        for (int i = 0; i < n; i++) travel[i] = work / -w[i] * stopset_energy_rounding;
         return 1;
     }
     return 0;

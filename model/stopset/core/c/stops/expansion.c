@@ -1,5 +1,5 @@
 /* Inertia, gravity and Christoffel symbols near a pose: value, exact slope and the inertia's exact second slope, by turning
- * composite bodies about each axis; and the levers that bound its third slopes.
+ * composite bodies about each axis; and the roots of inertia L_ab that bound its third slopes.
  *
  * Source: Featherstone (2008), ch. 2; Wensing et al. (2018) for the pseudo-inertia. The bounds of what lies beyond are told in
  * stopset.reach.stops.expansion.
@@ -143,9 +143,9 @@ static int is_body(const double *P) {
     return 1;
 }
 
-/* Squares of the levers, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
+/* Squares of L_ab, and which bodies are solid, go on with the links' parameters `pi`. With 2 `thin` on each eigenvalue a link
  * is a body, and what was put on it is one too: eight times `thin`; the rest is for rounding. */
-static void levers(const Bodies *b, const double *pi, Expansion *E) {
+static void inertia_roots(const Bodies *b, const double *pi, Expansion *E) {
     const int n = b->n;
     double slack[SN] = {0};
     for (int k = n - 1; k >= 0; k--) {
@@ -155,7 +155,7 @@ static void levers(const Bodies *b, const double *pi, Expansion *E) {
             const double *za = b->z + 3 * a, *sa = b->s + 3 * a, *oa = b->o + 3 * a, far = 1.0 + away + sqrt(dot(oa, oa));
             const Wrench f = momentum_of(b, k, za, sa);
             slack[a] += 10.0 * thin * trace * far * far;
-            E->lever[a * n + k] += most(along(b, a, &f), 0.0) + slack[a];
+            E->root[a * n + k] += most(along(b, a, &f), 0.0) + slack[a];
         }
     }
 }
@@ -202,16 +202,16 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
         cross(b.o + 3 * i, b.z + 3 * i, b.s + 3 * i);
     }
     for (int i = 0; i < n; i++) E->solid[i] = 1;
-    memset(E->lever, 0, (size_t)(n * n) * sizeof *E->lever);
+    memset(E->root, 0, (size_t)(n * n) * sizeof *E->root);
     slopes(&b, arm->pi, arm->gravity, E->M, E->dM, E->g, E->dg, E->Gamma);
     bends(&b, E->ddM);
-    levers(&b, arm->pi, E);
+    inertia_roots(&b, arm->pi, E);
     for (int i = 0; i < n; i++) E->M[i * n + i] += rotor[i];
     for (int r = 0; r < 10; r++) E->loaded |= pi_half[10 * (n - 1) + r] != 0.0;
     if (E->loaded) {
         slopes(&b, pi_half, arm->gravity, E->Mp, E->dMp, E->gp, E->dgp, E->Gammap);
         bends(&b, E->ddMp);
-        levers(&b, pi_half, E);
+        inertia_roots(&b, pi_half, E);
     } else {
         memset(E->Mp, 0, sizeof E->Mp);
         memset(E->dMp, 0, sizeof E->dMp);
@@ -219,7 +219,7 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
         memset(E->dgp, 0, sizeof E->dgp);
         memset(E->Gammap, 0, sizeof E->Gammap);
     }
-    for (int i = 0; i < n * n; i++) E->lever[i] = sqrt(E->lever[i]);
+    for (int i = 0; i < n * n; i++) E->root[i] = sqrt(E->root[i]);
 }
 
 int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM, double *Mp,

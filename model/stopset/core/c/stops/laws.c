@@ -1,4 +1,4 @@
-/* What an effect can do to an arm whose drives are off: its own law over intervals, told apart into what opposes the motion and what
+/* What an effect can do to an arm whose drives are off: its own law over intervals, separated into what opposes the motion and what
  * pushes. What is asked of a law, and why this encloses it, stands in stopset.effects.bound.
  *
  * Numbers are slopes: a function f(x) with 0 <= x <= X and all else in intervals has its values in `all`, f(0) in `start` and f(x) - f(0)
@@ -129,10 +129,10 @@ static Slope constant(Ends x) {
     return out;
 }
 
-/* way * x, 0 <= x <= largest */
-static Slope speed(double largest, double way) {
-    const double end = way * largest;
-    const Slope out = {{least(end, 0.0), most(end, 0.0)}, {0.0, 0.0}, {way, way}, RATE};
+/* side * x, 0 <= x <= largest */
+static Slope speed(double largest, double side) {
+    const double end = side * largest;
+    const Slope out = {{least(end, 0.0), most(end, 0.0)}, {0.0, 0.0}, {side, side}, RATE};
     return out;
 }
 
@@ -268,7 +268,7 @@ static int remembered(const StopsetActing *law, double fastest, Ends *out) {
     Slope signals[STOPSET_SIGNALS], r[STEPS];
     for (int k = 0; k < STOPSET_SIGNALS; k++) signals[k] = constant(of(0.0, 0.0));
     signals[S_DQ] = constant(of(-fastest, fastest));
-    signals[S_WAY] = constant(of(-1.0, 1.0));
+    signals[S_DIRECTION] = constant(of(-1.0, 1.0));
     for (int side = 0; side < 2; side++) {
         double near = law->start, beyond = law->range[side];
         for (int k = 0; k < 50; k++) {
@@ -319,33 +319,33 @@ static int lines(const StopsetActing *law, const StopsetSight *s, Slope *signals
     Slope r[STEPS], column[2][PIECES][COLUMNS];
     int steady[COLUMNS];
     for (int c = 0; c < law->terms; c++) steady[c] = 1;
-    for (int way = 0; way < 2; way++)
+    for (int side = 0; side < 2; side++)
         for (int piece = 0; piece < pieces; piece++) {
-            const double sign = way ? -1.0 : 1.0;
+            const double sign = side ? -1.0 : 1.0;
             signals[S_DQ] = speed(s->speed, sign);
-            signals[S_WAY] = constant(of(sign, sign));
+            signals[S_DIRECTION] = constant(of(sign, sign));
             /* which way the gear is loaded cannot be told from gravity while the brakes work: both ways, and no load */
             if (law->role == STOPSET_RUBS) signals[S_LOAD] = constant(of(border[piece], border[piece + 1]));
             if (!play(&law->law, signals, r)) return 0;
             for (int c = 0; c < law->terms; c++) {
-                const Slope *x = &column[way][piece][c];
-                column[way][piece][c] = r[law->column[c]];
+                const Slope *x = &column[side][piece][c];
+                column[side][piece][c] = r[law->column[c]];
                 const Ends value = pair_of(law->value + 2 * c), all = ends_mul(x->all, value), rate = ends_mul(x->rate, value);
                 if (x->how == NO_RATE || (x->how == RATE && !((rate.hi - rate.lo) * s->speed <= (all.hi - all.lo) * (1.0 + 1e-9))))
                     steady[c] = 0;
             }
         }
-    for (int way = 0; way < 2; way++)
+    for (int side = 0; side < 2; side++)
         for (int piece = 0; piece < pieces; piece++) {
             Ends here = {0.0, 0.0}, per = {0.0, 0.0};
             for (int c = 0; c < law->terms; c++) {
-                const Slope *x = &column[way][piece][c];
+                const Slope *x = &column[side][piece][c];
                 const Ends value = pair_of(law->value + 2 * c);
                 here = ends_add(here, ends_mul(steady[c] ? x->start : x->all, value));
                 if (steady[c] && x->how == RATE) per = ends_add(per, ends_mul(x->rate, value));
             }
-            a[way] = piece ? hull(a[way], here) : here;
-            b[way] = piece ? hull(b[way], per) : per;
+            a[side] = piece ? hull(a[side], here) : here;
+            b[side] = piece ? hull(b[side], per) : per;
         }
     return 1;
 }
@@ -354,14 +354,14 @@ static int lines(const StopsetActing *law, const StopsetSight *s, Slope *signals
 static int at_rest(const StopsetActing *law, Slope *signals, Ends *out) {
     Slope r[STEPS];
     signals[S_DQ] = constant(of(0.0, 0.0));
-    signals[S_WAY] = constant(of(-1.0, 1.0));
+    signals[S_DIRECTION] = constant(of(-1.0, 1.0));
     if (!play(&law->law, signals, r)) return 0;
     *out = of(0.0, 0.0);
     for (int c = 0; c < law->terms; c++) *out = ends_add(*out, ends_mul(pair_of(law->value + 2 * c), r[law->column[c]].all));
     return 1;
 }
 
-/* Torques forward and backward as way * odd + even: what opposes the motion, and what does not. */
+/* Torques forward and backward as direction * odd + even: what opposes the motion, and what does not. */
 static void split(int role, Ends plus, Ends back, Ends *odd, Ends *even) {
     if (role == STOPSET_RUBS) {
         *odd = of(least(plus.lo, -back.hi), most(plus.hi, -back.lo));

@@ -3,25 +3,25 @@
 
 #include "stops.h"
 
-/* The levers anywhere within `far` of the pose: lever (a, b) changes with q_c, c > a, by no more than lever (c, max(b, c)). */
-static void far_levers(const Expansion *E, const double *far, double *lever) {
+/* L anywhere within `far` of the pose: L_ab changes with q_c, c > a, by no more than L_c,max(b, c). */
+static void far_roots(const Expansion *E, const double *far, double *root) {
     const int n = E->n;
     for (int a = n - 1; a >= 0; a--)
         for (int b = a; b < n; b++) {
-            lever[a * n + b] = E->lever[a * n + b];
-            for (int c = a + 1; c < n; c++) lever[a * n + b] += far[c] * lever[c * n + (b > c ? b : c)];
+            root[a * n + b] = E->root[a * n + b];
+            for (int c = a + 1; c < n; c++) root[a * n + b] += far[c] * root[c * n + (b > c ? b : c)];
         }
 }
 
 /* of[m], m > i: sum over o, u > i of far_o far_u times a bound of the third slopes of M_i. about joints of which the last but o and u
  * is m; pairs[c]: sum of far_o far_u over pairs of which c is the last. */
-static void third_slopes(const Expansion *E, int i, const double *far, const double *lever, double *of, double *pairs) {
+static void third_slopes(const Expansion *E, int i, const double *far, const double *root, double *of, double *pairs) {
     const int n = E->n;
     double third[SN], before = 0.0, behind = 0.0;
     for (int c = i + 1; c < n; c++) {
         double longest = 0.0;
-        for (int a = i; a <= c; a++) longest = most(longest, lever[a * n + c]);
-        third[c] = 8.0 * lever[c * n + c] * longest;
+        for (int a = i; a <= c; a++) longest = most(longest, root[a * n + c]);
+        third[c] = 8.0 * root[c * n + c] * longest;
         pairs[c] = far[c] * (2.0 * before + far[c]);
         before += far[c];
     }
@@ -36,10 +36,10 @@ static void third_slopes(const Expansion *E, int i, const double *far, const dou
 static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far,
                     const StopsetParts *parts, Local *out) {
     const int n = E->n;
-    double lever[SN * SN], third[SN], pairs[SN], bend[SN], extra[SN];
-    far_levers(E, far, lever);
+    double root[SN * SN], third[SN], pairs[SN], bend[SN], extra[SN];
+    far_roots(E, far, root);
     for (int i = 0; i < n; i++) {
-        third_slopes(E, i, far, lever, third, pairs);
+        third_slopes(E, i, far, root, third, pairs);
         for (int j = i; j < n; j++) {
             const double *dM = E->dM + (i * n + j) * n, *dMp = E->dMp + (i * n + j) * n;
             const double *ddM = E->ddM + pair(i, j) * PAIRS, *ddMp = E->ddMp + pair(i, j) * PAIRS;

@@ -108,20 +108,20 @@ static double left(int i, double sign, const Local *at, const Local *start, cons
     return sign > 0.0 ? lo : -hi;
 }
 
-/* kept (n,): least brake impulse that can end a first excursion during this step; inf where none can end. */
-void stops_kept_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
-                        const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *kept) {
+/* retained (n,): least brake impulse that can end a first excursion during this step; inf where none can end. */
+void stops_retained_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
+                            const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained) {
     for (int i = 0; i < at->n; i++) {
-        kept[i] = STOPS_INF;
+        retained[i] = STOPS_INF;
         if (!before->alive[i] || !after->rested[i]) continue;
         const double less = least(0.0, h * driven(p, i, at, before, after));
-        kept[i] = m->drive[i] + less + left(i, after->sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi);
+        retained[i] = m->drive[i] + less + left(i, after->sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi);
     }
 }
 
 /* A step of h seconds on which speeds lie in [x_lo, x_hi], bands going from before to after. */
 void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const Step *s, const Bands *before, const Bands *after,
-                    const double *kept, const double *x_lo, const double *x_hi, double h) {
+                    const double *retained, const double *x_lo, const double *x_hi, double h) {
     for (int i = 0; i < at->n; i++) {
         const double up = m->up[i], down = m->down[i];
         m->up[i] += h * (at->e_hi[i] + p->u_hi[i] - s->B_later[i]);
@@ -137,7 +137,7 @@ void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const S
                                   least(size_of(after->first_lo[i]), size_of(after->first_hi[i])));
         const double few = s->B_lo[i] + p->viscous_lo[i] * slow, many = s->B_hi[i] + p->viscous_hi[i] * fastest(i, before, after);
         m->drive[i] += h * driven(p, i, at, before, after);
-        m->needed[i] = least(m->needed[i], kept[i]);
+        m->needed[i] = least(m->needed[i], retained[i]);
         m->P_lo[i] += h * (after->sign[i] > 0.0 ? at->e_lo[i] + p->u_lo[i] - many : at->e_lo[i] + p->u_lo[i] + few);
         m->P_hi[i] += h * (after->sign[i] > 0.0 ? at->e_hi[i] + p->u_hi[i] - few : at->e_hi[i] + p->u_hi[i] + many);
     }

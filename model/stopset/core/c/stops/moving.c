@@ -47,8 +47,8 @@ static void torques(const Local *at, const Step *s, Torque *t) {
         for (int j = 0; j < n; j++)
             if (j != i) push += at->dM[i * n + j] * s->a_far[j];
         t->f_lo[i] = s->s_lo[i] - push - s->B_hi[i];
-        t->f_hi[i] = s->s_hi[i] + push - (s->way[i] >= 0.0 ? s->B_lo[i] : s->B_later[i]);
-        t->b_lo[i] = s->s_lo[i] - push + (s->way[i] <= 0.0 ? s->B_lo[i] : s->B_later[i]);
+        t->f_hi[i] = s->s_hi[i] + push - (s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i]);
+        t->b_lo[i] = s->s_lo[i] - push + (s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i]);
         t->b_hi[i] = s->s_hi[i] + push + s->B_hi[i];
         t->later[i] = s->B_later[i] - s->B_lo[i];
         const double own = at->dM[i * n + i] * s->a_far[i];
@@ -82,7 +82,7 @@ static void visit(const Local *at, const Step *s, const Torque *t, const double 
             out[1][i] = most(out[1][i], -least_over(-hi - w * t->f_hi[i], d));
             out[4][i] = most(out[4][i], -least_over(-hi - w * (t->f_hi[i] - s->own_up[i]), d));
             out[5][i] = least(out[5][i], least_over(lo + w * (t->f_lo[i] + s->own_down[i]), d));
-            rested = s->way[i] >= 0.0 ? t->later[i] : 0.0;
+            rested = s->direction[i] >= 0.0 ? t->later[i] : 0.0;
             out[8][i] = most(out[8][i], -least_over(-hi - w * (t->f_hi[i] - rested), d));
         }
         if (s->zero[i] || s->minus[i]) {
@@ -90,7 +90,7 @@ static void visit(const Local *at, const Step *s, const Torque *t, const double 
             out[3][i] = most(out[3][i], -least_over(-hi - w * t->b_hi[i], d));
             out[6][i] = most(out[6][i], -least_over(-hi - w * (t->b_hi[i] - s->own_up[i]), d));
             out[7][i] = least(out[7][i], least_over(lo + w * (t->b_lo[i] + s->own_down[i]), d));
-            rested = s->way[i] <= 0.0 ? t->later[i] : 0.0;
+            rested = s->direction[i] <= 0.0 ? t->later[i] : 0.0;
             out[9][i] = least(out[9][i], least_over(lo + w * (t->b_lo[i] + rested), d));
         }
     }

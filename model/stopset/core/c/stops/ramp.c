@@ -18,9 +18,9 @@ static void curve(const StopsetRamp *r, int i, double v, double t, int slow, dou
     const double begin = slow ? r->control_hi[i] : r->control_lo[i], gentle = slow == (r->timed != 0) ? r->value_hi[i] : r->value_lo[i];
     const double lasts = r->timed ? gentle : size_of(v) / gentle;
     const double s = clip((t - begin) / most(lasts, 1e-12), 0.0, 1.0);
-    const double way = least(t, begin) + lasts * (s - 0.5 * s * s); /* [s] of the programmed motion that were run through */
-    const double share = 1.0 + pace * way;
-    *d = v * (share > 0.0 ? way + 0.5 * pace * way * way : -0.5 / least(pace, -1e-12));
+    const double path_time = least(t, begin) + lasts * (s - 0.5 * s * s); /* [s] of the programmed motion that were run through */
+    const double share = 1.0 + pace * path_time;
+    *d = v * (share > 0.0 ? path_time + 0.5 * pace * path_time * path_time : -0.5 / least(pace, -1e-12));
     *w = v * (1.0 - s) * most(share, 0.0);
 }
 
@@ -57,7 +57,7 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
             tube->d_hi[at] = k ? d_hi + r->q_error[i] : d_hi;
             tube->v_lo[at] = w_lo - r->dq_error[i] - bend;
             tube->v_hi[at] = w_hi + r->dq_error[i] + bend;
-            tube->way[at] = STOPS_INF; /* no brakes' work bounds a ramp */
+            tube->travel_left[at] = STOPS_INF; /* no brakes' work bounds a ramp */
             fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
         }
         for (int k = 0; k < KNOTS; k++) {
@@ -78,11 +78,11 @@ static void ask(const StopAsk *a, const double *pi, double pace, const double la
     for (int k = 0; k < POINTS; k++) {
         const double t = k + 1 < POINTS ? begin + k * ((end - begin) / (POINTS - 1)) : end;
         for (int i = 0; i < n; i++) {
-            const double u = least(t / lasts[i], 1.0), way = lasts[i] * (u - 0.5 * u * u);
+            const double u = least(t / lasts[i], 1.0), path_time = lasts[i] * (u - 0.5 * u * u);
             const int at = k * n + i, moves = lasts[i] > begin && size_of(a->dq[i]) > 0.0;
-            q[at] = a->q[i] + a->dq[i] * (way + 0.5 * pace * way * way);
-            v[at] = a->dq[i] * (1.0 - u) * (1.0 + pace * way);
-            acc[at] = moves ? a->dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * way) / lasts[i]) : 0.0;
+            q[at] = a->q[i] + a->dq[i] * (path_time + 0.5 * pace * path_time * path_time);
+            v[at] = a->dq[i] * (1.0 - u) * (1.0 + pace * path_time);
+            acc[at] = moves ? a->dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * path_time) / lasts[i]) : 0.0;
         }
     }
     stopset_torques(&arm, POINTS, q, v, acc, tau);
@@ -214,9 +214,9 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
     return STOPSET_OK;
 }
 
-/* States at power-off: every joint has travelled up to `way` seconds at the speed of the request, and has up to `share` of it. */
+/* States at power-off: every joint has travelled up to `path_time` seconds at the speed of the request, and has up to `share` of it. */
 typedef struct {
-    double way, share, time;
+    double path_time, share, time;
 } Cell;
 
 /* All of them; 0 where nothing says when power is taken. */
@@ -233,10 +233,10 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLI
     }
     for (int k = 0; k <= SLICES; k++) { /* left in slice k, until whose start the speed was below the line */
         const double line = least(r->share, 1.0 - (k > 1 ? k - 1 : 0) / (double)SLICES + r->tolerance), s = k / (double)SLICES;
-        const double way = control * least(r->share, 1.0 + r->tolerance) + lasts * (s - 0.5 * s * s + r->tolerance * s);
+        const double path_time = control * least(r->share, 1.0 + r->tolerance) + lasts * (s - 0.5 * s * s + r->tolerance * s);
         /* without drives that accelerate the speed stays below the line while power is being taken */
         const double speed = r->share <= 1.0 ? line : r->share;
-        const Cell one = {way + r->reaction * speed, speed, control + lasts * s + r->reaction};
+        const Cell one = {path_time + r->reaction * speed, speed, control + lasts * s + r->reaction};
         cell[k] = one;
     }
     return SLICES + 1;
@@ -248,7 +248,7 @@ static int widest(const Cell *cell, int count, int n, const double *dq) {
     int found = 0;
     for (int k = 0; k < count; k++) {
         double width = 0.0;
-        for (int i = 0; i < n; i++) width = most(width, most(ANGLE_WEIGHT * size_of(dq[i]) * cell[k].way, size_of(dq[i]) * cell[k].share));
+        for (int i = 0; i < n; i++) width = most(width, most(ANGLE_WEIGHT * size_of(dq[i]) * cell[k].path_time, size_of(dq[i]) * cell[k].share));
         if (width > worst) {
             worst = width;
             found = k;
@@ -264,7 +264,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
     Region region[2];
     for (int i = 0; i < n; i++) {
-        const double moved = cell->way * dq[i], v = cell->share * dq[i], off = cell->way * dq_radius[i], unsure = cell->share * dq_radius[i];
+        const double moved = cell->path_time * dq[i], v = cell->share * dq[i], off = cell->path_time * dq_radius[i], unsure = cell->share * dq_radius[i];
         lo[i] = least(0.0, moved) - off - r->q_error[i];
         hi[i] = most(0.0, moved) + off + r->q_error[i];
         const double v_lo = least(0.0, v) - unsure - r->dq_error[i] + r->residual_lo[i];

@@ -182,7 +182,7 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     }
     x->turns[i * WIDE + 1 + n] = E->gp[i];
     coriolis(E, at, i, x, &middle, &rest);
-    const double up = s->way[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->way[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
+    const double up = s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
     const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
     const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
                                hi + s->B_hi[i] - s->own_up[i], lo + down + s->own_down[i], hi - s->B_later[i], lo + s->B_later[i]};

@@ -14,13 +14,13 @@ static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
 #define STOPS_INF (1.0 / 0.0)
 
 /* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p: all zero
- * unless `loaded`). ddM: d2 M_ij/dq_k dq_l by pair(i, j), pair(k, l), where k > i. lever[a, b], a <= b: no less than the root of
+ * unless `loaded`). ddM: d2 M_ij/dq_k dq_l by pair(i, j), pair(k, l), where k > i. root[a, b], a <= b, L_ab: no less than the root of
  * the inertia, rotors apart, about axis a of what is behind joint b, whatever the payload; solid: whether from joint b on all
  * parameters are those of bodies of positive masses. */
 typedef struct {
     int n, loaded, solid[SN];
     double q[SN], M[SN * SN], dM[SN * SN * SN], Mp[SN * SN], dMp[SN * SN * SN], g[SN], dg[SN * SN], gp[SN], dgp[SN * SN],
-        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[PAIRS * PAIRS], ddMp[PAIRS * PAIRS], lever[SN * SN];
+        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[PAIRS * PAIRS], ddMp[PAIRS * PAIRS], root[SN * SN];
 } Expansion;
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
@@ -56,7 +56,7 @@ typedef struct {
 
 /* Torques without dry friction, dry friction, and which signs are possible on a step. */
 typedef struct {
-    double s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], way[SN], a_far[SN];
+    double s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], direction[SN], a_far[SN];
     int plus[SN], minus[SN], zero[SN];
 } Step;
 
@@ -76,10 +76,10 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
 void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);
 void stops_total(int n, const Bands *b, double *lo, double *hi);
 void stops_start_momentum(const Local *at, const double *v_lo, const double *v_hi, const Bands *b, Momentum *m);
-void stops_kept_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
-                        const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *kept);
+void stops_retained_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
+                            const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained);
 void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const Step *s, const Bands *before, const Bands *after,
-                    const double *kept, const double *x_lo, const double *x_hi, double h);
+                    const double *retained, const double *x_lo, const double *x_hi, double h);
 void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, double *lo,
                    double *hi);
 double stops_largest(const Local *at, const double *v_lo, const double *v_hi);
@@ -87,8 +87,8 @@ void stops_power_excess(int n, const Energy *e, const double *u_lo, const double
                         const double *v_hi, double *w);
 int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       double h, const StopsetParts *parts, Local *at);
-int stops_way_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                   const StopsetParts *parts, Local *at, double *way);
+int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
+                      const StopsetParts *parts, Local *at, double *travel);
 double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);

@@ -117,7 +117,7 @@ static void look(const StopsetPlant *plant, const StopsetTorques *t, const doubl
 }
 
 /* One of the sums: no less than nothing of what rubs, and what else would be negative pushes, `per` of it. */
-static void told(const double *rubs, const double *other, double per, double push[2], double out[2]) {
+static void separate(const double *rubs, const double *other, double per, double push[2], double out[2]) {
     const double lo = most(rubs[0], 0.0) + other[0], hi = most(rubs[1], 0.0) + other[1];
     const double lacks = (1.0 + stopset_friction_tolerance) * most(-lo, 0.0) * per;
     push[0] -= lacks;
@@ -153,8 +153,8 @@ int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *t, co
     }
     for (int i = 0; i < n; i++) {
         double push[2] = {total[PUSH * row + 2 * i], total[PUSH * row + 2 * i + 1]}, dry[2], viscous[2];
-        told(total + RUBS * row + 2 * i, total + DRY * row + 2 * i, 1.0, push, dry);
-        told(total + RUBS_VISCOUS * row + 2 * i, total + VISCOUS * row + 2 * i, speed[i], push, viscous);
+        separate(total + RUBS * row + 2 * i, total + DRY * row + 2 * i, 1.0, push, dry);
+        separate(total + RUBS_VISCOUS * row + 2 * i, total + VISCOUS * row + 2 * i, speed[i], push, viscous);
         /* effects stand on the side of the arm's own torques: what they give, the arm is pushed by with the opposite sign */
         const double ends[6] = {dry[0], dry[1], viscous[0], viscous[1], t->free_lo[i] - push[1], t->free_hi[i] - push[0]};
         for (int p = 0; p < 6; p++) out[p * n + i] = ends[p];

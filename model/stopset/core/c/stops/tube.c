@@ -23,7 +23,7 @@ typedef struct {
     const StopsetTube *tube;
     int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
-    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], kept[SN];
+    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
     Step s;
     Expansion E;
     Local at, start;
@@ -152,9 +152,9 @@ static void later_friction(March *m, double now) {
     Step *s = &m->s;
     for (int i = 0; i < m->n; i++) {
         s->B_later[i] = s->B_lo[i];
-        s->way[i] = 0.0;
+        s->direction[i] = 0.0;
         if (m->b.sign[i] == 0.0) continue;
-        if (m->b.alive[i]) s->way[i] = m->b.sign[i];
+        if (m->b.alive[i]) s->direction[i] = m->b.sign[i];
         const double since = now - p->delay_lo[i];
         if (m->b.rested[i] && m->need[i] > 0.0 && since > 0.0) { /* having rested it needed some finite impulse */
             const double worked = most(0.5 * since, since - 0.5 * p->rise_lo[i]); /* a ramp has given half of its torque times the time */
@@ -221,7 +221,7 @@ static void caps_alone(March *m, int64_t k) {
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
 
-/* Bands, lines and kept impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
+/* Bands, lines and retained impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
  * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
 static int take_step(March *m, int64_t k) {
     const int n = m->n;
@@ -243,11 +243,11 @@ static int take_step(March *m, int64_t k) {
             m->x_lo[i] = least(v_lo[i], e_lo[i]);
             m->x_hi[i] = most(v_hi[i], e_hi[i]);
         }
-        stops_kept_impulse(m->p, &m->momentum, &m->at, &m->start, &m->b, &m->end, m->v0_lo, m->v0_hi, m->x_lo, m->x_hi, m->h, m->kept);
+        stops_retained_impulse(m->p, &m->momentum, &m->at, &m->start, &m->b, &m->end, m->v0_lo, m->v0_hi, m->x_lo, m->x_hi, m->h, m->retained);
         for (int i = 0; i < n; i++)
-            if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->kept[i] < m->need[i]) {
+            if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->retained[i] < m->need[i]) {
                 enough = 0;
-                m->need[i] = redo ? 0.0 : m->kept[i] - 0.01 * size_of(m->kept[i]);
+                m->need[i] = redo ? 0.0 : m->retained[i] - 0.01 * size_of(m->retained[i]);
             }
         if (enough) break;
     }
@@ -298,14 +298,14 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
-    double *way = t->way + k * n;
-    if (stops_way_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, way))
+    double *travel_left = t->travel_left + k * n;
+    if (stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, travel_left))
         for (int i = 0; i < n; i++) {
-            m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way[i]);
-            m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way[i]);
+            m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - travel_left[i]);
+            m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + travel_left[i]);
         }
     else
-        for (int i = 0; i < n; i++) way[i] = STOPS_INF;
+        for (int i = 0; i < n; i++) travel_left[i] = STOPS_INF;
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
     for (int i = 0; i < n; i++) {
         m->cap.lo[i] = -m->energy.cap[i];
@@ -343,7 +343,7 @@ static void settle(March *m, int64_t k, double y, int verified) {
     const int n = m->n;
     double before[SN], excess[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
-    stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->kept, m->x_lo, m->x_hi, m->h);
+    stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->retained, m->x_lo, m->x_hi, m->h);
     for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
     memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
@@ -430,7 +430,7 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
     m.related = related;
     m.h = h;
     tube->t[0] = 0.0;
-    for (int i = 0; i < n; i++) tube->way[i] = STOPS_INF;
+    for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
     for (int i = 0; i < n; i++) {
         middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
         engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
@@ -453,11 +453,11 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         settle(&m, k, y, verified);
         tube->t[k + 1] = now + h;
         *made = k + 1;
-        for (int i = 0; i < n; i++) tube->way[(k + 1) * n + i] = STOPS_INF;
+        for (int i = 0; i < n; i++) tube->travel_left[(k + 1) * n + i] = STOPS_INF;
         for (int i = 0; i < n; i++) {
             const double wide = tube->v_hi[(k + 1) * n + i] - tube->v_lo[(k + 1) * n + i];
-            const double way = tube->d_hi[(k + 1) * n + i] - tube->d_lo[(k + 1) * n + i];
-            if (wide != wide || way != way) return UNBOUNDED; /* not a number is no bound */
+            const double span = tube->d_hi[(k + 1) * n + i] - tube->d_lo[(k + 1) * n + i];
+            if (wide != wide || span != span) return UNBOUNDED; /* not a number is no bound */
             widest = most(widest, wide);
         }
         if (!(widest < fastest)) return UNBOUNDED;

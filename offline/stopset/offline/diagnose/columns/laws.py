@@ -61,7 +61,9 @@ def _at_rest(source: ArmSignals, effect: Effect, joint: int, shapes: Mapping[str
     rest = replace(source.still(joint), memory=tuple(np.zeros(P) for _ in effect.states))
 
     def law(sign: float) -> Array:
-        made = effect.columns(replace(rest, way=np.full(P, sign), memory=tuple(np.full(P, sign) for _ in effect.states)), shapes)
+        made = effect.columns(
+            replace(rest, given_direction=np.full(P, sign), memory=tuple(np.full(P, sign) for _ in effect.states)), shapes
+        )
         return np.stack([np.broadcast_to(np.asarray(c, float), (P,)) for c in made], axis=1)
 
     none, both = law(0.0), 0.5 * (law(1.0) + law(-1.0))

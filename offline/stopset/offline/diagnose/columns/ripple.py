@@ -61,7 +61,7 @@ class Ripples:
                 if power[top] < 2 * np.log(len(RIPPLES)):
                     break
                 out.append((self.effect, (j,), {"n": float(RIPPLES[top])}))
-                power[np.abs(RIPPLES - RIPPLES[top]) < limit.RIPPLES_APART] = 0.0
+                power[np.abs(RIPPLES - RIPPLES[top]) < limit.RIPPLE_SEPARATION] = 0.0
         return out
 
 

@@ -141,7 +141,7 @@ class ArmSignals:
         d = self.data
         kelvin = 0.0 if d.temp_fine is None else d.temp_fine[:, joint] - REFERENCE_TEMPERATURE
         return Signals(
-            q=d.q_fine[:, joint], dq=d.dq_fine[:, joint], way=d.direction_fine[:, joint], temp=kelvin,
+            q=d.q_fine[:, joint], dq=d.dq_fine[:, joint], given_direction=d.direction_fine[:, joint], temp=kelvin,
             warm=d.warm_fine, load=self.load_fine[:, joint], t=d.t_fine,
         )  # fmt: skip
 
@@ -159,7 +159,7 @@ class ArmSignals:
         smooth = self.link[:, joint] + rotor + friction[1] * d.dq[:, joint]
         still, swift = self.gravity[:, joint], self.swift[:, joint]
         return Signals(
-            q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], way=d.direction[:, joint], load=still, tau=tau,
+            q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], given_direction=d.direction[:, joint], load=still, tau=tau,
             dtau=self._rate(calm(smooth, self.first)), link=self.link[:, joint], tip=tuple(Y[:, joint, -10:].T),
             tilt=tuple(self.tilt(False)[:, joint].T), stiff=self.stiff(joint, False)[:, joint],
             inertia=self.mass[:, joint, joint], coriolis=swift - still, t=d.t, warm=d.warm,
@@ -170,7 +170,7 @@ class ArmSignals:
         """Signals of the poses held still."""
         z, load = np.zeros(len(self.data.q_still)), self.load_still[:, joint]
         return Signals(
-            q=self.data.q_still[:, joint], dq=z, ddq=z, way=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
+            q=self.data.q_still[:, joint], dq=z, ddq=z, given_direction=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
             stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip

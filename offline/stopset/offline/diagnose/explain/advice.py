@@ -13,7 +13,7 @@ def to_decide(rivals: Sequence[Sequence[str]]) -> str | None:
     """The experiment that tells a claim from its rivals; ``rivals``: groups of ``effect:joint``, the claim first."""
     for first, *others in rivals:
         name = first.partition(":")[0]
-        experiment = get(name).tell_apart
+        experiment = get(name).distinguished_by
         if others and all(o.partition(":")[0] == name for o in others):
             experiment = f"Move the joints one after another, each alone, the others held in several poses. {experiment}"
         return f"To tell {first} from {' and '.join(others)}: {experiment}"

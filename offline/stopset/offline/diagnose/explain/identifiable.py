@@ -80,7 +80,8 @@ def blind_spots(
         if why:
             found.setdefault((name, why), []).append("+".join(engine.data.joints[j] for j in place))
     return tuple(
-        Blind(name, tuple(where), why, REMEDIES.get(why, catalogue()[name].tell_apart)) for (name, why), where in found.items()
+        Blind(name, tuple(where), why, REMEDIES.get(why, catalogue()[name].distinguished_by))
+        for (name, why), where in found.items()
     )
 
 

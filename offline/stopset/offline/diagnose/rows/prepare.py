@@ -21,7 +21,7 @@ from stopset.types import Array, Index, Mask
 
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
-ONE_WAY = 1.0 - 1e-6  # of a smoothed direction that never changes, but for rounding
+ONE_DIRECTION = 1.0 - 1e-6  # of a smoothed direction that never changes, but for rounding
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
 
@@ -231,7 +231,7 @@ def _moving(dq_fine: Array, direction: Array, centre: Index, kernel: Kernel) -> 
     reach = kernel.half // 2
     for k in range(-reach, reach + 1):
         slow |= np.abs(dq_fine[centre + k]) < limit.CREEP
-    return (np.abs(direction) > ONE_WAY) & ~slow
+    return (np.abs(direction) > ONE_DIRECTION) & ~slow
 
 
 def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:

@@ -72,13 +72,13 @@ def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
         now += FOLLOW * (t[k] - now)
     for _ in range(2):
         period, begin = np.polyfit(place, t, 1)
-        place = _apart(np.round((t - begin) / period))
+        place = _distinct(np.round((t - begin) / period))
     even = abs(period - dt) < limit.EVEN * dt and bool(np.all(np.diff(place) > 0))
     lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
     return (begin + period * place if even else None), lost
 
 
-def _apart(place: Array) -> Array:
+def _distinct(place: Array) -> Array:
     """Places of samples of which a stamp half a period off shares its neighbour's: it belongs into the hole beside."""
     out = place.copy()
     for k in np.flatnonzero(np.diff(out) <= 0):

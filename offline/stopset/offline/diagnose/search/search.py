@@ -19,7 +19,7 @@ from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.settle import added, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
-from stopset.progress import Tell, silent
+from stopset.progress import Progress, silent
 from stopset.types import Array
 
 
@@ -50,10 +50,10 @@ class Found:
     before: Array  # (n,) held-out error [N m] of the model without the claims
 
 
-def search(start: Hypothesis, names: Sequence[str] | None = None, tell: Tell = silent) -> Found:
+def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Progress = silent) -> Found:
     """Claim effects beside ``start`` one after another, refit all after each, and drop a claim that later ones made needless.
 
-    ``tell`` is told each claim as it is made.
+    ``progress`` is given each claim as it is made.
     """
     engine = start.engine
     candidates = engine.add_all(wanted(engine, names))
@@ -99,7 +99,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, tell: Tell = s
         after = now.excesses(p.theta, hyper)
         claims.append(Claim(top.scored, top.scored.score, rivals, excess, after))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
-        tell(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
+        progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
     claims = _as_fitted(now, claims, p.theta)
     now, retained = _needed(now, claims, hyper)
