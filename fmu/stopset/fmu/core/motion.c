@@ -153,7 +153,7 @@ static void own_rates(const StopsetState *s, StopsetWork *w, double t, const dou
 }
 
 /* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
-static void accelerate(const StopsetState *s, const StopsetWork *w, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
+static void accelerate(const StopsetState *s, StopsetWork *w, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
     int held = 0;
     if (directional(s))
         for (int i = 0; i < NJ; i++) held += mode[i] == 0;
@@ -165,16 +165,22 @@ static void accelerate(const StopsetState *s, const StopsetWork *w, const int32_
         }
         return;
     }
-    double A[NJ][NJ], inverse[NJ][NJ];
-    for (int r = 0; r < NJ; r++)
-        for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? w->M[r][c] : (r == c ? 1.0 : 0.0);
-    memset(inverse, 0, sizeof inverse);
-    stopset_invert(A, inverse); /* a principal block of a positive definite matrix */
+    int same = w->sliding_made;
+    for (int i = 0; i < NJ; i++) same = same && w->sliding_of[i] == (mode[i] != 0);
+    if (!same || KIND == 3) { /* model 3 has another M at every state */
+        double A[NJ][NJ];
+        for (int r = 0; r < NJ; r++)
+            for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? w->M[r][c] : (r == c ? 1.0 : 0.0);
+        memset(w->sliding, 0, sizeof w->sliding);
+        stopset_invert(A, w->sliding); /* a principal block of a positive definite matrix */
+        for (int i = 0; i < NJ; i++) w->sliding_of[i] = (uint8_t)(mode[i] != 0);
+        w->sliding_made = 1;
+    }
     for (int r = 0; r < NJ; r++) {
         ddq[r] = 0.0;
         if (!mode[r]) continue;
         for (int c = 0; c < NJ; c++)
-            if (mode[c]) ddq[r] += inverse[r][c] * net[c];
+            if (mode[c]) ddq[r] += w->sliding[r][c] * net[c];
     }
 }
 
