@@ -21,6 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", default="127.0.0.1", help="address of the page (default: this machine only)")
     parser.add_argument("--port", type=int, default=8620, help="port of the page, 0 for none (default: %(default)s)")
     parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="end after this time (default: never)")
+    parser.add_argument("--record", type=Path, metavar="FOLDER", help="record what all arms say (MCAP), an hour to a file")
+    parser.add_argument("--keep-mb", type=float, default=10_000.0, metavar="MB", help="of it at most this (default: %(default)g)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="at the end, write what held of every arm here")
 
 
@@ -34,14 +36,21 @@ def run(args: argparse.Namespace) -> int:
 
     from stopset.errors import BusError
     from stopset.monitor.fleet import Fleet, FleetPage, terminal
+    from stopset.monitor.fleet.central import TOPICS, Central
     from stopset.monitor.links.zenoh_link import ZenohLink
 
     check_outputs(args.json)
     if not re.fullmatch(r"[^/#?$]+/[^/#?$]+/[^/#?$]+", args.arms):
         raise BusError(f"--arms {args.arms!r}; expected SITE/CELL/ARM, each a name or *, like hall3/*/*: write it so")
+    if not args.keep_mb > 0:
+        raise BusError(f"--keep-mb {args.keep_mb:g}; expected megabytes, more than 0: say how much of the recording is kept")
     link = ZenohLink(mode="client", connect=[] if args.zenoh else [args.connect], file=args.zenoh)
-    fleet = Fleet()
+    central = Central(args.record, keep_mb=args.keep_mb) if args.record else None
+    fleet = Fleet(notice=str if central is None else lambda: central.notice)
     try:
+        if central is not None:
+            for name in TOPICS:
+                link.subscribe(f"{args.arms}/stopset/{name}", central.take)
         link.watch_alive(f"{args.arms}/stopset/alive", fleet.take_alive)
         link.subscribe(f"{args.arms}/stopset/state/json", fleet.take_json)
         if args.port:
@@ -62,7 +71,12 @@ def run(args: argparse.Namespace) -> int:
         say("")
     finally:
         link.close()
+        if central is not None:
+            central.close()
     shot = fleet.snapshot(1_000_000)
+    if central is not None:
+        shot["record"] = central.report()
+        say(f"recorded: {central.written} messages in {central.files} files in {args.record}, {central.lost} lost")
     if args.json:
         write_json(args.json, shot)
     return 0 if shot["arms"] else 1

@@ -79,14 +79,15 @@ class McapFile:
         self._prefix, self._channels = prefix, dict[str, int]()
         self._sequence = 0
 
-    def add(self, topic: str, t_ns: int, message: Mapping[str, Any] | bytes) -> None:
-        """One message at ``t_ns`` since the epoch; bytes are JSON already."""
-        channel = self._channels.get(topic)
+    def add(self, topic: str, t_ns: int, message: Mapping[str, Any] | bytes, prefix: str = "") -> None:
+        """One message at ``t_ns`` since the epoch; bytes are JSON already. ``prefix``: of another than the file's own."""
+        name = f"{prefix or self._prefix}/{topic}"
+        channel = self._channels.get(name)
         if channel is None:
             schema = TOPICS[topic]
             text = json.dumps(schema).encode()
             number = self._writer.register_schema(schema["title"], "jsonschema", text)
-            channel = self._channels[topic] = self._writer.register_channel(f"{self._prefix}/{topic}", "json", number)
+            channel = self._channels[name] = self._writer.register_channel(name, "json", number)
         data = message if isinstance(message, bytes) else _encode(message)
         t_ns = max(0, t_ns)
         self._sequence += 1

@@ -53,11 +53,14 @@ class _Arm:
 
 
 class Fleet:
-    """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back."""
+    """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    ``notice``: what somebody should know besides, "" for nothing.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, notice: Callable[[], str] = str) -> None:
         self._arms: dict[str, _Arm] = {}
-        self._clock, self._lock, self.garbled = clock, threading.Lock(), 0
+        self._clock, self._lock, self.garbled, self._notice = clock, threading.Lock(), 0, notice
 
     def take_alive(self, key: str, there: bool) -> None:
         """A token appeared or went."""
@@ -106,7 +109,7 @@ class Fleet:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""
         rows = self.rows()
         counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
-        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled}
+        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled, "notice": self._notice()}
 
 
 def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ function tile(r) {
 function show(s) {
   heard = performance.now(); document.body.classList.remove('lost');
   $('counts').textContent = `${s.arms} arms: ` + (Object.entries(s.counts).map(([w, n]) => `${n} ${SIGN[w] || ''} ${w}`).join(', ') || 'none has spoken yet');
+  $('notice').textContent = s.notice;
   $('tiles').replaceChildren(...s.rows.map(tile));
   $('more').textContent = s.arms > s.rows.length ? `and ${s.arms - s.rows.length} more` : '';
 }

@@ -24,6 +24,8 @@ def terminal(fleet: Fleet, lines: int = 40) -> RenderableType:
         table.add_row(r["arm"], word, *(_stop_words(r, c) for c in ("0", "1")), f"{r['since_s']:.0f} s", why)
     rest = shot["arms"] - len(shot["rows"])
     more = [Text(f"and {rest} more", style="dim")] if rest else []
+    if shot["notice"]:
+        more.append(Text(shot["notice"], style="bold red"))
     return Group(Text(f"{shot['arms']} arms: {counts or 'none has spoken yet'}"), table, *more)
 
 
