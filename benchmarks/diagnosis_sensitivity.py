@@ -3,10 +3,11 @@
 A threshold that is only compared with changes an answer only where a comparison comes out otherwise.  So every set is asked once
 with all thresholds *watched*: each comparison is made with the threshold as it is, 30 % smaller and 30 % larger, and only sets in
 which one comes out otherwise are asked again with that threshold.  Where a threshold enters a computation (a prior, a grid) its effect
-cannot be watched: those are asked again on all sets of ``--few``.  Answers are kept, so the run may be broken off and taken up again.
+cannot be watched: those are asked again on all sets.  Where it is not even read, the answer is the same.  Answers are kept, so the run
+may be broken off (``--minutes``) and taken up again; ``again`` says how many are still to be asked.
 
-    python benchmarks/diagnosis_sensitivity.py watch SETS... --out ANSWERS [--parallel 2]
-    python benchmarks/diagnosis_sensitivity.py again SETS... --out ANSWERS [--few SET,SET...]
+    python benchmarks/diagnosis_sensitivity.py watch SETS... --out ANSWERS [--minutes 10]
+    python benchmarks/diagnosis_sensitivity.py again SETS... --out ANSWERS [--minutes 10] [--first SET,SET...]
     python benchmarks/diagnosis_sensitivity.py table SETS... --out ANSWERS     (into docs/diagnosis.md)
 
 SETS are folders of `diagnosis_labelled` or `diagnosis_unseen`; the first one counts as labelled, the others as unseen.
@@ -17,11 +18,11 @@ from __future__ import annotations
 import argparse
 import json
 import operator
-import os
 import re
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,8 @@ def _operators() -> None:
         setattr(Watched, f"__{name}__", lambda a, b, op=op: applied(op, a, b))
         if op not in swapped:
             setattr(Watched, f"__r{name}__", lambda a, b, op=op: applied(op, b, a))
-    for name in ("neg", "pow", "rpow"):
+    Watched.__neg__ = lambda a: applied(operator.sub, 0.0, a)
+    for name in ("pow", "rpow"):
         setattr(Watched, f"__{name}__", lambda a, *b, name=name: getattr(float(a), f"__{name}__")(*b))
 
 
@@ -130,36 +132,51 @@ def sets(folders: list[Path]) -> dict[str, Path]:
 def asked(path: Path) -> list[str]:
     """The answer: verdict, then what is named, in order."""
     from stopset.offline.description import load_robot
-    from stopset.offline.diagnose import diagnose
     from stopset.recording import read_recordings
 
+    question = import_module("stopset.offline.diagnose.diagnose")
+    question.blind_spots = lambda *_: ()  # what these recordings cannot tell changes neither verdict nor names
     robot = load_robot(path / "robot.urdf")
-    found = diagnose(robot, read_recordings(path / "recording.parquet", robot))
+    found = question.diagnose(robot, read_recordings(path / "recording.parquet", robot))
     return [found.verdict, *(r.label for r in found.ranked)]
 
 
-def watch(todo: dict[str, Path], out: Path) -> None:
-    """Ask sets once, all thresholds watched that are single numbers."""
-    names = [t.name for t in limit.TABLE if not isinstance(t.value, tuple)]
-    for name in names:
-        setattr(limit, name, Watched.of(name, getattr(limit, name)))
-    for key, path in todo.items():
+def watch(known: dict[str, Path], out: Path, until: float) -> None:
+    """Ask sets once, all thresholds watched that were not watched in them before."""
+    settled = {t.name: getattr(limit, t.name) for t in limit.TABLE}
+    for key, path in known.items():
+        file = out / f"{key}.watched.json"
+        before = json.loads(file.read_text()) if file.exists() else {"flipped": {}, "leaked": [], "watched": []}
+        new = [name for name in settled if name not in before["watched"]]
+        if not new or time.monotonic() > until:
+            continue
+        for name, value in settled.items():
+            parts = tuple(Watched.of(name, v) for v in value) if isinstance(value, tuple) else Watched.of(name, value)
+            setattr(limit, name, parts if name in new else value)
         FLIPPED.clear()
         LEAKED.clear()
         answer = asked(path)
-        said = {"answer": answer, "flipped": {n: sorted(w) for n, w in FLIPPED.items()}, "leaked": sorted(LEAKED)}
-        (out / f"{key}.watched.json").write_text(json.dumps(said))
+        if before.get("answer", answer) != answer:
+            raise SystemExit(f"{key}: {answer}, but {before['answer']} when it was watched before; expected the same: begin anew")
+        flipped = before["flipped"] | {n: sorted(w) for n, w in FLIPPED.items()}
+        leaked = sorted({*before["leaked"], *LEAKED})
+        file.write_text(json.dumps({"answer": answer, "flipped": flipped, "leaked": leaked, "watched": list(settled)}))
         print(key, answer, flush=True)
 
 
-def vary(name: str, change: str, todo: dict[str, Path], out: Path) -> None:
-    """Ask sets again with one threshold another."""
-    setattr(limit, name, varied(getattr(limit, name), FACTORS[change]))
-    for key, path in todo.items():
+def again(todo: list[tuple[str, str, str]], known: dict[str, Path], out: Path, until: float) -> None:
+    """Ask sets again with one threshold another: (set, threshold, factor)."""
+    for k, (key, name, change) in enumerate(todo):
+        if time.monotonic() > until:
+            print(f"{len(todo) - k} still to be asked", flush=True)
+            return
+        settled = getattr(limit, name)
+        setattr(limit, name, varied(settled, FACTORS[change]))
         try:
-            answer = asked(path)
+            answer = asked(known[key])
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # a value that the code cannot work with
             answer = [f"no answer: {error}"]
+        setattr(limit, name, settled)
         (out / f"{key}.{name}.{change}.json").write_text(json.dumps(answer))
 
 
@@ -169,36 +186,32 @@ def read(folders: list[Path], out: Path) -> dict[str, Any]:
     return {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
 
 
-def work(folders: list[Path], out: Path, few: set[str]) -> Iterator[tuple[str, str, list[str]]]:
-    """Threshold, factor and the sets to ask again with it."""
+def open_to(watched: Mapping[str, Any], name: str, change: str) -> bool:
+    """Whether a set's answer may change with a threshold: one that entered a computation, turned a comparison round, or was not watched."""
+    return name not in watched["watched"] or name in watched["leaked"] or change in watched["flipped"].get(name, ())
+
+
+def work(folders: list[Path], out: Path, first: set[str]) -> list[tuple[str, str, str]]:
+    """(set, threshold, factor) to ask: where a decision is near before what is open to most sets, the sets of ``first`` before others."""
     watched = read(folders, out)
-    leaked = {n for w in watched.values() for n in w["leaked"]} | {t.name for t in limit.SETTLED if isinstance(t.value, tuple)}
-    for t in limit.SETTLED:
-        for change in FACTORS:
-            keys = [
-                key for key, w in watched.items()
-                if (key in few or not few if t.name in leaked else change in w["flipped"].get(t.name, ()))
-            ]  # fmt: skip
-            yield t.name, change, keys
-
-
-def parts(todo: dict[str, Path], count: int) -> list[dict[str, Path]]:
-    return [dict(list(todo.items())[k::count]) for k in range(count)]
+    openings = [
+        (key, t.name, change) for key, w in watched.items() for t in limit.TABLE for change in FACTORS if open_to(w, t.name, change)
+    ]  # fmt: skip
+    count = Counter(name for _, name, _ in openings)
+    jobs = [(key, name, change) for key, name, change in openings if not (out / f"{key}.{name}.{change}.json").exists()]
+    return sorted(jobs, key=lambda j: (count[j[1]] > len(watched), bool(first) and j[0] not in first))
 
 
 def table(folders: list[Path], out: Path) -> str:
     """The table of docs: which answers change with each threshold, of how many sets whose answer to that is known."""
     watched = read(folders, out)
-    leaked = {n for w in watched.values() for n in w["leaked"]} | {t.name for t in limit.SETTLED if isinstance(t.value, tuple)}
     rows, still, later = [], [], []
-    for t in limit.SETTLED:
+    for t in limit.TABLE:
         cells, fewest, changes = [], len(watched), 0
         for change in FACTORS:
             files = {key: out / f"{key}.{t.name}.{change}.json" for key in watched}
             new = {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
-            known = set(new)
-            if t.name not in leaked:  # without a comparison that comes out otherwise the answer is the same
-                known |= {key for key, w in watched.items() if change not in w["flipped"].get(t.name, ())}
+            known = set(new) | {key for key, w in watched.items() if not open_to(w, t.name, change)}
             changed = [f"{key.partition('.')[2]} {_words(watched[key]['answer'])} → {_words(a)}"
                        for key, a in new.items() if a != watched[key]["answer"]]  # fmt: skip
             fewest, changes = min(fewest, len(known)), changes + len(changed)
@@ -224,48 +237,23 @@ def _words(answer: list[str]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("watch", "again", "table", "_watch", "_vary"))
+    parser.add_argument("command", choices=("watch", "again", "table"))
     parser.add_argument("sets", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--few", default="", help="sets asked again where a threshold cannot be watched; all, unless given")
-    parser.add_argument("--parallel", type=int, default=2)
-    parser.add_argument("--job", default="")
+    parser.add_argument("--first", default="", help="sets to ask again before the others")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no other question after this time")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    known = sets(args.sets)
-    if args.command == "_watch":
-        return watch({k: known[k] for k in args.job.split(",")}, args.out)
-    if args.command == "_vary":
-        name, change, keys = args.job.split(":")
-        return vary(name, change, {k: known[k] for k in keys.split(",")}, args.out)
-    if args.command == "table":
+    known, until = sets(args.sets), time.monotonic() + 60 * args.minutes
+    if args.command == "watch":
+        watch(known, args.out, until)
+    elif args.command == "again":
+        again(work(args.sets, args.out, set(filter(None, args.first.split(",")))), known, args.out, until)
+    else:
         text = PAGE.read_text(encoding="utf-8")
         mark = "<!-- sensitivity: made by benchmarks/diagnosis_sensitivity.py -->\n"
-        PAGE.write_text(
-            re.sub(
-                f"({re.escape(mark)}).*?(\n<!-- end -->)", lambda m: m[1] + table(args.sets, args.out) + m[2], text, flags=re.S
-            )
-        )
-        return None
-    if args.command == "watch":
-        todo = {k: p for k, p in known.items() if not (args.out / f"{k}.watched.json").exists()}
-        jobs = [("_watch", ",".join(part)) for part in parts(todo, args.parallel) if part]
-    else:
-        jobs = []
-        for name, change, keys in work(args.sets, args.out, set(filter(None, args.few.split(",")))):
-            keys = [k for k in keys if not (args.out / f"{k}.{name}.{change}.json").exists()]
-            jobs += [("_vary", f"{name}:{change}:{','.join(keys)}")] if keys else []
-    running: list[subprocess.Popen[bytes]] = []
-    for k, (command, job) in enumerate(jobs):
-        print(f"{k + 1} of {len(jobs)}: {job[:100]}", flush=True)
-        words = [sys.executable, __file__, command, *map(str, args.sets), "--out", str(args.out), "--job", job]
-        running.append(subprocess.Popen(words, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}))
-        while sum(p.poll() is None for p in running) >= args.parallel:
-            running[-args.parallel].wait() if len(running) >= args.parallel else running[0].wait()
-            running = [p for p in running if p.poll() is None]
-    for p in running:
-        p.wait()
-    return None
+        made = table(args.sets, args.out)
+        PAGE.write_text(re.sub(f"({re.escape(mark)}).*?(\n<!-- end -->)", lambda m: m[1] + made + m[2], text, flags=re.S))
 
 
 if __name__ == "__main__":

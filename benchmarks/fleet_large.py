@@ -36,7 +36,7 @@ def main() -> None:
     fleet, text = Fleet(lambda: now[0]), json.dumps(WORDS).encode()
     keys = [f"hall{k % args.halls}/cell{k // args.halls}/arm/stopset/state/json" for k in range(args.arms)]
     for key in keys:
-        fleet.take_alive(key, True)
+        fleet.take_alive(key, there=True)
     taken = shown = 0.0
     for _ in range(round(args.seconds * UP_HZ)):
         begin = time.process_time()

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from as_found import ONE, PROGRAM, Trouble, play_in_the_gear, recorded
 
+from stopset.artifact import Model
 from stopset.errors import StopsetError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
@@ -107,22 +108,26 @@ def joint_of(robot: Robot, place: str) -> int:
 
 def asked(path: str, case: Case, seed: int) -> dict[str, Any]:
     """The answer to one case on one arm, and whether it is right."""
+    robot, model, data, _ = made(path, case, seed)
+    found, _ = diagnose_model(model, data)
+    return judged(found, case, robot, joint_of(robot, case.place))
+
+
+def made(path: str, case: Case, seed: int) -> tuple[Robot, Model, Recordings, bool]:
+    """One case on one arm: its description, the model identified, what is diagnosed, and whether that is of another day."""
     robot = load_robot(path)
     rate = (100.0, 125.0)[seed % 2]
     scenario = prepare(robot, ["none"], seed, "short", cad="wrong" if seed % 3 else "exact")
-    joint = joint_of(robot, case.place)
-    made = _changed(scenario, case, joint)
-    arm, lengths, trouble = (scenario, PROGRAM, Trouble()) if case.pair else (made, case.lengths, case.trouble)
+    changed = _changed(scenario, case, joint_of(robot, case.place))
+    arm, lengths, trouble = (scenario, PROGRAM, Trouble()) if case.pair else (changed, case.lengths, case.trouble)
     first = recorded(arm, lengths, rate, trouble, seed + 100)
     first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
     campaign = Campaign(first.meta, lambda: iter(first.trials))
     model = identified(scenario.robot, campaign, Settings(), silent, None, (), None).model
-    data: Recordings = first
-    if case.pair:
-        data = recorded(made, case.lengths, rate, case.trouble, seed + 200)
-        data = replace(data, meta=replace(data.meta, sources=(("later.parquet", "later"),)))
-    found, _ = diagnose_model(model, data)
-    return judged(found, case, robot, joint)
+    if not case.pair:
+        return scenario.robot, model, first, False
+    data: Recordings = recorded(changed, case.lengths, rate, case.trouble, seed + 200)
+    return scenario.robot, model, replace(data, meta=replace(data.meta, sources=(("later.parquet", "later"),))), True
 
 
 def _changed(scenario: Scenario, case: Case, joint: int) -> Scenario:

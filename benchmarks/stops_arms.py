@@ -26,6 +26,7 @@ from stop_sampling import sample_stops, tightness
 from stopset.artifact import Model
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import tubes_of
 
@@ -46,7 +47,7 @@ def run(model: Model, payload: tuple[float, float], top: np.ndarray, states: int
     for k in range(states):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
         start = time.thread_time()
-        tube = tubes_of(s, q, dq, r, v, 1, fast=box)[-1]
+        tube = tubes_of(s, Start(q, dq, r, v), 1, fast=box)[-1]
         seconds.append(time.thread_time() - start)
         if tube.end != OK:
             continue

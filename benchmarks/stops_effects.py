@@ -36,6 +36,7 @@ from stopset.errors import NotCovered
 from stopset.files import write_text
 from stopset.offline.description import load_robot
 from stopset.reach.stops import StopBounds
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import write_recordings
@@ -261,7 +262,7 @@ def run(effects: Sequence[Fitted], states: int, stops: int, seed: int, blind: bo
     for _ in range(states):
         q, dq = rng.uniform(-2.3, 2.3, n), rng.uniform(-TOP, TOP, n) * rng.choice([1.0, 0.1], n, p=[0.8, 0.2])
         start = s.start
-        tube = tubes_of(s, q + start.centre[:n], dq + start.centre[n:], start.radius[:n], start.radius[n:], 1)[-1]
+        tube = tubes_of(s, Start(q + start.centre[:n], dq + start.centre[n:], start.radius[:n], start.radius[n:]), 1)[-1]
         if tube.end == OK:
             tubes.append(tube)
             qs.append(q)
@@ -322,7 +323,9 @@ def stopped(model: Model, scenario: Scenario, states: int, seed: int) -> dict[st
     none, escaped, certified, worst = np.zeros(n), 0, 0, 0.0
     for _ in range(states):
         q, dq = rng.uniform(d.q.lo, d.q.hi), rng.uniform(d.dq.lo, d.dq.hi)
-        tube = tubes_of(s, q + start_box.centre[:n], dq + start_box.centre[n:], start_box.radius[:n], start_box.radius[n:], 4)[-1]
+        tube = tubes_of(
+            s, Start(q + start_box.centre[:n], dq + start_box.centre[n:], start_box.radius[:n], start_box.radius[n:]), 4
+        )[-1]
         if tube.end != OK:
             continue
         certified += 1

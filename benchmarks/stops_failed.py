@@ -23,11 +23,11 @@ from stopset.reach.stops import Ramp, StopBounds
 
 PER_STATE = 100
 RAMPS = {
-    "SS1-t, power off after 0.1 s": Ramp.stated(6, time=0.3, off_after=0.1),
-    "SS1-t, power off after 0.3 s": Ramp.stated(6, time=0.3, off_after=0.3),
-    "SS1-r, 0.3 s": Ramp.stated(6, time=0.3, monitored=True),
-    "SS1-r, 0.3 s, drives may accelerate to 120 %": Ramp.stated(6, time=0.3, monitored=True, share=1.2),
-    "SS1-r, 5 rad/s^2": Ramp.stated(6, deceleration=5.0, monitored=True),
+    "SS1-t, power off after 0.1 s": Ramp.stated(6, time=0.3).failing(off_after=0.1),
+    "SS1-t, power off after 0.3 s": Ramp.stated(6, time=0.3).failing(off_after=0.3),
+    "SS1-r, 0.3 s": Ramp.stated(6, time=0.3).failing(monitored=True),
+    "SS1-r, 0.3 s, drives may accelerate to 120 %": Ramp.stated(6, time=0.3).failing(monitored=True, share=1.2),
+    "SS1-r, 5 rad/s^2": Ramp.stated(6, deceleration=5.0).failing(monitored=True),
 }
 
 

@@ -17,8 +17,10 @@ from stop_arms_wide import arms
 
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, tubes_of
+from stopset.sets import Box
 
 TOP = 2.0
 
@@ -64,13 +66,13 @@ def main() -> None:
         for _ in range(args.states):
             q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top)
             h = expected_stop(s.plant, q, np.abs(dq) + v) / KNOTS / finer
-            good += march(plant, q - r, q + r, dq - v, dq + v, h, 6 * KNOTS * finer, ALL_PARTS).end == OK
+            good += march(plant, Box(q - r, q + r), Box(dq - v, dq + v), h, 6 * KNOTS * finer, ALL_PARTS).end == OK
         print(f"{name}: {good / args.states:.0%} closed by one tube", flush=True)
     for pieces in (64, 512):
         rng, good = np.random.default_rng(77), 0
         for _ in range(20):
             q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top)
-            tubes = tubes_of(s, q, dq, s.noise.radius[:n], s.noise.radius[n:], pieces, last_resort=False)
+            tubes = tubes_of(s, Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), pieces, last_resort=False)
             good += tubes[-1].end == OK
         print(f"as stated, {pieces} pieces: {good} of the first 20 states closed", flush=True)
 

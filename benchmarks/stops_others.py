@@ -24,6 +24,7 @@ from stop_arms_wide import arms
 
 from stop_sampling import sample_stops
 from stopset.reach.stops import StopBounds
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant
 from stopset.reach.stops.tubes import tubes_of
 from stopset.robot.rigid import mass_matrix
@@ -85,7 +86,7 @@ def main() -> None:
             r, v = s.noise.radius[:n], s.noise.radius[n:]
             for k in range(args.states):
                 q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
-                tube = tubes_of(s, q, dq, r, v, 1)[-1]
+                tube = tubes_of(s, Start(q, dq, r, v), 1)[-1]
                 if tube.end != OK:
                     continue
                 x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, args.stops, k)

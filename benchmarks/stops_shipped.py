@@ -27,6 +27,7 @@ from stop_sampling import ANGLE_ERROR, sample_stops
 from stopset.artifact import Model, load_model
 from stopset.offline.stops.table import Question, stop_table
 from stopset.reach.stops import CATEGORIES, Ramp, StopBounds
+from stopset.reach.stops.start import Extrapolation, Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import march_box
 
@@ -40,7 +41,7 @@ LOADS = ((0.0, 0.0), (2.75, 3.0))
 
 def measure(model: Model, load: tuple[float, float], states: int) -> str:
     """One line of figures."""
-    bounds, rng = StopBounds.of(model, load, pieces=PIECES, extrapolate=True), np.random.default_rng(11)
+    bounds, rng = StopBounds.of(model, load, pieces=PIECES, extrapolate=Extrapolation(payload=True)), np.random.default_rng(11)
     limit, seen = model.robot.q_limit, model.domain
     poses = np.maximum(limit[:, 0], seen.q.lo), np.minimum(limit[:, 1], seen.q.hi)
     speeds = np.maximum(-TOP, seen.dq.lo), np.minimum(TOP, seen.dq.hi)
@@ -55,7 +56,7 @@ def measure(model: Model, load: tuple[float, float], states: int) -> str:
         if b.forward is None or b.back is None or b.angle is None or b.time is None or b.tcp is None:
             continue
         energy += b.layer == "energy"
-        whole = march_box(s, s.plant, q, dq, r, v, True)  # for how long to sample
+        whole = march_box(s, s.plant, Start(q, dq, r, v), energetic=True)  # for how long to sample
         assert whole.end == OK
         x = sample_stops(s.plant, q, dq, r, v, s.payload_com, whole, PER_STATE, k)
         left = np.any(x.forward > b.forward + ANGLE_ERROR) or np.any(x.back > b.back + ANGLE_ERROR)
@@ -71,7 +72,7 @@ def measure(model: Model, load: tuple[float, float], states: int) -> str:
 
 def tables() -> None:
     """One line for every category, and for the guaranteed one with either way of taking the power."""
-    timed, watched = Ramp.stated(6, time=0.5, off_after=0.6), Ramp.stated(6, time=0.3, monitored=True)
+    timed, watched = Ramp.stated(6, time=0.5).failing(off_after=0.6), Ramp.stated(6, time=0.3).failing(monitored=True)
     model = shipped()
     for c in CATEGORIES:
         StopBounds.of(model, ramp=timed).bound(np.zeros(6), np.full(6, 0.1), c)

@@ -29,6 +29,7 @@ from stopset.artifact import Model
 from stopset.core.library import ffi, lib
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import tubes_of
 
@@ -75,7 +76,7 @@ def run(case: Case, number: int, stops: int, seen: dict[str, Any], until: float)
         if energetic:
             if tube.end == OK:
                 continue
-            tube = tubes_of(s, q, dq, r, v, 1)[0]
+            tube = tubes_of(s, Start(q, dq, r, v), 1)[0]
         seen["states"] += 1
         if tube.end != OK:
             continue
@@ -108,7 +109,7 @@ def coverage(model: Model, payload: tuple[float, float], top: float, pieces: int
     n, rng, tight, good = model.n, np.random.default_rng(77), 0, 0
     for _ in range(states):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)
-        tubes = tubes_of(s, q, dq, s.noise.radius[:n], s.noise.radius[n:], pieces)
+        tubes = tubes_of(s, Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), pieces)
         good += tubes[-1].end == OK
         tight += tubes[-1].end == OK and not any(t.energetic for t in tubes)
     return tight / states, good / states

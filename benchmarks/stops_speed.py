@@ -27,6 +27,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
+from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
@@ -115,7 +116,7 @@ def main() -> None:
     online = median_us(lambda: certificate.bound(q, dq), 2000)
     whole = median_us(lambda: bounds.bound(q, dq), 200)
     certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
-    fine = median_us(lambda: march(s.plant, q - r, q + r, dq - v, dq + v, lasts / KNOTS, 6 * KNOTS, ALL_PARTS), 200)
+    fine = median_us(lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), lasts / KNOTS, 6 * KNOTS, ALL_PARTS), 200)
     numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))
     length = int(np.ceil(certificate.tube.t[-1] / DT))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import Tube
 from stopset.reach.stops.tubes import KNOTS, march_box
 from stopset.types import Array
@@ -13,4 +14,4 @@ def tube_of(
     setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, parts: Parts = ALL_PARTS, knots: int = KNOTS,
 ) -> Tube:  # fmt: skip
     """The STOP 0 tube from a box, as tight as one tube gets; it may not come to rest."""
-    return march_box(setting, setting.plant, q, dq, q_radius, dq_radius, False, parts, knots)
+    return march_box(setting, setting.plant, Start(q, dq, q_radius, dq_radius), parts, energetic=False, knots=knots)

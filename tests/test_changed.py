@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign
+from stopset.offline.campaign.survey import survey
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.pipeline import Settings, identified
-from stopset.offline.nominal.model import known_effects
 from stopset.progress import silent
 from stopset.recording import Recordings
 from stopset.simulation import Scenario, prepare
@@ -134,8 +136,8 @@ def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:
     """One that was looked for, not asked for, may be missing beside all else."""
     r = _logged(program.scenario, 107)
     name = "coupled_wrist:" + "+".join(program.model.joints[:2])
-    asked = program.scenario.robot, r.meta, lambda: iter(r.trials), Settings(), ()
-    assert known_effects(*asked, [name]) == ()
+    run = Run(program.scenario.robot, r.meta, lambda: iter(r.trials), survey(lambda: iter(r.trials)), Settings())
+    assert asked_effects(run, (), [name]) == ()
 
 
 def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) -> None:

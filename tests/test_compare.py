@@ -70,7 +70,7 @@ def test_the_partial_residual_shows_each_law_where_two_variables_move_together()
     a = rng.uniform(-1, 1, 6000)
     b = 0.6 * a + 0.8 * rng.uniform(-1, 1, 6000)
     error = 2.0 * a - 1.0 * b + rng.normal(0, 0.05, 6000)
-    found = Explained(("a", "b"), np.array([[0.8, 0.1]]), error[:, None], (a[:, None], b[:, None]))
+    found = Explained(("a", "b"), np.array([[0.8, 0.1]]), error[:, None], (a[:, None], b[:, None]), (False, False))
     p = partial_residual(found, 0)
     assert (p.variable, p.other) == ("a", "b")
     slope = np.polyfit(p.line[:, 0], p.line[:, 1], 1)[0]
@@ -83,11 +83,11 @@ def test_a_joints_own_variable_is_named_where_others_do_as_well() -> None:
     """Joints that move together explain each other: another one's angle is named only where it is clearly better; no column twice."""
     names = ("q", "dq", "q of axis_1", "q of axis_2")
     share = np.array([[0.70, 0.1, 0.0, 0.72], [0.10, 0.1, 0.60, 0.0]])
-    found = Explained(names, share, np.zeros((1, 2)), ())
+    found = Explained(names, share, np.zeros((1, 2)), (), (False, False, True, True))
     assert names[found.strongest(0)] == "q", "0.72 is no more than 0.70"
     assert names[found.strongest(1)] == "q of axis_1", "0.6 is more than 0.1"
     assert [names[k] for k in strongest_first(found)][:2] == ["q", "q of axis_2"]
-    twice = Explained((*names, "time"), np.hstack([share, share[:, :1]]), np.zeros((1, 2)), ())
+    twice = Explained((*names, "time"), np.hstack([share, share[:, :1]]), np.zeros((1, 2)), (), (*found.foreign, False))
     assert [twice.variables[k] for k in strongest_first(twice)].count("time") == 0
 
 

@@ -175,7 +175,7 @@ def test_a_cosine_is_known_as_far_as_angles_are(angle: tuple[float, float], want
 def test_a_state_is_bounded_by_its_flow_at_speeds_it_was_not_seen_at() -> None:
     """Presliding friction driven faster than before: its state still is between -1 and 1; without a law of its flow there is no bound."""
     f = Fitted("hysteresis", "j", {"F_h": 12.0, "delta": 0.02}, {})
-    law = acting_law(get("hysteresis"), f, 0, -1, 0.5, True)
+    law = acting_law(get("hysteresis"), f, 0, -1, 0.5, warm=True)
     seen, faster = acted(law, speed=0.5, past=0.5), acted(law, speed=2.0, past=0.5)
     assert seen is not None and faster is not None and np.abs(faster).max() == pytest.approx(2 * 12.0)
     assert law.flow is not None and MEMORY in law.columns.looks

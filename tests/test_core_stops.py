@@ -18,6 +18,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, point_sets, slices
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import mass_matrix
@@ -32,7 +33,7 @@ from stop_arms_wide import cobot7_like
 
 
 def marched(plant: Plant, q: Array, dq: Array, radius: float, h: float, energetic: bool = False, lasts: float = 1.5) -> Tube:
-    return march(plant, q, q, dq - radius, dq + radius, h, int(min(600, lasts / h)), ALL_PARTS, energetic)
+    return march(plant, Box(q, q), Box(dq - radius, dq + radius), h, int(min(600, lasts / h)), ALL_PARTS, energetic=energetic)
 
 
 # ---- tubes
@@ -60,7 +61,7 @@ def test_an_impulse_that_was_taken_too_large_twice_is_not_taken_at_all() -> None
     rng, n = np.random.default_rng(51), 7
     q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
     r, v = s.noise.radius[:n], s.noise.radius[n:]
-    tube = march_box(s, s.plant, q, dq, r, v, True)
+    tube = march_box(s, s.plant, Start(q, dq, r, v), energetic=True)
     assert tube.end == OK and sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, 2).escaped == 0
 
 
@@ -95,7 +96,7 @@ def test_ways_that_outgrow_every_claim_are_not_told() -> None:
     rng, n = np.random.default_rng(140), 6
     q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
     r, v = s.noise.radius[:n], s.noise.radius[n:]
-    tube = march_box(s, s.plant, q, dq, r, v, True)
+    tube = march_box(s, s.plant, Start(q, dq, r, v), energetic=True)
     known = np.isfinite(tube.travel_left).all(axis=1)
     assert tube.end == OK and known.any() and np.all(np.isinf(tube.travel_left[~known]))
     assert sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, 1).escaped == 0
@@ -118,7 +119,7 @@ def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
     chain, body = chain_of(np.zeros(0), UPRIGHT), bodies(np.ones(1), np.zeros(1), np.ones(1))
     plant = plant_of(chain, body, np.full(1, 1e150), np.full(1, 1e308), 0.1, 0.1, u=1e300)
     speed = np.full(1, 2e160)
-    tube = march(plant, 0.0 * speed, 0.0 * speed, speed, speed, 1.0, 590, ALL_PARTS)
+    tube = march(plant, Box(0.0 * speed, 0.0 * speed), Box(speed, speed), 1.0, 590, ALL_PARTS)
     assert tube.end == UNBOUNDED
 
 
@@ -220,7 +221,7 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
     s = StopBounds.of(prbt_like(), (0.0, 0.25)).setting
     assert s is not None
     q, dq, r = np.full(6, 0.3), np.full(6, 0.5), s.noise.radius[:6]
-    cut = slices(march_box(s, s.plant, q, dq, r, s.noise.radius[6:], True), SLICES)
+    cut = slices(march_box(s, s.plant, Start(q, dq, r, s.noise.radius[6:]), energetic=True), SLICES)
     assert cut.left is not None
     none = point_sets(s.plant.chain, q, r, cut._replace(near_lo=None, near_hi=None, left=None), 5, s.payload_com)
     unknown = point_sets(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), 5, s.payload_com)

@@ -17,14 +17,14 @@ from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import JointGram, gain, project
 from stopset.offline.diagnose.evidence.forms import with_forms
-from stopset.offline.diagnose.evidence.hypothesis import Hypothesis, _put
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis, _put
 from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
-from stopset.offline.diagnose.search.search import predicts
+from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
 from stopset.offline.diagnose.thresholds import BEGINNINGS, QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
@@ -309,15 +309,27 @@ def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_dela
     assert dJ.std is not None and abs(dJ.value - (true - stated)) < 4 * dJ.std + 0.02 * true
 
 
-def test_a_law_that_foretells_nothing_is_no_claim() -> None:
+def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     """A score on fitted rows is not enough: the law must lower the error of motions left out, unless the base takes it up."""
     columns, sd = np.arange(1), np.ones(1)
-    lag, rotor = (Candidate(get(name), (1,), {}, columns, sd) for name in ("delay", "rotor_inertia"))
-    before = np.array([0.3, 0.1069])
-    assert not predicts(lag, before, np.array([0.2, 0.1074]))  # another joint's error does not count
-    assert not predicts(lag, before, before * 0.985)
-    assert predicts(lag, before, before / np.sqrt(2))  # what raised the residual by 1.4
-    assert predicts(rotor, before, before)
+    cubic, rotor, elastic = (
+        Candidate(get(name), (1,), {}, columns, sd) for name in ("cubic_viscous", "rotor_inertia", "elasticity")
+    )
+    beside, elsewhere = (Candidate(get("stribeck"), (j,), {}, columns, sd) for j in (1, 0))
+    base, before = Hypothesis(None), np.array([0.3, 0.1069])  # type: ignore[arg-type]  # no delay is judged: no engine is asked
+    hyper = Hyper((), (), 1.0)
+
+    def claimed(c: Candidate, after: np.ndarray, *earlier: Candidate) -> bool:
+        return not judged(base, c, before, after, hyper, earlier).why
+
+    assert not claimed(cubic, np.array([0.2, 0.1074]))  # another joint's error does not count
+    assert not claimed(cubic, before * 0.985)
+    assert claimed(cubic, before / np.sqrt(2))  # what raised the residual by 1.4
+    assert claimed(rotor, before)
+    assert claimed(cubic, before * 0.97, elsewhere) and not claimed(cubic, before * 0.97, beside)  # what an imperfect law leaves
+    cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
+    assert claimed(cable, before * 0.97, spring) and not claimed(spring, before * 0.97, beside)  # a finer form is no second cause
+    assert not claimed(elastic, before * 0.93) and claimed(elastic, before * 0.7)
 
 
 def test_a_slow_wander_is_seen_and_called_unknown() -> None:

@@ -119,7 +119,7 @@ def test_three_arms_are_found_and_a_killed_one_goes_grey_in_time(router: int, tm
 def test_silence_is_grey_even_while_the_token_stands() -> None:
     now = [0.0]
     fleet = Fleet(lambda: now[0])
-    fleet.take_alive("a/b/c/stopset/alive", True)
+    fleet.take_alive("a/b/c/stopset/alive", there=True)
     assert fleet.rows()[0]["why"] == "alive, but nothing was said yet"
     fleet.take_json("a/b/c/stopset/state/json", json.dumps({"state": "OK", "why": "w"}).encode())
     now[0] = 0.99
@@ -127,7 +127,7 @@ def test_silence_is_grey_even_while_the_token_stands() -> None:
     now[0] = 1.01
     assert words(fleet) == {"a/b/c": "NO DATA"} and "silent for 1.0 s" in fleet.rows()[0]["why"]
     fleet.take_json("a/b/c/stopset/state/json", json.dumps({"state": "OK", "why": "w"}).encode())
-    fleet.take_alive("a/b/c/stopset/alive", False)
+    fleet.take_alive("a/b/c/stopset/alive", there=False)
     assert words(fleet) == {"a/b/c": "NO DATA"}
 
 

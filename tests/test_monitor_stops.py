@@ -17,6 +17,7 @@ from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.stopworker import answer_for
 from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box
 from stopset.sets import Box
 
@@ -31,7 +32,7 @@ BOX = np.full(6, 0.02), np.full(6, 0.08)
 
 @pytest.fixture(scope="module")
 def prepared() -> StopBounds:
-    return StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, off_after=0.1), fast=True)
+    return StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3).failing(off_after=0.1), fast=True)
 
 
 def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> None:
@@ -76,7 +77,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     s = strong.setting
     assert s is not None
     r, v = s.noise.radius[:6], s.noise.radius[6:]
-    coarse = march_box(s, s.plant, q, dq, r, v, True, knots=FAST_ENERGY_KNOTS)
+    coarse = march_box(s, s.plant, Start(q, dq, r, v), energetic=True, knots=FAST_ENERGY_KNOTS)
     assert sample_stops(s.plant, q, dq, r, v, s.payload_com, coarse, 60, 3).escaped == 0
     assert layers.count("energy") >= 4, "these states need the kinetic energy"
     assert np.median(spent[True]) < 0.5 * np.median(spent[False])

@@ -93,13 +93,17 @@ def test_one_first_then_the_others_and_no_farther_than_the_first_that_gets_worse
 ) -> None:
     answer = hall.folder / "answer.json"
     assert main(hall.words("new", "--json", str(answer))) == 0, capsys.readouterr().out
-    told = json.loads(answer.read_text())
-    assert told["done"] and [t["arm"] for t in told["taken"]] == list(ARMS) and not told["not_asked"]
+    reported = json.loads(answer.read_text())
+    assert reported["done"] and [t["arm"] for t in reported["taken"]] == list(ARMS) and not reported["not_asked"]
     assert hall.models() == [hall.sha256("new")] * 2
     back = ("--back", str(hall.folder / "new.json"))
     assert main(hall.words("narrow", "--json", str(answer), *back)) == 1
-    told = json.loads(answer.read_text())
-    assert "VIOLATION with the new model" in told["why"] and told["not_asked"] == [ARMS[1]] and not told["back"][0]["why"]
+    reported = json.loads(answer.read_text())
+    assert (
+        "VIOLATION with the new model" in reported["why"]
+        and reported["not_asked"] == [ARMS[1]]
+        and not reported["back"][0]["why"]
+    )
     assert hall.models() == [hall.sha256("new")] * 2, "the other arm was never asked, the first has its old model again"
     unsigned = hall.folder / "new.json"  # signed, and then another byte
     unsigned.write_text(unsigned.read_text() + " ")

@@ -20,6 +20,7 @@ from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.parts import Parts
 from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.robot.rigid import gravity_torque, link_frames, mass_matrix, torque
@@ -171,7 +172,7 @@ def test_pieces_certify_what_one_tube_cannot() -> None:
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     cut = 0
     for k, (q, dq) in enumerate(states(4, 3, 3.1)):
-        tubes = tubes_of(s, q, dq, r, v, 64)
+        tubes = tubes_of(s, Start(q, dq, r, v), 64)
         if tubes[-1].end != OK:
             continue
         cut += len(tubes) > 1
@@ -288,7 +289,7 @@ def test_fixed_time_is_linear_in_speed_and_fixed_deceleration_quadratic() -> Non
 
 
 def test_guaranteed_stop_is_no_shorter_than_power_off_after_its_delay() -> None:
-    bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, off_after=0.2), pieces=8)
+    bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3).failing(off_after=0.2), pieces=8)
     nominal, guaranteed, off = (bounds.bound(Q, DQ, c) for c in ("1", "1 guaranteed", "0"))
     assert nominal.certified and guaranteed.certified
     # joint 1 runs on at full speed for 0.2 s, then stops with the power off
@@ -300,7 +301,7 @@ def test_failed_ramps_stay_inside_the_guaranteed_bound() -> None:
     """Any share of the speed until power-off, then the simulated stop: angles stay inside."""
     s, rng = setting(), np.random.default_rng(9)
     off, p = 0.15, setting().plant
-    bound = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, off_after=off), pieces=8).bound(
+    bound = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3).failing(off_after=off), pieces=8).bound(
         Q, DQ, "1 guaranteed"
     )
     assert bound.certified
@@ -322,7 +323,7 @@ def test_a_ramp_beyond_the_drives_is_not_credible() -> None:
 
 
 def test_ramp_survives_the_model_file() -> None:
-    ramp = Ramp.stated(6, time=0.3, off_after=0.4)
+    ramp = Ramp.stated(6, time=0.3).failing(off_after=0.4)
     back = Ramp.from_dict(ramp.as_dict())
     assert back.as_dict() == ramp.as_dict()
 

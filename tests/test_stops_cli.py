@@ -21,6 +21,7 @@ from stopset.offline.stops.page import build_page
 from stopset.offline.stops.table import StopRow
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.ramp import KEY
+from stopset.reach.stops.start import Extrapolation
 from stopset.sets import Box
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -208,7 +209,7 @@ def test_bad_questions_get_one_sentence(model: str, extra: list[str], word: str,
     ],
 )
 def test_half_widths_that_are_none_are_refused(radii: tuple[np.ndarray, np.ndarray], word: str) -> None:
-    bounds = StopBounds.of(prbt_like((0.0, 0.25)), ramp=Ramp.stated(6, time=0.3, off_after=0.1))
+    bounds = StopBounds.of(prbt_like((0.0, 0.25)), ramp=Ramp.stated(6, time=0.3).failing(off_after=0.1))
     for ask in (lambda *x, c=c: bounds.bound(*x[:2], c, *x[2:]) for c in ("0", "1", "1 guaranteed", "2")):
         with pytest.raises(NotCovered, match=word):
             ask(np.zeros(6), np.zeros(6), *radii)
@@ -350,7 +351,7 @@ def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a
     inside = ["stops", str(tmp_path / "d.model.json"), "--at", "0,0.2,0,0,0,0", "--speed", "50%", "--category", "0"]
     assert main(inside) == 0 and "EXTRAPOLATED" not in capsys.readouterr().out
     # and the object
-    bound = StopBounds.of(narrow, extrapolate_state=True).bound(np.array([0, 0.9, 0, 0, 0, 0]), np.full(6, 0.1))
+    bound = StopBounds.of(narrow, extrapolate=Extrapolation(state=True)).bound(np.array([0, 0.9, 0, 0, 0, 0]), np.full(6, 0.1))
     assert not bound.certified and bound.time is not None and bound.extrapolated.startswith("EXTRAPOLATED STATE")
     bound = StopBounds.of(narrow).bound(np.array([0, 0.9, 0, 0, 0, 0]), np.full(6, 0.1))
     assert not bound.certified and bound.time is bound.angle is bound.tcp is None and not bound.extrapolated

@@ -181,7 +181,7 @@ def test_a_laws_torque_lies_within_what_it_is_bounded_by(effect: Effect) -> None
         "coriolis": (-3.0, 3.0),
     }
     sight = {"speed": 1.3, "past": 1.3, "gear": 30.0, "other": 0.8, "tilt": [(-4.0, 9.0), (-2.0, 3.0)], **ranges}
-    law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, 1.3, True)
+    law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, 1.3, warm=True)
     dry, viscous, push = acted(law, sight, [])
     least = np.inf
     for _ in range(400):
@@ -228,7 +228,7 @@ def test_the_core_bounds_a_law_as_the_reference_in_numpy_does(effect: Effect) ->
             "inertia": np.array([0.2, 2.0])
         }
         tilt, past, gear, other = np.sort(rng.uniform(-5.0, 5.0, (2, 2))), 1.3, rng.uniform(1.0, 40.0), rng.uniform(0.0, 2.0)
-        law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, past, True)
+        law = acting_law(effect, f, 0, 1 if effect.scope == "pair" else -1, past, warm=True)
         sight = {
             "speed": fast,
             "past": past,

@@ -21,11 +21,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
 
 RAMPS = {
-    "SS1-t": Ramp.stated(6, time=0.3, off_after=0.15),
-    "SS1-t, drives accelerate": Ramp.stated(6, time=0.3, off_after=0.1, share=1.3),
-    "SS1-r": Ramp.stated(6, time=0.3, monitored=True),
-    "SS1-r, deceleration, drives accelerate": Ramp.stated(6, deceleration=5.0, monitored=True, share=1.2),
-    "SS1-t, together": Ramp.stated(6, time=0.3, off_after=0.3, together=True),
+    "SS1-t": Ramp.stated(6, time=0.3).failing(off_after=0.15),
+    "SS1-t, drives accelerate": Ramp.stated(6, time=0.3).failing(off_after=0.1, share=1.3),
+    "SS1-r": Ramp.stated(6, time=0.3).failing(monitored=True),
+    "SS1-r, deceleration, drives accelerate": Ramp.stated(6, deceleration=5.0).failing(monitored=True, share=1.2),
+    "SS1-t, together": Ramp.stated(6, time=0.3).failing(off_after=0.3, together=True),
 }
 
 
@@ -50,7 +50,7 @@ def test_failures_of_every_joint_on_its_own_stay_inside(name: str) -> None:
     ],
 )
 def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: ignore[type-arg]
-    ramp = Ramp.stated(6, time=0.3, off_after=0.4)
+    ramp = Ramp.stated(6, time=0.3).failing(off_after=0.4)
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=ramp, pieces=8)
     # folded, and power taken late: which joint goes on alone matters
     q, dq = np.array([0.41, -0.69, -1.38, -1.45, 0.94, 1.24]), np.full(6, 1.2)
@@ -61,7 +61,7 @@ def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: i
 
 def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
     """Every cell's travel and speed against the integral of the monitored line, to the last of the cells."""
-    ramp, dq = Ramp.stated(6, time=0.4, control=0.02, monitored=True), np.full(6, 1.0)
+    ramp, dq = Ramp.stated(6, time=0.4, control=0.02).failing(monitored=True), np.full(6, 1.0)
     cells = failed_cells(ramp, dq)
     for left in np.linspace(0.0, 0.42, 200):
         t = np.linspace(0.0, left, 2001)
@@ -81,7 +81,7 @@ def test_cut_cells_cover_the_cell(together: bool) -> None:
     whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
     parts = [whole]
     for _ in range(5):
-        parts = [x for p in parts for x in p.halves(dq, together)]
+        parts = [x for p in parts for x in p.halves(dq, together=together)]
     for _ in range(300):
         a, s = (np.full(3, rng.random()), np.full(3, rng.random())) if together else (rng.random(3), rng.random(3))
         a = 0.3 * a
@@ -101,12 +101,17 @@ def covered(closes: Callable[[StatesAtCut, bool], bool], budget: int) -> tuple[C
     dq, tried = np.array([1.0, 0.5, 0.0]), []
     whole = StatesAtCut(np.tile([0.0, 0.3], (3, 1)), np.tile([0.0, 1.0], (3, 1)), 0.3)
 
-    def march(cell: StatesAtCut, plant: object, energetic: bool) -> Fake:
+    def march(cell: StatesAtCut, plant: object, *, energetic: bool) -> Fake:
         tried.append((cell, energetic))
         return Fake(OK if closes(cell, energetic) else 2)
 
     found = cover(
-        [whole], object(), lambda c, p: [(x, p) for x in c.halves(dq, False)], march, lambda c: c.width(dq), (budget, budget)
+        [whole],
+        object(),
+        lambda c, p: [(x, p) for x in c.halves(dq, together=False)],
+        march,
+        lambda c: c.width(dq),
+        (budget, budget),
     )  # type: ignore[arg-type]
     return found, tried
 
@@ -137,7 +142,7 @@ def test_the_budget_is_kept_and_the_boxes_still_cover_everything(budget: int, lo
 
 def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() -> None:
     model = prbt_like((0.0, 3.0))
-    bounds = StopBounds.of(model, (2.94, 3.0), ramp=Ramp.stated(6, time=0.5, off_after=0.9))
+    bounds = StopBounds.of(model, (2.94, 3.0), ramp=Ramp.stated(6, time=0.5).failing(off_after=0.9))
     q, dq = np.array([0.1, 0.9, 0.9, 0.2, 1.2, 0.0]), np.array([1.2, -1.2, 1.2, 0.0, 0.0, 0.0])
     begin = time.process_time()
     bound = bounds.bound(q, dq, "1 guaranteed")

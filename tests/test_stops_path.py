@@ -14,6 +14,7 @@ from stopset.artifact import Model
 from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.start import Extrapolation
 from stopset.robot.rigid import torque
 from stopset.sets import Box
 
@@ -161,7 +162,7 @@ def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> 
     for model, word in ((slow, "rad/s, seen"), (narrow, "arm_1_joint at")):
         bound = path_stop(StopBounds.of(model, ramp=RAMP), path, 0.5, 1.5).bound
         assert not bound.certified and bound.time is None and word in bound.why and "not covered" in bound.why
-        marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate_state=True), path, 0.5, 1.5).bound
+        marked = path_stop(StopBounds.of(model, ramp=RAMP, extrapolate=Extrapolation(state=True)), path, 0.5, 1.5).bound
         assert not marked.certified and marked.time is not None and "EXTRAPOLATED STATE" in marked.extrapolated
         assert "EXTRAPOLATED STATE" in marked.why and any("EXTRAPOLATED STATE" in a for a in marked.assumptions)
 
@@ -174,7 +175,7 @@ def test_a_path_stop_counts_effects_where_the_arm_passes(begin: float, sees: boo
     q = Box(np.r_[-0.1, MODEL.domain.q.lo[1:]], np.r_[0.1, MODEL.domain.q.hi[1:]])
     for domain in (MODEL.domain, replace(MODEL.domain, q=q)):
         model = replace(MODEL, effects=(*MODEL.effects, spring), domain=domain)
-        bounds = StopBounds.of(model, ramp=RAMP, extrapolate_state=True)
+        bounds = StopBounds.of(model, ramp=RAMP, extrapolate=Extrapolation(state=True))
         if sees:
             stop = path_stop(bounds, path, begin, 0.5)
             # what an arm told by its law needs, at the pose where it needs most

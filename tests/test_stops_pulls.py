@@ -15,6 +15,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, Slices, point_motion, slices
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import link_frames
@@ -36,7 +37,7 @@ def tube_from(s: Setting, seed: int, parts: Parts = ALL_PARTS) -> tuple[Array, A
     """A random state up to full speed and its tube with all there is."""
     n, rng = s.model.n, np.random.default_rng(seed)
     q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
-    return q, dq, march_box(s, s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], True, parts)
+    return q, dq, march_box(s, s.plant, Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), parts, energetic=True)
 
 
 @pytest.mark.parametrize("make", [ur10e_like, cobot7_like, lambda: random_arm(7, 1)], ids=["UR10e", "cobot", "random"])
@@ -58,6 +59,14 @@ def test_a_resting_joint_is_pulled() -> None:
     q, dq, tube = tube_from(s, 2, ALL_PARTS._replace(pull=0.0))
     assert tube.end == OK
     assert sample_stops(s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 40, 2).escaped > 0
+
+
+def test_what_holds_the_energy_is_braked() -> None:
+    """Bounds in which momenta are counted for a third less than they are lose energy that is still there: they are escaped."""
+    s = loaded(ur10e_like())
+    q, dq, tube = tube_from(s, 0, ALL_PARTS._replace(held=0.7))
+    assert tube.end == OK
+    assert sample_stops(s.plant, q, dq, s.noise.radius[:6], s.noise.radius[6:], s.payload_com, tube, 40, 2).escaped > 0
 
 
 def travels(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:

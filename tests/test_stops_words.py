@@ -14,6 +14,7 @@ from stopset.artifact import Model, load_model, save_model
 from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.brakes.power_off import own_lags, timing_of, without_strays
 from stopset.reach.stops import Ramp, StopBound, StopBounds, ramp_of
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import tubes_of
 from stopset.sets import Box
@@ -56,7 +57,7 @@ def escapes_of_brakes_cut_together(model: Model, lag: np.ndarray | None, states:
     first, last = (b.delay.lo - own).max() - b.delay_spread, (b.delay.hi - own).min()
     for _ in range(states):
         q, dq = rng.uniform(-1.5, 1.5, 6), rng.choice([-1.2, 1.2], 6)
-        tubes = tubes_of(s, q, dq, s.noise.radius[:6], s.noise.radius[6:], 8)
+        tubes = tubes_of(s, Start(q, dq, s.noise.radius[:6], s.noise.radius[6:]), 8)
         assert tubes[-1].end == OK
 
         def at(name: str, tubes: list = tubes) -> np.ndarray:  # type: ignore[type-arg]
@@ -173,7 +174,7 @@ def outside(bound: StopBound, t: np.ndarray, d: np.ndarray, v: np.ndarray) -> bo
 @pytest.mark.parametrize("kind", ["SS1-r", "SS1-t"])
 def test_after_a_failed_ramp_the_drives_still_give_what_they_give(kind: str) -> None:
     off = {"monitored": True} if kind == "SS1-r" else {"off_after": 0.15}
-    ramp = Ramp.stated(6, time=0.3, **off)  # type: ignore[arg-type]
+    ramp = Ramp.stated(6, time=0.3).failing(**off)  # type: ignore[arg-type]
     bounds, rng = StopBounds.of(with_residual(), ramp=ramp), np.random.default_rng(3)
     assert any("the drives still give" in a for a in bounds.setting.assumptions)
     lost = replace(bounds, setting=replace(bounds.setting, residual=Box.point(np.zeros(6))))

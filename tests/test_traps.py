@@ -369,8 +369,8 @@ def test_p11_radians_and_radians_per_second_are_weighted_not_added() -> None:
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
     noise = ReadingError.exact(Box.symmetric([2e-5, 2e-3]))
-    block = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1), True)
-    naive = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1, capped=False), True)
+    block = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1), dense=True)
+    naive = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1, capped=False), dense=True)
     # columns: X0 lo (q, dq), X0 hi (q, dq), V lo, V hi, U lo, U hi; a velocity counts as its way within a stop
     assert block.cost[7] / block.cost[6] == pytest.approx(program.STOP_TIME)
     assert naive.cost[7] / naive.cost[6] == pytest.approx(1.0)  # a rad/s as dear as a rad
@@ -504,7 +504,7 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
 def _raw(env: Envelope, R: Responses, noise: ReadingError) -> float:
     """Worst unmet row of the solver's own answer."""
     bounds = program.Bounds(noise, 1)
-    block = linear._block(env, R, [0, 1], [0, 1], [0], bounds, True)
+    block = linear._block(env, R, [0, 1], [0, 1], [0], bounds, dense=True)
     limits = bounds.rows()
     need = np.concatenate([-block.h, np.zeros(len(limits))])
     z = program.linprog(block.cost, A_ub=np.vstack([-block.G, limits]), b_ub=need, bounds=bounds.limits()).x

@@ -136,7 +136,7 @@ def fits(data: list[Trial], model: Abstraction) -> dict[str, FittedSets]:
         T = Template(G, l)
         asked = problem(model, ReadingError.exact(NOISE), DT, 60, template=T)
         R = asked.responses()
-        out[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
+        out[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, decoupled=False)
     return out
 
 
@@ -314,6 +314,6 @@ def test_on_the_real_arm_a_zonotope_is_narrower_at_the_tool() -> None:
     for name, shape in (("box", Template(np.eye(6), T.directions)), ("zonotope", T)):
         asked = problem(model, noise, 0.02, 50, template=shape)
         R = asked.responses()
-        got[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, False)
+        got[name] = enclosing(fit_sets(envelope, R, asked), R, envelope, decoupled=False)
     assert got["zonotope"].cost < 0.9 * got["box"].cost
     assert volume(of(got["zonotope"])) < 0.5 * volume(of(got["box"]))

@@ -44,7 +44,7 @@ def _units(root: ET.Element, variables: Iterable[Variable]) -> None:
             ET.SubElement(unit, "BaseUnit", {k: f"{v:g}" for k, v in base.items()})
 
 
-def _text(value: float | int | bool) -> str:
+def _text(value: float | int) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(value)
@@ -56,7 +56,7 @@ def _initial(v: Variable) -> str | None:
     return "exact" if v.causality == "parameter" else None
 
 
-def _capabilities(identifier: str, fmi: int, cs: bool) -> dict[str, str]:
+def _capabilities(identifier: str, fmi: int, *, cs: bool) -> dict[str, str]:
     state = ("canGetAndSetFMUstate", "canSerializeFMUstate") if fmi == 2 else ("canGetAndSetFMUState", "canSerializeFMUState")
     out = {"modelIdentifier": identifier, "needsExecutionTool": "false", "canBeInstantiatedOnlyOncePerProcess": "false"}
     out |= dict.fromkeys(state, "true")
@@ -95,7 +95,7 @@ def description(model: Model, variables: Variables, identifier: str, token: str,
         head["numberOfEventIndicators"] = str(indicators)
     root = ET.Element("fmiModelDescription", head)
     for tag, cs in (("ModelExchange", False), ("CoSimulation", True)):
-        interface = ET.SubElement(root, tag, _capabilities(identifier, fmi, cs))
+        interface = ET.SubElement(root, tag, _capabilities(identifier, fmi, cs=cs))
         if fmi == 2:
             files = ET.SubElement(interface, "SourceFiles")
             for name in source_files:

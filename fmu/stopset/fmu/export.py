@@ -79,7 +79,7 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     name = identifier(model)
     if contents.clocks and fmi != 3:
         raise OutputError("clocks in FMI 2; expected FMI 3, which has them: leave clocks or the version out")
-    v = variables(model, contents.clocks)
+    v = variables(model, clocks=contents.clocks)
     text, token = sources(model, v)
     units = [*UNITS, "model_data.c"]
     made = binaries(text, units, targets, name, say)

@@ -280,7 +280,7 @@ def _switches(m: Model) -> list[Variable]:
     return out
 
 
-def variables(model: Model, clocks: bool = False) -> Variables:
+def variables(model: Model, *, clocks: bool = False) -> Variables:
     """The variables of a model's FMU; ``clocks``: whether those of FMI 3 are said to be there."""
     effects = effect_parameters(model)
     real = [Variable("time", "TIME", "Real", "independent", "s", "time")]

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
     names = _named(args.effect, args.joint)
     campaign = tagged(campaign_of(model.robot.as_described, args.data), args.condition, args.data)
-    with steps("add", args.data, args.quiet) as progress:
+    with steps("add", args.data, quiet=args.quiet) as progress:
         done = add(model, names, campaign, force=args.force, progress=progress, keep=args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")

@@ -125,7 +125,7 @@ def write_json(path: str | Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def listed(lines: Sequence[str], what: str, whole: bool) -> None:
+def listed(lines: Sequence[str], what: str, *, whole: bool) -> None:
     """Lines of a list that not everybody wants: all of them if ``whole``, else how many there are."""
     if whole or len(lines) == 1:
         for line in lines:

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_outputs(args.json, args.report)
     model = load_model(args.model)
-    with steps("compare", args.data, args.quiet) as progress:
+    with steps("compare", args.data, quiet=args.quiet) as progress:
         found = compare(model, args.data, progress)
     said = verdict(found)
     say(said.text)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as e:
         raise OutputError(f"--out {out} cannot be created ({e.strerror}); choose another place") from e
     story, episode = Story(out), Episode(args.robot, effect, joint, args.seed)
-    cell = MonitoredCell.built(out, episode.on_can)
+    cell = MonitoredCell.built(out, can=episode.on_can)
     ear = Subscriber(cell)
     try:
         _played(story, episode, cell, ear)

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     names = [get(name).name for name in args.effects.split(",")] if args.effects else None
     recordings = read_recordings(args.data, model.robot)
-    with steps("diagnose", args.data, args.quiet) as progress:
+    with steps("diagnose", args.data, quiet=args.quiet) as progress:
         found, against = diagnose_model(model, recordings, names, progress)
     say(f"{found.verdict} (against the {against}; {found.trials} trials)")
     for note in found.notes:
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         of = f", depends on {', '.join(u.depends_on)}" if u.depends_on else ""
         like = f"; it resembles {'; '.join(u.resembles)}" if u.resembles else ""
         say(f"unexplained at {u.joint}: {u.size:.3g} N m{of}{like}")
-    listed([str(b) for b in found.not_identifiable], "not identifiable from these motions", args.all)
+    listed([str(b) for b in found.not_identifiable], "not identifiable from these motions", whole=args.all)
     if found.next_experiment:
         say(f"next: {found.next_experiment}")
     if args.json:

@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.artifact import save_model
 
     check_outputs(args.out, args.json, args.report, args.keep)
-    with steps("identify", args.data, args.quiet) as progress:
+    with steps("identify", args.data, quiet=args.quiet) as progress:
         found = _updated(args, progress) if args.update else _identified(args, progress)
     model = save_model(found.model, args.out)
     if args.keep:
@@ -125,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         say(f"state {args.keep}: with it, --update {args.out} adds recordings without reading these again")
     if args.json or args.report:
         _compared(args, model)
-    return verdict(found, args.accept_wide)
+    return verdict(found, accepted=args.accept_wide)
 
 
 def _compared(args: argparse.Namespace, model: Model) -> None:
@@ -142,7 +142,7 @@ def _compared(args: argparse.Namespace, model: Model) -> None:
         say(f"report {args.report}")
 
 
-def verdict(found: Identification, accepted: bool) -> int:
+def verdict(found: Identification, *, accepted: bool) -> int:
     """Exit code: 1 for sets that enclose everything and say nothing, unless they are accepted."""
     from stopset.offline.compare.tightness import LIMIT
 

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         )
     args.out.mkdir(parents=True, exist_ok=True)
     done = []
-    with steps("identify-fleet", [p for a in arms for p in (*a.data, *a.later)], args.quiet) as progress:
+    with steps("identify-fleet", [p for a in arms for p in (*a.data, *a.later)], quiet=args.quiet) as progress:
         for answer in answers(arms, args.scheduler, args.workers):
             done.append(answer)
             progress(f"{answer.name}: {answer.says} ({len(done)} of {len(arms)})")

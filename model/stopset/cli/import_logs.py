@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     constants = _numbers(args.torque_constant) if args.torque_constant else None
     trials: list[Recording] = []
     meta: Meta | None = None
-    with steps("import", args.log, args.quiet) as progress:
+    with steps("import", args.log, quiet=args.quiet) as progress:
         for suite, path in enumerate(args.log):
             if is_bag(path):
                 found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, progress))

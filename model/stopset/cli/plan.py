@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     recordings = stream_recordings(args.data, robot) if args.data else None
     try:
-        with steps("plan", args.data or (), args.quiet) as progress:
+        with steps("plan", args.data or (), quiet=args.quiet) as progress:
             plan = design(robot, wishes, recordings, progress)
     except StopsetError:
         if fresh:

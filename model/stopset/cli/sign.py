@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args.json, args.report)
     if args.new_key is None and (args.model is None or args.key is None):
         raise SigningKeyError("a model to sign and --key FILE are needed; expected both, or --new-key FILE: add what is missing")
-    made, passphrase = None, asked_passphrase(args.passphrase, args.new_key is not None)
+    made, passphrase = None, asked_passphrase(args.passphrase, fresh=args.new_key is not None)
     if args.new_key is not None:
         made = new_key(args.new_key, passphrase)
         say(f"key {made}: secret {args.new_key}, public {args.new_key}.pub")
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def asked_passphrase(source: str | None, fresh: bool) -> str:
+def asked_passphrase(source: str | None, *, fresh: bool) -> str:
     """What was asked for, empty where nothing was; a ``fresh`` one is typed twice. Raises `SigningKeyError`."""
     from stopset.artifact.signature import SigningKeyError
 

@@ -77,7 +77,7 @@ class Steps:
             return f", about {_said(self._expected - self.seconds)} more, by the last times here"
         return "" if self._live else " ... goes on"
 
-    def _write(self, text: str, whole: bool) -> None:
+    def _write(self, text: str, *, whole: bool) -> None:
         line = f"[{self.seconds:5.1f} s] {text}"
         if self._live:
             room = shutil.get_terminal_size().columns - 1
@@ -93,7 +93,7 @@ def _said(seconds: float) -> str:
 
 
 @contextlib.contextmanager
-def steps(command: str, data: Sequence[str | Path] = (), quiet: bool = False) -> Iterator[Progress]:
+def steps(command: str, data: Sequence[str | Path] = (), *, quiet: bool = False) -> Iterator[Progress]:
     """What long work of ``command`` on the recordings ``data`` is to be told of its steps."""
     if quiet:
         yield silent

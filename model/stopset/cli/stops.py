@@ -96,13 +96,11 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
     from stopset.reach.stops import CATEGORIES, Ramp, ramp_of
+    from stopset.reach.stops.start import Extrapolation
 
     ramp = None
     if args.ramp_time is not None or args.ramp_deceleration is not None:
-        ramp = Ramp.stated(
-            model.n, time=args.ramp_time, deceleration=args.ramp_deceleration, off_after=args.off_after,
-            monitored=args.monitored, share=args.failed_speed / 100.0, together=args.fail_together,
-        )  # fmt: skip
+        ramp = Ramp.stated(model.n, time=args.ramp_time, deceleration=args.ramp_deceleration)
     elif args.off_after is not None or args.monitored or args.fail_together or args.failed_speed != 100.0:
         ramp = ramp_of(model)
         if ramp is None:
@@ -110,10 +108,14 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
                 "--off-after, --monitored, --failed-speed and --fail-together say how a ramp fails, and the model holds none; expected "
                 "one: add --ramp-time or --ramp-deceleration, or identify it from stop1 recordings"
             )
-        ramp = ramp.failing(args.off_after, args.monitored, args.failed_speed / 100.0, args.fail_together)
+    if ramp is not None:
+        ramp = ramp.failing(
+            args.off_after, monitored=args.monitored, share=args.failed_speed / 100.0, together=args.fail_together
+        )
     com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
     categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
-    question = Question(ramp, categories, args.payload, com, args.rated_payload, args.extrapolate_payload, args.extrapolate_state)
+    beyond = Extrapolation(args.extrapolate_payload, args.extrapolate_state)
+    question = Question(ramp, categories, args.payload, com, args.rated_payload, beyond)
     if args.path is not None:
         if args.at is not None or args.speed is not None or args.path_rate is None:
             raise NotCovered("--path needs --path-rate, the rows passed per second at the stop request, and no --at nor --speed")

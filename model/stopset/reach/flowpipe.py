@@ -107,7 +107,7 @@ def responses(
     return Responses(dt, E1, plus, minus)
 
 
-def _sets(X0: Box, U: Box, V: Box, position_only: bool = False) -> tuple[Any, list[Array]]:
+def _sets(X0: Box, U: Box, V: Box, *, position_only: bool = False) -> tuple[Any, list[Array]]:
     """``StopsetSets``, and what must live as long."""
     held = [given(x) for b in (X0, U, V) for x in (b.lo, b.hi)]
     return ffi.new("StopsetSets *", (*(view(x) for x in held), int(position_only))), held
@@ -140,7 +140,7 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
     R = responses(abstraction, sets.dt, steps, torques, rows)
     ages, looked, states = R.E1.shape
     lo, hi = np.empty((ages, looked)), np.empty((ages, looked))
-    struct, _held = _sets(sets.X0, U, sets.V, sets.conform == "position")
+    struct, _held = _sets(sets.X0, U, sets.V, position_only=sets.conform == "position")
     look = ffi.NULL if rows is None else view(given(rows))
     lib.stopset_tubes(
         ages, looked, states, U.dim, look, *(view(x) for x in (R.E1, R.plus, R.minus)), struct, view(lo), view(hi)

@@ -98,7 +98,7 @@ class Played:
     def _of(self, other: Any) -> int:
         return other.at if isinstance(other, Played) else self.tape.constant(float(other)).at
 
-    def _two(self, what: int, other: Any, swap: bool = False) -> Played:
+    def _two(self, what: int, other: Any, *, swap: bool = False) -> Played:
         a, b = self.at, self._of(other)
         return self.tape.step(what, *((b, a) if swap else (a, b)))
 

@@ -60,10 +60,11 @@ def _dot(a: Sequence[Number], b: Sequence[Number]) -> Number:
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
+    (a0, a1, a2), (b0, b1, b2) = a, b
     return [
-        _minus(_times(a[1], b[2]), _times(a[2], b[1])),
-        _minus(_times(a[2], b[0]), _times(a[0], b[2])),
-        _minus(_times(a[0], b[1]), _times(a[1], b[0])),
+        _minus(_times(a1, b2), _times(a2, b1)),
+        _minus(_times(a2, b0), _times(a0, b2)),
+        _minus(_times(a0, b1), _times(a1, b0)),
     ]
 
 
@@ -99,7 +100,8 @@ def _transforms(chain: Chain, s: Sequence[Number], c: Sequence[Number]) -> list[
             for r in range(3)
         ]
         E = _transposed(rotation)
-        px = [[0.0, float(-p[2]), float(p[1])], [float(p[2]), 0.0, float(-p[0])], [float(-p[1]), float(p[0]), 0.0]]
+        u, v, w = (float(a) for a in p)
+        px = [[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]]
         lower = [[_minus(0.0, _dot(row, column)) for column in zip(*px, strict=True)] for row in E]
         out.append([[*E[r], 0.0, 0.0, 0.0] for r in range(3)] + [[*lower[r], *E[r]] for r in range(3)])
     return out

@@ -100,7 +100,7 @@ class WatchAlong(Check):
         verdict = self._at_step(np.concatenate([s.q, s.dq]), beyond)
         self._since.append((u, du))
         if broken and before is not None:
-            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}")
+            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
         self._said = verdict
         return verdict
 
@@ -115,11 +115,11 @@ class WatchAlong(Check):
         """A sample at a step of the grid: held against predictions of earlier steps, and kept for later ones."""
         if self._since:
             us, dus = zip(*self._since, strict=True)
-            self._predictions.advance(np.mean(us, axis=0), np.max(dus, axis=0), bool(outside))
+            self._predictions.advance(np.mean(us, axis=0), np.max(dus, axis=0), foreign=bool(outside))
             self._since.clear()
         ages, foreign, lo, hi = self._predictions.tubes()
         verdict = self._held(x, ages, foreign, lo, hi, outside)
-        self._predictions.launch(x, bool(outside), not verdict.deviations)  # what is refuted itself predicts nothing
+        self._predictions.launch(x, foreign=bool(outside), good=not verdict.deviations)  # what is refuted itself predicts nothing
         return verdict
 
     def _held(self, x: Array, ages: Index, foreign: NDArray[np.bool_], lo: Array, hi: Array, outside: tuple[str, ...]) -> Verdict:
@@ -135,7 +135,7 @@ class WatchAlong(Check):
             bad = ~(x <= hi) if above else ~(x >= lo)
             for i in np.flatnonzero(bad.any(axis=0)).tolist():
                 row = int(np.argmax(np.where(bad[:, i], out[:, i], -np.inf)))
-                d = self._deviation(x, i, above, int(ages[row]), (float(lo[row, i]), float(hi[row, i])))
+                d = self._deviation(x, i, above=above, age=int(ages[row]), bounds=(float(lo[row, i]), float(hi[row, i])))
                 found.append(replace(d, in_domain=not foreign[row]))
         result, why = Conformance.CONFORMANT, "inside every prediction"
         if found:
@@ -146,7 +146,7 @@ class WatchAlong(Check):
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
         return Verdict(result, why, len(ages), float(self.ages[ages.max()]), tuple(found), outside, room)
 
-    def _deviation(self, x: Array, i: int, above: bool, age: int, bounds: tuple[float, float]) -> Deviation:
+    def _deviation(self, x: Array, i: int, *, above: bool, age: int, bounds: tuple[float, float]) -> Deviation:
         n, bound = self.model.n, bounds[above]
         excess = float(x[i]) - bound if above else bound - float(x[i])
         return Deviation(

@@ -196,7 +196,7 @@ class Daemon:
         if v.conformance is Conformance.FAULT:
             t.faults += 1
             self.publisher.seldom("fault", why=v.why)
-        if v.why.startswith("gap"):
+        if v.gap:
             t.gaps += 1
             self.publisher.seldom("gap", why=v.why)
         if v.outside:

@@ -44,7 +44,7 @@ class Inputs:
         plain = taken_off.plain
         uses_warm = any("warm" in get(f.effect).needs for f in taken_off.effects)
         carried, between = Carried.of(model), warm if uses_warm else (warm[0], warm[0])
-        struct, held = _struct(taken_off, quantum, between, plain, carried, model.powered.dt)
+        struct, held = _struct(taken_off, quantum, between, plain=plain, carried=carried, dt=model.powered.dt)
         return cls(taken_off, quantum, between, plain, carried, struct, held)
 
     def forget(self) -> None:
@@ -64,7 +64,7 @@ class Inputs:
 
 
 def _struct(
-    m: InputMap, quantum: Quantum, warm: tuple[float, float], plain: bool, carried: Carried, dt: float
+    m: InputMap, quantum: Quantum, warm: tuple[float, float], *, plain: bool, carried: Carried, dt: float
 ) -> tuple[Any, Any]:
     """``StopsetMonitor``, and what it points at.
 

@@ -49,7 +49,7 @@ class Corners:
         self._age[:] = -1
         self._next = 0
 
-    def launch(self, x: Array, foreign: bool, good: bool) -> None:
+    def launch(self, x: Array, *, foreign: bool, good: bool) -> None:
         """A prediction from the state ``x`` (2n,), if it is ``good``."""
         n, sets, q = self.model.n, self.model.powered, self.quantum
         if not good or (sets.windows != "sliding" and self._next):
@@ -60,7 +60,7 @@ class Corners:
             self._z[side, row] = (x + X).reshape(2, n)
         self._age[row], self._foreign[row] = 0, foreign
 
-    def advance(self, u: Array, du: Array, foreign: bool) -> None:
+    def advance(self, u: Array, du: Array, *, foreign: bool) -> None:
         """One step under the inputs ``u`` (n,), known to within ``du``; classical Runge-Kutta, as where the sets were found."""
         a, sets = self.model.abstraction, self.model.powered
         alive = self._age >= 0
@@ -111,12 +111,12 @@ class Paths:
         self._paths.clear()
         self._inputs.clear()
 
-    def launch(self, x: Array, foreign: bool, good: bool) -> None:
+    def launch(self, x: Array, *, foreign: bool, good: bool) -> None:
         """A prediction from the state ``x`` (2n,) of the newest step, if it is ``good``."""
         starts = good and (self.model.powered.windows == "sliding" or not self._paths)
         self._paths.append([x] if starts else [])
 
-    def advance(self, u: Array, du: Array, foreign: bool) -> None:
+    def advance(self, u: Array, du: Array, *, foreign: bool) -> None:
         """One step under the inputs ``u`` (n,), known to within ``du``."""
         self._inputs.append((u, du, foreign))
         alive = [p for p in self._paths if p]

@@ -68,7 +68,7 @@ class Publisher:
         except Exception as e:  # noqa: BLE001 - the consumers' watchdogs tell them; the loop must go on
             self._failed("a message could not be sent", e)
 
-    def words(self, name: str, content: Any, must_arrive: bool = False) -> None:
+    def words(self, name: str, content: Any, *, must_arrive: bool = False) -> None:
         """JSON on a slow key."""
         try:
             self.outlet.put(name, msgspec.json.encode(content), must_arrive=must_arrive)

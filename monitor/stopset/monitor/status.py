@@ -68,7 +68,7 @@ def flags_of(s: Situation) -> int:
     if v is not None:
         if v.outside:
             bits |= _OUTSIDE
-        if v.conformance is Conformance.UNKNOWN and v.why.startswith("gap"):
+        if v.conformance is Conformance.UNKNOWN and v.gap:
             bits |= _GAP
     if x is not None:
         bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.fault else 0)

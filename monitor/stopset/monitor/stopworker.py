@@ -87,9 +87,8 @@ def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> 
     ramp = None
     if stops.ramp_time_s or stops.ramp_deceleration:
         ramp = Ramp.stated(
-            model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s,
-            off_after=stops.ramp_off_after_s or None, monitored=stops.ramp_monitored,
-        )  # fmt: skip
+            model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s
+        ).failing(stops.ramp_off_after_s or None, monitored=stops.ramp_monitored)
     try:
         if sha256 and model.sha256 != sha256:
             raise ModelFileError(

@@ -38,7 +38,8 @@ class Deviation:
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What one sample says. ``compared``: predictions it was held against; ``room``: (2n,) distance to the nearest bound
-    over the tube's half width (1 centre, 0 on the bound, negative outside); ``outside``: signals beyond the domain."""
+    over the tube's half width (1 centre, 0 on the bound, negative outside); ``outside``: signals beyond the domain; ``gap``:
+    cycles were missing before it."""
 
     conformance: Conformance
     why: str
@@ -47,3 +48,4 @@ class Verdict:
     deviations: tuple[Deviation, ...] = ()
     outside: tuple[str, ...] = ()
     room: Array | None = None
+    gap: bool = False

@@ -145,7 +145,7 @@ class Watch(Check):
         self._loosen(slack)
         c.seen[1] = 0
         if gap and before is not None:
-            verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=beyond)
+            verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=beyond, gap=True)
         elif not known:
             verdict = Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=beyond)
         else:

@@ -37,7 +37,7 @@ class MonitoredCell:
     to: tuple[str, ...]
 
     @classmethod
-    def built(cls, out: Path, can: bool) -> MonitoredCell:
+    def built(cls, out: Path, *, can: bool) -> MonitoredCell:
         """Signed models alone; the arm on a CAN bus, or as joint states on zenoh where no bus profile knows it."""
         hub, port = _free_port(), _free_port()
         endpoint, key = f"tcp/127.0.0.1:{port}", f"{ARM}/joint_states"

@@ -1,6 +1,8 @@
 /* An arm's CAN frames to the readings of one SYNC: PDOs taken apart by a table, cycles that are whole and beyond doubt.
  *
  * What is rare, an NMT command, an emergency, a drive that changes its state, is left to the caller.
+ *
+ * Source: CiA 301 for SYNC, PDO and heartbeat.
  */
 #include <string.h>
 

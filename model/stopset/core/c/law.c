@@ -1,6 +1,6 @@
 /* Effects' laws, played step by step: one law for arrays, monitor and FMU, without a compiler where it is registered.
  *
- * The steps are those of stopset.ring.tape, in the order of the law's own operators, one rounding each.
+ * Source: the steps are those of stopset.ring.tape, in the order of the law's own operators, one rounding each.
  */
 #include "law.h"
 

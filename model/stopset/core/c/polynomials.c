@@ -1,4 +1,7 @@
-/* Polynomials of the model file on one table of monomials, and the products and sums that Taylor forms are composed of. */
+/* Polynomials of the model file on one table of monomials, and the products and sums that Taylor forms are composed of.
+ *
+ * Source: Berz (1999) for the forms, with a monomial as one key.
+ */
 #include <string.h>
 
 #include "stopset.h"

@@ -1,4 +1,7 @@
-/* The diagnosis' rows: smoothing, whitening, ripples, and the swing of an elastic link. */
+/* The diagnosis' rows: smoothing, whitening, ripples, and the swing of an elastic link.
+ *
+ * Source: Ljung (1999) for the whitening; Spong (1987) for the link on a spring.
+ */
 #include <string.h>
 
 #include "maths.h"

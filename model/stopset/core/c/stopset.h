@@ -1,7 +1,8 @@
 /* The compiled core: what Python, the monitor and the FMU call. One header, plain C11, no Python in it.
  *
- * SI units throughout. Matrices lie row by row. n: joints, at most STOPSET_JOINTS. Nothing here allocates, keeps
- * anything between two calls or touches a file; a function that can refuse returns one of the codes below.
+ * SI units throughout; [1]: without unit, [any]: of whatever unit the caller's numbers are. Matrices lie row by row. n: joints, at
+ * most STOPSET_JOINTS. Nothing here allocates, keeps anything between two calls or touches a file; a function that can refuse returns
+ * one of the codes below.
  * Lines between the marks `cffi` are read by build.py for the Python binding: declarations only.
  */
 #ifndef STOPSET_H
@@ -32,18 +33,18 @@ STOPSET_API const char *stopset_sources(void);
 
 /* ---- maths.c: elementary functions with the same bits everywhere; largest errors in units in the last place (ulp) */
 
-/* |x| <= 1e6 rad: 0.75 ulp; beyond: not a number. */
+/* Of x [rad], |x| <= 1e6: 0.75 ulp; beyond: not a number. */
 STOPSET_API double stopset_sin(double x);
 STOPSET_API double stopset_cos(double x);
-/* 0.8 ulp; below the normal numbers 1 ulp. */
+/* Of x [1]: 0.8 ulp; below the normal numbers 1 ulp. */
 STOPSET_API double stopset_exp(double x);
-/* 1.5 ulp. */
+/* Of x [1]: 1.5 ulp. */
 STOPSET_API double stopset_expm1(double x);
-/* 2 ulp. */
+/* Of x [1]: 2 ulp. */
 STOPSET_API double stopset_tanh(double x);
-/* 1 ulp; of zero -Inf, of less not a number. */
+/* Of x [1]: 1 ulp; of zero -Inf, of less not a number. */
 STOPSET_API double stopset_log(double x);
-/* The same of many numbers, `which`: 0 sin, 1 cos, 2 exp, 3 expm1, 4 tanh, 5 log. */
+/* The same of many numbers x (N,) [1], of angles [rad], `which`: 0 sin, 1 cos, 2 exp, 3 expm1, 4 tanh, 5 log. */
 STOPSET_API int stopset_maths(int which, int64_t N, const double *x, double *out);
 
 /* ---- rigid.c: rigid-body dynamics of a serial arm of revolute joints */
@@ -68,7 +69,7 @@ STOPSET_API int stopset_bent_torques(const StopsetArm *arm, int64_t N, const dou
                                      const double *x, const double *dx, const double *ddx, int lowest, double *tau);
 /* M(q), (N, n, n) [kg m^2]: links only, no rotors. */
 STOPSET_API int stopset_mass_matrices(const StopsetArm *arm, int64_t N, const double *q, double *M);
-/* Y (N, n, 10 n): torque = Y pi. */
+/* Y (N, n, 10 n) [N m per unit of pi]: torque = Y pi. */
 STOPSET_API int stopset_regressors(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq, double *Y);
 /* Rotation (N, n, 3, 3) and origin (N, n, 3) [m] of every link frame in the base frame. */
 STOPSET_API int stopset_link_frames(const StopsetArm *arm, int64_t N, const double *q, double *R, double *o);
@@ -89,7 +90,7 @@ typedef struct {
     const double *numbers; /* constants */
 } StopsetProgram;
 
-/* The law's value for N samples of its signals, (STOPSET_SIGNALS, N). */
+/* The law's value (N,) [N m, or the rate of a state in its unit per s] for N samples of its signals, (STOPSET_SIGNALS, N). */
 STOPSET_API int stopset_law(const StopsetProgram *law, int64_t N, const double *signals, double *out);
 
 /* ---- inputs.c: from measured torque to the input u of the abstraction */
@@ -164,10 +165,10 @@ STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
 
-/* Whether every one of x (N,) is a number of at most this size. */
+/* Whether every one of x (N,) [any] is a number of at most this size. */
 STOPSET_API int stopset_sound(int64_t N, const double *x, double most);
 
-/* The row of least cost (count,) among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
+/* The row of least cost (count,) [any] among the boxes lo, hi (count, n) that hold x (n,) with `slack` (n,) either way, or -1. */
 STOPSET_API int64_t stopset_tightest(int64_t count, int64_t n, const double *lo, const double *hi, const double *cost,
                                      const double *x, const double *slack);
 
@@ -191,7 +192,8 @@ typedef struct {
 /* To be called when lo or hi have changed. */
 STOPSET_API void stopset_centre(const StopsetPredictions *predictions);
 
-/* Every prediction one step on under u from the state `before`, and the measured state x (2n,) against each at its age.
+/* Every prediction one step on under u, +- du (n,) [N m], from the state `before`, and the measured state x (2n,) [rad, rad/s] against
+ * each at its age.
  * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
 STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
                                     const double *du, int outside, int widen, int64_t seen[2]);
@@ -220,11 +222,11 @@ enum { STOPSET_NOT_A_NUMBER = 3, STOPSET_ALL_ZERO = 4 };
 STOPSET_API int stopset_readable(const StopsetCheck *watch, int temp);
 /* u, du and what is beyond the domain. */
 STOPSET_API int stopset_look(StopsetCheck *watch, int temp);
-/* The state x (2n,) of this sample against all predictions. */
+/* The state x (2n,) [rad, rad/s] of this sample against all predictions. */
 STOPSET_API int stopset_compare(StopsetCheck *watch, const double *x);
 /* A prediction from this sample, if one is due. */
 STOPSET_API void stopset_launch(StopsetCheck *watch);
-/* The next sample is the one after this. */
+/* The next sample is the one after this, whose state is x (2n,) [rad, rad/s]. */
 STOPSET_API void stopset_keep(StopsetCheck *watch, const double *x);
 /* All of these, for a sample that follows the one before. */
 STOPSET_API int stopset_next(StopsetCheck *watch, int temp);
@@ -283,16 +285,18 @@ typedef struct {
 /* Frames number `taken` on until one completes a cycle, or is of a service that the caller knows (the last in the log), or none are
  * left (0). `now` [s]: when they were received at the latest. */
 STOPSET_API int stopset_decode(StopsetDecoder *decoder, const StopsetFrame *frames, int64_t count, double now, int64_t *taken);
-/* Whether no node is in a bad state or silent. */
+/* Whether no node is in a bad state or silent at `now` [s]. */
 STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
 
 /* ---- message.c: what a message needs */
 
+/* CRC-32 (ISO-HDLC) and CRC-32C (Castagnoli) of `length` bytes. */
 STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);
 STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
 /* Both behind `length` bytes, where there is room for 8 more: CRC-32 of them, then CRC-32C of them and of that. */
 STOPSET_API void stopset_seal(int64_t length, uint8_t *data);
-/* Bits of the float32 that is not below x (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a number. */
+/* Bits (N,) of the float32 that is not below x (N,) [any] (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a
+ * number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
 
 /* ---- windows.c: envelopes of deviations over all windows of a trial */
@@ -304,12 +308,13 @@ typedef struct {
     int64_t *hi_at, *lo_at;  /* (ages, columns, 2) trial and start sample that put it there */
 } StopsetEnvelope;
 
+/* Largest and least of x (N,) [any]. */
 STOPSET_API void stopset_extremes(int64_t N, const double *x, double *top, double *bottom);
-/* Joints on their own: a (n, 2, 2) one step of position and speed, residual (2n, N) of every step, `starts` windows, work (2,
- * starts). */
+/* Joints on their own: a (n, 2, 2) one step of position and speed, residual (2n, N) [rad, rad/s] of every step, `starts` windows, work
+ * (2, starts). */
 STOPSET_API int stopset_widen_decoupled(const StopsetEnvelope *envelope, int n, const double *a, int64_t N, const double *residual,
                                         int64_t starts, double *work);
-/* Any Ad (2n, 2n), looked at along the directions `across` (k, n); work (4n + 1, starts). */
+/* Any Ad (2n, 2n) [1, s, 1/s], looked at along the directions `across` (k, n); work (4n + 1, starts). */
 STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, const double *Ad, int k, const double *across, int64_t N,
                                       const double *residual, int64_t starts, double *work);
 
@@ -317,7 +322,7 @@ STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, co
 
 /* Ad (2n, 2n), Bd (2n, n): a step of h [s] of q' = v, v' = Av v + Minv u, (n, n) each, the input held. */
 STOPSET_API int stopset_discretise(int n, const double *Av, const double *Minv, double h, double *Ad, double *Bd);
-/* out (2n,) = Ad x + Bd u; the same for N rows of u (N, n), from the first row of x (N, 2n). */
+/* out (2n,) [rad, rad/s] = Ad x + Bd u; the same for N rows of u (N, n), from the first row of x (N, 2n). */
 STOPSET_API void stopset_stride(int n, const double *Ad, const double *Bd, const double *x, const double *u, double *out);
 STOPSET_API void stopset_predict(int n, const double *Ad, const double *Bd, int64_t N, const double *u, double *x);
 
@@ -332,11 +337,13 @@ typedef struct {
 /* Numbers that a step and the work below have to hold. */
 STOPSET_API int64_t stopset_step_room(const StopsetLinear *linear);
 STOPSET_API int64_t stopset_response_room(const StopsetLinear *linear);
+/* A step (stopset_step_room,) of h [s]. */
 STOPSET_API int stopset_linear_step(const StopsetLinear *linear, double h, double *step);
-/* One step on: E (2n, 2n) = e^{At}; plus, minus (rows, inputs): no less than the integral of max(K, 0), no more than that of min(K, 0). */
+/* One step of h [s] on: E (2n, 2n) [1, s, 1/s] = e^{At}; plus, minus (rows, inputs): no less than the integral of max(K, 0), no more
+ * than that of min(K, 0). */
 STOPSET_API void stopset_respond(const StopsetLinear *linear, double h, const double *step, double *E, double *plus, double *minus,
                                  double *work);
-/* The same for ages 0, dt, .. steps dt, of what is looked at: E1 (steps + 1, rows, 2n), plus, minus (steps + 1, rows, inputs). */
+/* The same for ages 0, dt, .. steps dt [s], of what is looked at: E1 (steps + 1, rows, 2n), plus, minus (steps + 1, rows, inputs). */
 STOPSET_API int stopset_responses(const StopsetLinear *linear, double dt, int64_t steps, double *step, double *work, double *E1,
                                   double *plus, double *minus);
 
@@ -345,7 +352,8 @@ typedef struct {
     int32_t position_only;                                   /* no speed was promised */
 } StopsetSets;
 
-/* Bounds (ages, rows) of E1 X0 + the response to U; with a reading's noise V on top, rounded outward, `look` (rows, states) or 0. */
+/* Bounds (ages, rows) [rad, rad/s] of E1 X0 + the response to U; with a reading's noise V on top, rounded outward, `look` (rows,
+ * states) or 0. */
 STOPSET_API void stopset_hulls(int64_t ages, int rows, int states, int inputs, const double *E1, const double *plus, const double *minus,
                                const StopsetSets *sets, double *lo, double *hi);
 STOPSET_API void stopset_tubes(int64_t ages, int rows, int states, int inputs, const double *look, const double *E1, const double *plus,
@@ -353,7 +361,7 @@ STOPSET_API void stopset_tubes(int64_t ages, int rows, int states, int inputs, c
 
 /* ---- predict.c: nominal predictions and their sets */
 
-/* x(k+1) <- Ad x(k) + x(k+1) for rows (N, m) that hold the start, then what drives each step. */
+/* x(k+1) <- Ad x(k) + x(k+1) for rows (N, m) [any] that hold the start, then what drives each step. */
 STOPSET_API void stopset_march(int m, const double *Ad, int64_t N, double *x);
 /* Trajectory (N + 1, 2) of q' = v, v' = w - sum c_k v^(k+1), w (N,) held over steps of h [s], each cut into `parts`. */
 STOPSET_API void stopset_corner(double q, double v, int64_t N, const double *w, int orders, const double *c, double h, int64_t parts,
@@ -367,17 +375,17 @@ typedef struct {
     double limit[2];                    /* noise that a reading may be beyond the corner */
 } StopsetCorner;
 
-/* How far readings x (N, 2) lie beyond a corner's solutions under w (N,): per age the largest, best (horizon + 1, 2), and where,
- * at (horizon + 1, 2, 2) trial and start; `outside` is set for starts from which a reading is beyond the limit. */
+/* How far readings x (N, 2) [rad, rad/s] lie beyond a corner's solutions under w (N,) [rad/s^2]: per age the largest, best (horizon +
+ * 1, 2), and where, at (horizon + 1, 2, 2) trial and start; `outside` is set for starts from which a reading is beyond the limit. */
 STOPSET_API void stopset_corner_excess(const StopsetCorner *corner, int64_t N, const double *x, const double *w, int64_t starts,
                                        const int64_t *start, int64_t trial, double *best, int64_t *at, uint8_t *outside);
-/* End (q, v) after w (N,) and its derivatives S (2, 3) by start angle, start speed and a constant added to w. */
+/* End (q, v) [rad, rad/s] after w (N,) [rad/s^2] and its derivatives S (2, 3) by start angle, start speed and a constant added to w. */
 STOPSET_API void stopset_corner_sensitivity(double *q, double *v, int64_t N, const double *w, int orders, const double *c, double dt,
                                             int64_t parts, double *S);
 /* Terms of the exponential of one step's matrix, whose norm is below 1. */
 #define STOPSET_TERMS 12
-/* Responses along a nominal solution: J_x (H + 1, n, 2n), J_u (H + 1, n, n); out E1 (H + 1, 2n, 2n), plus and minus (H + 1, 2n, n);
- * work (3, H, 2n, n). */
+/* Responses along a nominal solution in steps of dt [s]: J_x (H + 1, n, 2n), J_u (H + 1, n, n); out E1 (H + 1, 2n, 2n), plus and minus
+ * (H + 1, 2n, n); work (3, H, 2n, n). */
 STOPSET_API int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, double *E1, double *plus, double *minus,
                               double *work);
 /* z (N,) of dz/dt = b + a z, both held over dt (N,) [s], from `start` wherever `first` is set: exact. */
@@ -392,9 +400,9 @@ typedef struct {
     const double *coefficient;        /* (monomials, count) */
 } StopsetPolynomials;
 
-/* Values (N, count) at the rows of z (N, dimension); work (monomials,). */
+/* Values (N, count) [any] at the rows of z (N, dimension) [any]; work (monomials,). */
 STOPSET_API void stopset_polynomials(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
-/* Derivatives (N, count, dimension); work (monomials, 1 + count). */
+/* Derivatives (N, count, dimension) [any] at the rows of z (N, dimension); work (monomials, 1 + count). */
 STOPSET_API void stopset_polynomial_slopes(const StopsetPolynomials *polynomials, int64_t N, const double *z, double *work, double *out);
 /* ---- along.c: nonlinear abstractions */
 
@@ -416,14 +424,15 @@ STOPSET_API void stopset_drag(const StopsetDynamics *dynamics, const double *q, 
 /* Solutions out (W, N + 1, 2n) from x0 (W, 2n) under u (W, N, n) held over each step of dt [s]: classical Runge-Kutta. */
 STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, int64_t W, int64_t N, const double *x0, const double *u, double dt,
                                  double *work, double *out);
-/* d ddq / d(q, dq) (N, n, 2n) and d ddq / du (N, n, n) at rows of x (N, 2n), u (N, n). */
+/* d ddq / d(q, dq) (N, n, 2n) [1/s^2, 1/s] and d ddq / du (N, n, n) [1/(kg m^2)] at rows of x (N, 2n), u (N, n). */
 STOPSET_API void stopset_linearised(const StopsetDynamics *dynamics, int64_t N, const double *x, const double *u, double *work, double *J_x,
                                     double *J_u);
-/* Where a reading may lie at the end of a path (H + 1, 2n) under u (H, n): lo, hi (2n,). work: stopset_ahead_room. */
+/* Where a reading may lie at the end of a path (H + 1, 2n) [rad, rad/s] under u (H, n) [N m] held for dt [s]: lo, hi (2n,). work:
+ * stopset_ahead_room. */
 STOPSET_API int64_t stopset_ahead_room(const StopsetDynamics *dynamics, int64_t H);
 STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, int64_t H, const double *path, const double *u,
                               double dt, double *work, double *lo, double *hi);
-/* Bounds of states (m,) become those of readings, rounded outward by `round` of their size. */
+/* Bounds of states (m,) [rad, rad/s] become those of readings, rounded outward by `round` of their size. */
 STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
 /* A step's rate of decay times its length. */
 STOPSET_API extern const double stopset_corner_step;
@@ -432,21 +441,21 @@ STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, do
 /* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
 STOPSET_API void stopset_corners(const StopsetDynamics *dynamics, int64_t N, const double *u, double h, int64_t parts, double most, double *z);
 
-/* Terms of a product up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
+/* Terms of a product [any] up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
  * room. Returns how many, -1: room is too small. */
 STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
                                             int order, int shift, int64_t size, int64_t *slot, int64_t room, int64_t *key, double *value);
-/* Sorted terms of a + factor b, into key and value (A + B,); returns how many. */
+/* Sorted terms [any] of a + factor b, into key and value (A + B,); returns how many. */
 STOPSET_API int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
                                        double factor, int64_t *key, double *value);
 
 /* ---- rows.c: the diagnosis' rows; `first`, `start` (N,): a new trial, a new run of rows begins */
 
-/* Smoothed over about +-3 rows within each trial. */
+/* x (N,) [any] smoothed over about +-3 rows within each trial, whose rows begin at `first` (N,). */
 STOPSET_API void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out);
-/* x late by whole + part rows, part in [0, 1): cubic interpolation, held at the ends. */
+/* x (N,) [any] late by whole + part rows, part in [0, 1): cubic interpolation, held at the ends. */
 STOPSET_API void stopset_shifted(int64_t N, const double *x, int64_t whole, double part, double *out);
-/* out (rows, columns): rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
+/* out (rows, columns) [any]: rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
 STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width,
                                  const double *h, double *out);
 
@@ -456,15 +465,16 @@ typedef struct {
     const int64_t *kind;  /* (N,) of each row; the rows of one run are of one kind */
 } StopsetPredictor;
 
-/* Rows (N, columns) less their prediction, over its deviation; back again; and the adjoint. */
+/* Rows (N, columns) [any] less their prediction, over its deviation [1]; back again; and the adjoint. */
 STOPSET_API void stopset_whiten(const StopsetPredictor *predictor, int64_t N, int64_t columns, const double *X, const uint8_t *start,
                                 double *out);
 STOPSET_API void stopset_coloured(const StopsetPredictor *predictor, int64_t N, const double *e, const uint8_t *start, double *out);
 STOPSET_API void stopset_whiten_adjoint(const StopsetPredictor *predictor, int64_t N, const double *r, const uint8_t *start, double *out);
-/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2): sums of r times sine and cosine; work (2, R). */
+/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2), at q (N,) [rad]: sums (R,) of r (N,) [1] times sine and
+ * cosine; work (2, R). */
 STOPSET_API void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
                                          double *work, double *a, double *b);
-/* Sums of squares and products of the whitened sines and cosines; work (2 order + 4, R). */
+/* Sums (R,) [1] of squares and products of the whitened sines and cosines at q (N,) [rad]; work (2 order + 4, R). */
 STOPSET_API void stopset_ripple_power(const StopsetPredictor *predictor, int64_t N, const double *q, const double *fade,
                                       const uint8_t *start, int64_t R, double n, double step, double *work, double *ss, double *cc,
                                       double *sc);
@@ -484,12 +494,13 @@ STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double 
 
 /* ---- simulation/: the arm that models are tested on; it shares no code with what bounds stops. At most 16 joints. */
 
+/* M (n, n) [kg m^2] and bias (n,) [N m], the torque at no acceleration, at q [rad], dq [rad/s]. */
 STOPSET_API int stopset_sim_mass_and_bias(const StopsetArm *arm, const double *q, const double *dq, double *M, double *bias);
 /* Torque (N, n) [N m] of rigid body and rotors for rows of q, dq, ddq. */
 STOPSET_API int stopset_sim_torques(const StopsetArm *arm, const double *rotor, int64_t N, const double *q, const double *dq,
                                     const double *ddq, double *out);
-/* A w + p = b with friction p, see inclusion.c; mode (n,) is the guess who moves which way, then the answer. 1: solved to rounding,
- * 0: not; negative: a code. */
+/* A w + p = b with friction p (n,) [N m s], A (n, n) [kg m^2], w [rad/s], see inclusion.c; mode (n,) is the guess who moves which way,
+ * then the answer. 1: solved to rounding, 0: not; negative: a code. */
 STOPSET_API int stopset_sim_inclusion(int n, const double *A, const double *b, const double *plus, const double *minus, int64_t *mode,
                                       double *w);
 
@@ -525,7 +536,7 @@ typedef struct {
     double resolution;                          /* [rad] of the encoder */
 } StopsetSimScript;
 
-/* Logs (ticks, n): readings, their speed, reported torque, temperature, link angle and speed. */
+/* Logs (ticks, n): readings [rad], their speed [rad/s], reported torque [N m], temperature [degC], link angle and speed. */
 STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, int64_t ticks, int64_t steps_per_tick,
                                 const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
                                 double *link, double *speed);
@@ -544,7 +555,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared, held;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */
@@ -573,32 +584,43 @@ typedef struct {
  * of accelerations, where the arithmetic itself errs by some 1e-13. */
 STOPSET_API extern const double stopset_tube_recentre, stopset_energy_rounding, stopset_rate_rounding;
 
-/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi] at the cut, in steps of h [s]. Returns how it ends: 0 at rest, 1 still moving
- * at the last step, 2 not provable; negative: a code. `made`: steps that count. */
+/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi], (n,) each [rad, rad/s], at the cut, in steps of h [s]. Returns how it ends: 0
+ * at rest, 1 still moving at the last step, 2 not provable; negative: a code. `made`: steps that count. */
 STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo,
                                   const double *v0_hi, double h, int64_t steps, const StopsetParts *parts, int energetic,
                                   const StopsetTube *tube, int64_t *made);
-/* Inertia, gravity and Christoffel symbols at q and their slopes, of the middle payload and of half its range. */
+/* Inertia M (n, n) [kg m^2], gravity g (n,) [N m] and Christoffel symbols Gamma (n, n, n) [kg m^2] at q and their slopes by q, of the
+ * middle payload and of half its range. */
 STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
                                double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
 /* For angles in q + [x_lo, x_hi] the inertia lies in M +- dM (n, n), rotors included, and its slopes in those at q, of the same
  * payload, +- turn (n, n, n). */
 STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                     const StopsetParts *parts, double *M, double *dM, double *turn);
-/* Accelerations of each joint while it moves forward, lo and hi, and while it moves backward, out (4, n), angles in q + [x_lo, x_hi], speeds in
- * [w_lo, w_hi], dry friction in [B_lo, B_hi], if none is larger than its claim: each row for itself, or `related`. Infinite: no such motion. */
+/* Accelerations of each joint while it moves forward, lo and hi, and while it moves backward, out (4, n), angles in q + [x_lo, x_hi],
+ * speeds in [w_lo, w_hi], dry friction in [B_lo, B_hi], if none is larger than its claim: each row for itself, or `related`. Infinite:
+ * no such motion. */
 STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo,
                                       const double *w_hi, const double *B_lo, const double *B_hi, const double *claim, int related,
                                       const StopsetParts *parts, double *out);
-/* Largest sqrt(v' M v) for speeds in a box and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
+/* What momenta in [p_lo, p_hi] [kg m^2/s] leave of speeds in [v_lo, v_hi] [rad/s], angles in q + [x_lo, x_hi], out (4, n): lo, hi; least momentum of a joint that
+ * does not move backward, largest of one that does not move forward. Infinite: nothing known, or no such motion. */
+STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
+                                     const double *v_hi, const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out);
+/* Largest sqrt(v' M v) [(kg m^2)^1/2 rad/s] for speeds in a box (n,) and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);
 /* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, for the directions in which
  * speeds within [v_lo, v_hi] point. */
 STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
                                      const double *B_lo, const double *v_lo, const double *v_hi, double *w);
-/* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements and
- * speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows, as in a tube. */
+/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w, speeds lie in [v_lo, v_hi] and no momentum is
+ * larger than P, (n,) each. */
+STOPSET_API int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h,
+                                     double *out);
+/* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements
+ * and speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows,
+ * as in a tube. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
                                    const double *d_hi, const double *v_lo, const double *v_hi, const double *near_lo,
                                    const double *near_hi, const double *left, int link, const double *point, double *travel, double *travel_ball,
@@ -610,8 +632,8 @@ STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link
 /* Capsules (S, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
 STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
                                        const double *d_hi, const double *capsules, double *out);
-/* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n); work (K + 1,).
- * Returns how many. */
+/* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n) [rad, rad/s];
+ * work (K + 1,). Returns how many. */
 STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
                                    const double *e_lo, const double *e_hi, const double *t, const double *travel_left, int64_t count,
                                    double *border, double *work, double *out_dl, double *out_dh, double *out_vl, double *out_vh,
@@ -702,20 +724,21 @@ typedef struct {
     const double *residual_lo, *residual_hi;                       /* [rad/s] what drives still give while their power goes */
 } StopsetRamp;
 
-/* Friction and u at angles in [q_lo, q_hi] (n,), no joint faster than speed (n,): out (6, n) dry lo, hi, viscous lo, hi, u lo, hi.
- * STOPSET_NO_BOUND + k: the k-th law gives no number there; negative: a code. */
+/* Friction and u at angles in [q_lo, q_hi] (n,) [rad], no joint faster than speed (n,) [rad/s]: out (6, n) [N m, N m s/rad] dry lo,
+ * hi, viscous lo, hi, u lo, hi. STOPSET_NO_BOUND + k: the k-th law gives no number there; negative: a code. */
 STOPSET_API int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *torques, const double *q_lo, const double *q_hi,
                                       const double *speed, double *out);
 /* Numbers that `work` below has to hold. */
 STOPSET_API int64_t stopset_stop_room(int n);
-/* The stop from every state in q +- q_radius, dq +- dq_radius, (n,) each. 0: bounded; 1: not provable, then `out` holds nothing of use;
- * negative: a code. */
+/* The stop from every state in q +- q_radius [rad], dq +- dq_radius [rad/s], (n,) each. 0: bounded; 1: not provable, then `out` holds
+ * nothing of use; negative: a code. */
 STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
                                   const double *dq_radius, double *work, const StopsetBound *out);
-/* The same of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */
+/* The same, from states (n,) [rad, rad/s], of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of
+ * the bound. */
 STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const double *q, const double *dq,
                                      const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
-/* Of a ramp that fails in any way: from every state in which power can then be taken. */
+/* Of a ramp that fails in any way, from requests (n,) [rad, rad/s]: from every state in which power can then be taken. */
 STOPSET_API int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *ramp, const double *q, const double *dq,
                                     const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
 /* cffi end */

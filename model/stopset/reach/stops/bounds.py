@@ -16,6 +16,7 @@ from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
+from stopset.reach.stops.start import NONE, Extrapolation, Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import fastest, stopped_after, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
@@ -61,15 +62,15 @@ class StopBounds:
     @classmethod
     def of(
         cls, model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None,
-        ramp: Ramp | None = None, pieces: int = 1, extrapolate: bool = False, fast: bool = False, extrapolate_state: bool = False,
+        ramp: Ramp | None = None, pieces: int = 1, *, extrapolate: Extrapolation = NONE, fast: bool = False,
     ) -> StopBounds:  # fmt: skip
-        """Prepare the bounds; ``payload`` [kg] range, ``payload_com`` (3,) [m] and ``extrapolate`` as in `setting_of`.
+        """Prepare the bounds; ``payload`` [kg] range and ``payload_com`` (3,) [m] as in `setting_of`.
 
-        ``ramp``: default what the model holds from stop1 recordings; ``extrapolate_state``: whether states that identification has
-        not seen get numbers, marked and not certified, instead of "not covered".
+        ``ramp``: default what the model holds from stop1 recordings; ``extrapolate``: what identification has not seen and gets
+        numbers all the same, marked and not certified, instead of "not covered".
         """
-        setting = setting_of(model, payload, payload_com, extrapolate)
-        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate_state, FAST_TUBES if fast else TUBES)
+        setting = setting_of(model, payload, payload_com, extrapolate=extrapolate.payload)
+        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate.state, FAST_TUBES if fast else TUBES)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
@@ -93,13 +94,13 @@ class StopBounds:
                 category, certified=False, why=f"not covered: {beyond}; {UNSEEN}", assumptions=self.setting.assumptions
             )
         n, start = self.model.n, self.setting.start if category == "0" else self.setting.truth
-        box = q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq
+        box = Start(q + start.centre[:n], dq + start.centre[n:], start.radius[:n] + more_q, start.radius[n:] + more_dq)
         if category == "0":
-            bound = self._power_off(*box)
+            bound = self._power_off(box)
         elif category == "1 guaranteed":
-            bound = self._failed_ramp(*box)
+            bound = self._failed_ramp(box)
         else:
-            bound = self._working_ramp(*box, category)
+            bound = self._working_ramp(box, category)
         return self.marked(bound, beyond)
 
     def marked(self, bound: StopBound, beyond: str | None) -> StopBound:
@@ -144,14 +145,14 @@ class StopBounds:
             )
         return q, dq, radii[0], radii[1]
 
-    def _power_off(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
+    def _power_off(self, start: Start) -> StopBound:
         assert self.setting is not None
-        tubes = tubes_of(self.setting, q, dq, q_radius, dq_radius, self.pieces, fast=self.fast)
+        tubes = tubes_of(self.setting, start, self.pieces, fast=self.fast)
         if tubes[-1].end != OK:
-            return self._refused("0", no_certificate(self.model.joints, self.margin(q), self._reach()), q)
+            return self._refused("0", no_certificate(self.model.joints, self.margin(start.q), self._reach()), start.q)
         margin = np.min([t.margin for t in tubes], axis=0)
         time = np.max([stopped_after(t) for t in tubes], axis=0)
-        return self._bound_of("0", tubes, time, q, q_radius, margin, (*self.setting.assumptions, REST))
+        return self._bound_of("0", tubes, time, start, margin, (*self.setting.assumptions, REST))
 
     def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
         """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
@@ -165,19 +166,19 @@ class StopBounds:
             category, certified=False, why=why, holding_margin=self.margin(q), assumptions=(*self.setting.assumptions, *ramp)
         )  # fmt: skip
 
-    def _working_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array, category: Category) -> StopBound:
+    def _working_ramp(self, start: Start, category: Category) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp, tube = self.ramp, ramp_tube(self.ramp, dq - dq_radius, dq + dq_radius)
-        swept = Box(q - q_radius + tube.d_lo.min(axis=0), q + q_radius + tube.d_hi.max(axis=0))
+        q, q_radius, at, speeds = start.q, start.q_radius, start.angles, start.speeds
+        ramp, tube = self.ramp, ramp_tube(self.ramp, speeds.lo, speeds.hi)
+        swept = Box(at.lo + tube.d_lo.min(axis=0), at.hi + tube.d_hi.max(axis=0))
         plant = self.setting.near(self.setting.plant, swept, fastest(tube))
         assumptions = (*self.setting.assumptions, *ramp_assumptions(ramp, category))
-        time = ramp_time(ramp, dq - dq_radius, dq + dq_radius)
+        time = ramp_time(ramp, speeds.lo, speeds.hi)
         if time is None:
             return self._refused(category, NO_REST, q)
-        fast = np.abs(dq) + dq_radius
-        extra = plant.coulomb_hi + plant.viscous_hi * fast + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
+        extra = plant.coulomb_hi + plant.viscous_hi * start.fastest + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
-        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, dq)
+        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, start.dq)
         margin = self.margin(q, q_radius)
         if refusal:
             return self._refused(category, refusal, q)
@@ -199,7 +200,7 @@ class StopBounds:
                 return self.refused_for(category, margin, q)
             early = early_cut(ramp, float(time.max()))
             assumptions = assumptions if early is None else (*assumptions, early)
-        return replace(self._bound_of(category, [tube], time, q, q_radius, margin, assumptions), fallback=fallback)
+        return replace(self._bound_of(category, [tube], time, start, margin, assumptions), fallback=fallback)
 
     def _fallback(self, q: Array, q_radius: Array, tube: Tube) -> tuple[float, float] | None:
         """Angle [rad] and time [s] added when the standstill window of a STOP 2 is left: creeping until the power is taken, then a
@@ -210,25 +211,24 @@ class StopBounds:
         middle, radius = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1]) + q_radius + crept
         # where the ramp has led is a wide box of poses: cutting the brakes' intervals many times over would not close it
         pieces = min(self.pieces, FEW)
-        tubes = tubes_of(
-            self.setting, q + middle, residual.centre, radius, ramp.creep + residual.radius, pieces, fast=self.fast
-        )  # fmt: skip
+        start = Start(q + middle, residual.centre, radius, ramp.creep + residual.radius)
+        tubes = tubes_of(self.setting, start, pieces, fast=self.fast)
         if tubes[-1].end != OK:
             return None
         angle = max(float(np.maximum(t.d_hi.max(), -t.d_lo.min())) for t in tubes)
         return crept + angle, ramp.reaction + max(float(stopped_after(t).max()) for t in tubes)
 
-    def _failed_ramp(self, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> StopBound:
+    def _failed_ramp(self, start: Start) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp, setting = self.ramp, self.setting
-        found = failed_stops(setting, ramp, q, dq, q_radius, dq_radius, self.tubes, self.fast)
+        ramp, setting, q = self.ramp, self.setting, start.q
+        found = failed_stops(setting, ramp, start, self.tubes, fast=self.fast)
         if found is None:
             return self._refused("1 guaranteed", NO_POWER_OFF, q)
         tubes: list[Tube] = []
         time = np.zeros(self.model.n)
         margin = np.full(self.model.n, np.inf)
         for cell, _, part in found.parts:
-            lo, hi, _, _ = cell.boxes(dq, dq_radius, ramp)
+            lo, hi, _, _ = cell.boxes(start, ramp)
             if part.end != OK:
                 return self.refused_for("1 guaranteed", self.margin(q + 0.5 * (lo + hi)), q)
             time = np.maximum(time, cell.time + stopped_after(part))
@@ -236,15 +236,15 @@ class StopBounds:
             # displacement since the request; what was passed before power-off lies in the starts of these boxes
             tubes.append(part._replace(d_lo=part.d_lo + lo, d_hi=part.d_hi + hi))
         assumptions = (*setting.assumptions, *ramp_assumptions(ramp, "1 guaranteed"))
-        bound = self._bound_of("1 guaranteed", tubes, time, q, q_radius, margin, assumptions)
+        bound = self._bound_of("1 guaranteed", tubes, time, start, margin, assumptions)
         return replace(bound, why=out_of_budget(found.loose, len(found.parts), found.tried)) if found.loose else bound
 
     def _bound_of(
-        self, category: Category, tubes: list[Tube], time: Array, q: Array, q_radius: Array, margin: Array,
-        assumptions: tuple[str, ...],
-    ) -> StopBound:  # fmt: skip
+        self, category: Category, tubes: list[Tube], time: Array, start: Start, margin: Array, assumptions: tuple[str, ...]
+    ) -> StopBound:
         """The bound in words of joints and space, over all ``tubes`` of displacement since the stop request."""
         assert self.setting is not None
+        q, q_radius = start.q, start.q_radius
         robot, n = self.model.robot, self.model.n
         chain, tool = robot.chain, self.setting.payload_com
         ends = [chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]

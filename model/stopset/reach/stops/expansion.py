@@ -103,11 +103,11 @@ def _gravity_bounds(chain: Chain, size: Array, mass: Array, moment: Array) -> tu
 
 def _beside(chain: Chain, size: Array, i: int, carried: float) -> float:
     """First moment [kg m] beside axis i of link i and of ``carried`` kg at the next joint, at most; ``size`` bounds ``|pi|``."""
-    a = np.abs(chain.axis[i])
+    a0, a1, a2 = np.abs(chain.axis[i])
 
     def away(x: Array) -> float:
-        x = np.abs(x)
-        return float(np.linalg.norm([a[1] * x[2] + a[2] * x[1], a[2] * x[0] + a[0] * x[2], a[0] * x[1] + a[1] * x[0]]))
+        x0, x1, x2 = np.abs(x)
+        return float(np.linalg.norm([a1 * x2 + a2 * x1, a2 * x0 + a0 * x2, a0 * x1 + a1 * x0]))
 
     own = min(away(size[i, 1:4]), float(np.linalg.norm(size[i, 1:4])))
     if i + 1 == len(size):

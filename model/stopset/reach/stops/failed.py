@@ -17,13 +17,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import count
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import halves
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Tube
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, expected_stop, march_box
 from stopset.types import Array
@@ -46,8 +47,9 @@ class StatesAtCut:
     share: Array
     time: float
 
-    def boxes(self, dq: Array, dq_radius: Array, ramp: Ramp) -> tuple[Array, Array, Array, Array]:
+    def boxes(self, start: Start, ramp: Ramp) -> tuple[Array, Array, Array, Array]:
         """Displacement (lo, hi) [rad] since the request and speed (lo, hi) [rad/s], (n,) each."""
+        dq, dq_radius = start.dq, start.dq_radius
         (a, b), (s, r) = self.travel.T, self.share.T
         lo, hi = np.minimum(a * dq, b * dq) - b * dq_radius, np.maximum(a * dq, b * dq) + b * dq_radius
         v_lo, v_hi = np.minimum(s * dq, r * dq) - r * dq_radius, np.maximum(s * dq, r * dq) + r * dq_radius
@@ -58,7 +60,7 @@ class StatesAtCut:
         pace = np.abs(dq)
         return float(max((ANGLE_WEIGHT * pace * np.ptp(self.travel, axis=1)).max(), (pace * np.ptp(self.share, axis=1)).max()))
 
-    def halves(self, dq: Array, together: bool) -> tuple[StatesAtCut, StatesAtCut]:
+    def halves(self, dq: Array, *, together: bool) -> tuple[StatesAtCut, StatesAtCut]:
         """Cut across the side that matters most; all joints at once if they fail ``together``."""
         pace = np.abs(dq)
         harm = np.stack([ANGLE_WEIGHT * pace * np.ptp(self.travel, axis=1), pace * np.ptp(self.share, axis=1)])
@@ -94,6 +96,12 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
     return out
 
 
+class MarchOn(Protocol):
+    """One tube from a box of states at power-off; ``energetic``: with the help of the kinetic energy."""
+
+    def __call__(self, cell: StatesAtCut, plant: Plant, /, *, energetic: bool) -> Tube: ...
+
+
 class CutPart(NamedTuple):
     """A box of states at power-off, an arm with the parameters it may then have, and the tube from there."""
 
@@ -114,9 +122,9 @@ class Cover:
 
 def cover(
     cells: Sequence[StatesAtCut], plant: Plant, cut: Callable[[StatesAtCut, Plant], Sequence[tuple[StatesAtCut, Plant]]],
-    march: Callable[[StatesAtCut, Plant, bool], Tube], width: Callable[[StatesAtCut], float], budget: tuple[int, int],
+    march: MarchOn, width: Callable[[StatesAtCut], float], budget: tuple[int, int],
 ) -> Cover:  # fmt: skip
-    """Tubes for boxes that together are ``cells``; ``march(cell, plant, energetic)`` tries one, ``cut`` makes two of one.
+    """Tubes for boxes that together are ``cells``; ``march`` tries one, ``cut`` makes two of one.
 
     The widest box is tried first, and cut where its tube does not come to rest.  ``budget``: how many tubes may be tried so while
     none comes to rest, and how many at all; each that does is worth `REWARD` more.  What is open then the kinetic energy bounds,
@@ -133,7 +141,7 @@ def cover(
         allowed = min(budget[0] + REWARD * len(parts), budget[1])
         if tried < allowed:
             tried += 1
-            tube = march(cell, arm, False)
+            tube = march(cell, arm, energetic=False)
             if tube.end == OK:
                 parts.append((root, CutPart(cell, arm, tube)))
                 continue
@@ -146,12 +154,12 @@ def cover(
     for cell, arm, root in left:
         if id(root) in whole:
             continue
-        tube = march(cell, arm, True)
+        tube = march(cell, arm, energetic=True)
         if tube.end != OK and cell is not root:
             whole.add(id(root))
             cell, arm = root, plant
             parts = [x for x in parts if x[0] is not root]
-            tube = march(root, plant, True)
+            tube = march(root, plant, energetic=True)
         parts.append((root, CutPart(cell, arm, tube)))
         loose += 1
         if tube.end != OK:
@@ -159,29 +167,28 @@ def cover(
     return Cover(tuple(p for _, p in parts), loose, tried)
 
 
-def failed_stops(
-    setting: Setting, ramp: Ramp, q: Array, dq: Array, q_radius: Array, dq_radius: Array, tubes: tuple[int, int], fast: bool
-) -> Cover | None:
-    """Tubes of all stops after a failed ramp, from requests at ``q +- q_radius, dq +- dq_radius`` (true states, (n,) each).
+def failed_stops(setting: Setting, ramp: Ramp, start: Start, tubes: tuple[int, int], *, fast: bool) -> Cover | None:
+    """Tubes of all stops after a failed ramp, from requests at ``start``.
 
     None where nothing says when power is taken; ``tubes``: see `TUBES`; ``fast``: coarser steps, for a loop.
     """
+    q, dq = start.q, start.dq
     cells = failed_cells(ramp, dq)
     if not cells:
         return None
-    lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
+    lasts = expected_stop(setting.plant, q, start.fastest)
 
-    def march(cell: StatesAtCut, plant: Plant, energetic: bool) -> Tube:
-        lo, hi, v_lo, v_hi = cell.boxes(dq, dq_radius, ramp)
+    def march(cell: StatesAtCut, plant: Plant, *, energetic: bool) -> Tube:
+        lo, hi, v_lo, v_hi = cell.boxes(start, ramp)
         # whatever the ramp did, the drives may still give while their power goes
         v_lo, v_hi = v_lo + setting.residual.lo, v_hi + setting.residual.hi
-        box = q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + q_radius, 0.5 * (v_hi - v_lo)
+        here = Start(q + 0.5 * (lo + hi), 0.5 * (v_lo + v_hi), 0.5 * (hi - lo) + start.q_radius, 0.5 * (v_hi - v_lo))
         knots = FAST_ENERGY_KNOTS if energetic else FAST_KNOTS if fast else KNOTS
-        return march_box(setting, plant, *box, energetic, knots=knots)
+        return march_box(setting, plant, here, energetic=energetic, knots=knots)
 
     def cut(cell: StatesAtCut, plant: Plant) -> Sequence[tuple[StatesAtCut, Plant]]:
         if cell.width(dq) > NARROW:
-            return [(c, plant) for c in cell.halves(dq, ramp.together)]
+            return [(c, plant) for c in cell.halves(dq, together=ramp.together)]
         return [(cell, p) for p in halves(plant, q, lasts)]
 
     least = tubes[0] + tubes[0] // SLICE * (len(cells) - 1)

@@ -72,7 +72,7 @@ class Body:
     tilted: tuple[tuple[Chain, Array, Array], ...]
 
     @classmethod
-    def of(cls, chain: Chain, pi: Array, half: Array, tilts: bool) -> Body:
+    def of(cls, chain: Chain, pi: Array, half: Array, *, tilts: bool) -> Body:
         tilted = []
         for direction in tilt_directions(chain.gravity) if tilts else ():
             other = chain._replace(gravity=direction)
@@ -174,7 +174,7 @@ def torques_of(model: Model, payload: tuple[float, float] | None = None, com: Ar
     fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     laws, damped = _acting(model, fastest)
     pi, half = bodies(model, payload, com)
-    body = Body.of(model.robot.chain, pi, half, any(x.needs & lib.STOPSET_NEEDS_TILT for x in laws))
+    body = Body.of(model.robot.chain, pi, half, tilts=any(x.needs & lib.STOPSET_NEEDS_TILT for x in laws))
     base = np.zeros((5, n, 2))
     unknown = np.setdiff1d(np.arange(n), damped)  # there the abstraction's linear friction, as nothing better is known
     base[RUBS_VISCOUS, unknown] = model.abstraction.viscous[unknown, :1]
@@ -267,7 +267,7 @@ def _acting(model: Model, fastest: Array) -> tuple[tuple[ActingLaw, ...], list[i
             damped += places if effect.enters == "damping" else ()
             for i in places:
                 other = sum(places) - i if effect.scope == "pair" else -1
-                laws.append(acting_law(effect, f, i, other, float(fastest[i]), warm))
+                laws.append(acting_law(effect, f, i, other, float(fastest[i]), warm=warm))
     return tuple(laws), damped
 
 

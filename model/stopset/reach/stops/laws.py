@@ -74,7 +74,7 @@ class ActingLaw:
         )  # fmt: skip
 
 
-def acting_law(effect: Effect, f: Fitted, joint: int, other: int, fastest: float, warm: bool) -> ActingLaw:
+def acting_law(effect: Effect, f: Fitted, joint: int, other: int, fastest: float, *, warm: bool) -> ActingLaw:
     """The effect ``f`` at ``joint``, ``other``: a pair's partner, else -1; ``fastest`` [rad/s]: it was seen no faster; ``warm``:
     whether temperatures were recorded.
 
@@ -85,12 +85,12 @@ def acting_law(effect: Effect, f: Fitted, joint: int, other: int, fastest: float
         shapes = {p.symbol: parameter([f], p) for p in effect.shapes}
         if len(terms) > lib.STOPSET_COLUMNS:
             raise NotCovered(f"its law has {len(terms)} terms, more than {lib.STOPSET_COLUMNS}")
-        columns = _recorded(effect, shapes, warm, flow=False)
+        columns = _recorded(effect, shapes, warm=warm, flow=False)
         state, flow = np.array([[x.lo, x.hi] for x in effect.states], float).reshape(-1, 2), None
         if affine(effect):
             state = np.array([whole(effect, {k: Interval(x.lo[0], x.hi[0]) for k, x in shapes.items()}, fastest)], float)
             if set(effect.needs) <= {"dq", "memory"}:
-                flow = _recorded(effect, shapes, warm, flow=True)
+                flow = _recorded(effect, shapes, warm=warm, flow=True)
         if not np.all(np.isfinite(state)):
             raise NotCovered("a state of it has no bound")
         looks = {SIGNALS[k] for k in columns.looks if k < len(SIGNALS)}
@@ -108,11 +108,11 @@ def acting_law(effect: Effect, f: Fitted, joint: int, other: int, fastest: float
         )  # fmt: skip
 
 
-def _recorded(effect: Effect, shapes: dict[str, Interval], warm: bool, *, flow: bool) -> BoundLaw:
+def _recorded(effect: Effect, shapes: dict[str, Interval], *, warm: bool, flow: bool) -> BoundLaw:
     """The law's columns on tape, or the rate of its state, with its shapes as intervals."""
     tape = Tape()
     values = {k: tape.parameter(float(x.mid[0])) for k, x in shapes.items()}
-    s = _seen(tape, len(effect.states), warm)
+    s = _seen(tape, len(effect.states), warm=warm)
     results = effect.rates(s, values)[:1] if flow else effect.columns(s, values)
     at = [x.at if hasattr(x, "at") else tape.constant(float(x)).at for x in results]
     steps, places = needed(tape.steps, at)
@@ -125,7 +125,7 @@ def _recorded(effect: Effect, shapes: dict[str, Interval], warm: bool, *, flow: 
     )  # fmt: skip
 
 
-def _seen(tape: Tape, states: int, warm: bool) -> Signals:
+def _seen(tape: Tape, states: int, *, warm: bool) -> Signals:
     """What a law may look at in a stop; who computes with anything else is refused."""
     bounded = (
         "q",

@@ -15,6 +15,7 @@ class Parts(NamedTuple):
     bend: float = 1.0  # what the inertia has beyond its first slopes
     pull: float = 1.0  # what the others pull at a joint that rests
     shared: float = 1.0  # what one angle, one speed and the payload do to all accelerations at once
+    held: float = 1.0  # of the momenta with which what moves holds the kinetic energy
 
 
 ALL_PARTS = Parts()

@@ -102,13 +102,10 @@ class Ramp:
         )  # fmt: skip
 
     @classmethod
-    def stated(
-        cls, n: int, *, time: float | None = None, deceleration: float | None = None, control: float = 0.024,
-        off_after: float | None = None, monitored: bool = False, share: float = 1.0, together: bool = False,
-    ) -> Ramp:  # fmt: skip
+    def stated(cls, n: int, *, time: float | None = None, deceleration: float | None = None, control: float = 0.024) -> Ramp:
         """A ramp as a data sheet states it: exactly one of ``time`` [s] and ``deceleration`` [rad/s^2], no tracking error.
 
-        ``share``: speed of a failing ramp, of that at the request. Raises `NotCovered` for numbers that are no ramp.
+        What happens if it fails is said with `failing`. Raises `NotCovered` for numbers that are no ramp.
         """
         given, most = (time, LONGEST) if time is not None else (deceleration, STEEPEST)
         if (time is None) == (deceleration is None) or given is None or not 0.0 < given <= most:
@@ -121,16 +118,18 @@ class Ramp:
                 f"a start of the ramp {control:g} s after the request; expected 0 to {LONGEST:g} s: state the drives' delay"
             )
         zero = np.zeros(n)
-        ramp = cls(
+        return cls(
             "time" if time is not None else "deceleration", Box.point(np.full(n, given)),
             Box.of(zero, np.full(n, control)), zero, zero,
         )  # fmt: skip
-        return ramp.failing(off_after, monitored, share, together)
 
     def failing(
-        self, off_after: float | None = None, monitored: bool = False, share: float = 1.0, together: bool = False
+        self, off_after: float | None = None, *, monitored: bool = False, share: float = 1.0, together: bool = False
     ) -> Ramp:
-        """The same ramp with what happens if it fails; what is not given stays as it was. Raises `NotCovered` for no such numbers."""
+        """The same ramp with what happens if it fails, see `Ramp`; what is not given stays as it was, but for ``share``.
+
+        Raises `NotCovered` for no such numbers.
+        """
         if off_after is not None and not 0.0 <= off_after <= LONGEST:
             raise NotCovered(
                 f"an SS1-t time of {off_after:g} s; expected 0 to {LONGEST:g} s, not negative: state when power is taken"
@@ -159,7 +158,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     lasts = ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo
     end = float(np.max(ramp.control.hi + lasts))
     t = np.linspace(0.0, end, KNOTS + 1)
-    curves = [_curve(ramp, v, t, slow, pace) for v in (v_lo, v_hi) for slow in (True, False) for pace in ramp.pace]
+    curves = [_curve(ramp, v, t, pace, slow=slow) for v in (v_lo, v_hi) for slow in (True, False) for pace in ramp.pace]
     d = np.array([c[0] for c in curves])
     v = np.array([c[1] for c in curves])
     # tracking errors exist from the request on; the first knot is exact
@@ -171,7 +170,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     nothing = np.zeros((KNOTS, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
-        nothing, nothing, nothing, nothing, np.full(n, np.nan), False, np.full((KNOTS + 1, n), np.inf),
+        nothing, nothing, nothing, nothing, np.full(n, np.nan), energetic=False, travel_left=np.full((KNOTS + 1, n), np.inf),
     )  # fmt: skip
 
 
@@ -179,7 +178,7 @@ def _shortest(ramp: Ramp, fast: Array) -> Array:
     return ramp.value.lo if ramp.kind == "time" else fast / ramp.value.hi
 
 
-def _curve(ramp: Ramp, v: Array, t: Array, slow: bool, pace: float) -> tuple[Array, Array]:
+def _curve(ramp: Ramp, v: Array, t: Array, pace: float, *, slow: bool) -> tuple[Array, Array]:
     """Displacement and speed (T, n) of one corner: latest start and gentlest ramp, or the opposite."""
     begin = ramp.control.hi if slow else ramp.control.lo
     gentle = ramp.value.hi if slow == (ramp.kind == "time") else ramp.value.lo
@@ -217,7 +216,8 @@ def infeasible(
         moving = (lasts > begin) & (np.abs(dq) > 0)
         for pi, pace in product(bodies, sorted({0.0, *ramp.pace})):
             times = np.linspace(begin, end, POINTS)
-            tau = _ramp_torques(model, pi, rotor, q, dq, lasts, times, moving, pace)
+            here, speed, acc = _slowed(q, dq, lasts, times, moving, pace)
+            tau = torques(model.robot.chain, pi, here, speed, acc) + rotor * acc
             jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
             asked = np.maximum(asked, np.abs(tau).max(axis=0) + jump + extra)
     worst = int(np.argmin(limit - asked))
@@ -229,13 +229,10 @@ def infeasible(
     )
 
 
-def _ramp_torques(
-    model: Model, pi: Array, rotor: Array, q: Array, dq: Array, lasts: Array, t: Array, moving: NDArray[np.bool_], pace: float
-) -> Array:
-    """(N, n) [N m] of the rigid body with rotors, ``t`` (N,) seconds into the ramp of the joints ``moving``."""
+def _slowed(q: Array, dq: Array, lasts: Array, t: Array, moving: NDArray[np.bool_], pace: float) -> tuple[Array, Array, Array]:
+    """(N, n) angles, speeds and accelerations ``t`` (N,) seconds into the ramp of the joints ``moving``."""
     u = np.minimum(t[:, None] / lasts, 1.0)
     path_time = lasts * (u - 0.5 * u * u)
     here, speed = q + dq * (path_time + 0.5 * pace * path_time * path_time), dq * (1.0 - u) * (1.0 + pace * path_time)
     acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * path_time) / lasts), 0.0)
-    out: Array = torques(model.robot.chain, pi, here, speed, acc) + rotor * acc
-    return out
+    return here, speed, acc

@@ -75,7 +75,7 @@ class Setting:
 
 
 def setting_of(
-    model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None, extrapolate: bool = False
+    model: Model, payload: tuple[float, float] | None = None, payload_com: Array | None = None, *, extrapolate: bool = False
 ) -> Setting | None:
     """Everything known of the arm's stops, or None if its brakes are not known.
 
@@ -85,7 +85,7 @@ def setting_of(
     Raises `NotCovered` for a payload outside the model's domain, unless it is to be ``extrapolate``-d: then the rigid body
     carries it, and an assumption says that no recording did; and for an effect of the model that no stop can be bounded with.
     """
-    carried = payload_of(model, payload, extrapolate)
+    carried = payload_of(model, payload, extrapolate=extrapolate)
     brakes = brakes_of(model)
     if brakes is None:
         return None
@@ -116,7 +116,7 @@ def setting_of(
     return replace(setting, assumptions=tuple(_assumptions(setting, brakes, regime, mass_uncertainty)))
 
 
-def payload_of(model: Model, payload: tuple[float, float] | None, extrapolate: bool) -> tuple[float, float]:
+def payload_of(model: Model, payload: tuple[float, float] | None, *, extrapolate: bool) -> tuple[float, float]:
     """The range asked for [kg], the domain's where none is; refused as `setting_of` says."""
     lo, hi = model.domain.payload if payload is None else payload
     seen = model.domain.payload

@@ -6,7 +6,7 @@ The interval to cut next is the one whose uncertain impulse can do most harm to 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -52,23 +52,27 @@ def halves(plant: Plant, q: Array, lasts: float) -> tuple[Plant, Plant]:
     return plant._replace(**{f"{name}_hi": low_hi}), plant._replace(**{f"{name}_lo": high_lo})
 
 
-def certify(
-    march: Callable[[Plant, bool], Tube], plant: Plant, q: Array, lasts: float, pieces: int, last_resort: bool
-) -> list[Tube]:
+class March(Protocol):
+    """One tube of an arm with these parameters; ``energetic``: with the help of the kinetic energy."""
+
+    def __call__(self, plant: Plant, /, *, energetic: bool) -> Tube: ...
+
+
+def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, last_resort: bool) -> list[Tube]:
     """Tubes that together hold every stop, cutting intervals where one tube does not come to rest.
 
-    ``march(plant, energetic)``: one tube. At most ``pieces`` tubes are kept; where these do not suffice there is, as a
+    At most ``pieces`` tubes are kept; where these do not suffice there is, as a
     ``last_resort``, one tube with the help of the kinetic energy, which is looser. If that fails too the only tube is not OK.
     """
     todo: list[Plant] = [plant]
     done: list[Tube] = []
     while todo:
         part = todo.pop()
-        tube = march(part, False)
+        tube = march(part, energetic=False)
         if tube.end == OK:
             done.append(tube)
         elif len(todo) + len(done) + 2 > pieces:
-            return [march(plant, True) if last_resort else tube]
+            return [march(plant, energetic=True) if last_resort else tube]
         else:
             todo.extend(halves(part, q, lasts))
     return done

@@ -34,6 +34,7 @@ from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import Parts
 from stopset.robot.rigid import Chain, arm_struct
+from stopset.sets import Box
 from stopset.types import Array
 
 OK, ENDLESS, UNBOUNDED = 0, 1, 2  # how a tube ends: at rest; still moving at the last step; claims not verifiable
@@ -112,23 +113,13 @@ def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
     return struct, [arm, rows, bent]
 
 
-def march(
-    plant: Plant,
-    q_lo: Array,
-    q_hi: Array,
-    v0_lo: Array,
-    v0_hi: Array,
-    h: float,
-    steps: int,
-    parts: Parts,
-    energetic: bool = False,
-) -> Tube:
-    """The tube from the box ``[q_lo, q_hi] x [v0_lo, v0_hi]`` at the cut, in steps of ``h`` seconds, at most ``steps``.
+def march(plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, energetic: bool = False) -> Tube:
+    """The tube from angles ``q`` and speeds ``dq`` (n,) at the cut, in steps of ``h`` seconds, at most ``steps``.
 
     ``energetic``: with the kinetic energy's caps, which end the tube whenever brakes and friction surely hold the arm.
     """
     n, made = len(plant.rotor), ffi.new("int64_t *")
-    box = [given(x) for x in (q_lo, q_hi, v0_lo, v0_hi)]
+    box = [given(x) for x in (q.lo, q.hi, dq.lo, dq.hi)]
     if any(x.shape != (n,) for x in box):
         raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
     struct, _held = plant_struct(plant)

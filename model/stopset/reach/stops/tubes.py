@@ -11,6 +11,7 @@ from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
 from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import gravity_torque
@@ -58,10 +59,11 @@ class Region:
         limit, speed = setting.torques.speed, 1.05 * fast + 0.05
         return cls(1.1 * lasts * fast + 0.01, np.where(fast < limit, np.minimum(speed, limit), speed))
 
-    def plant(self, setting: Setting, plant: Plant, q: Array, q_radius: Array) -> Plant:
-        """``plant`` with what the effects give in the region around ``q +- q_radius``."""
+    def plant(self, setting: Setting, plant: Plant, start: Start) -> Plant:
+        """``plant`` with what the effects give in the region around ``start``."""
         if self._friction is None:
-            self._friction = setting.torques.over(Box(q - q_radius - self.travel, q + q_radius + self.travel), self.speed)
+            at = start.angles
+            self._friction = setting.torques.over(Box(at.lo - self.travel, at.hi + self.travel), self.speed)
         return setting.with_friction(plant, self._friction)
 
     def holds(self, tube: Tube) -> bool:
@@ -75,16 +77,16 @@ class Region:
 
 
 def march_box(
-    setting: Setting, plant: Plant, q: Array, dq: Array, q_radius: Array, dq_radius: Array, energetic: bool,
-    parts: Parts = ALL_PARTS, knots: int = KNOTS, region: Region | None = None,
+    setting: Setting, plant: Plant, start: Start, parts: Parts = ALL_PARTS, *, energetic: bool, knots: int = KNOTS,
+    region: Region | None = None,
 ) -> Tube:  # fmt: skip
-    """One tube of ``plant`` from the box ``q +- q_radius, dq +- dq_radius`` (angles [rad], speeds [rad/s], (n,) each).
+    """One tube of ``plant`` from the states of ``start``.
 
     Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here, first
     with a coarse tube.
     """
-    fast = np.abs(dq) + dq_radius
-    lasts = expected_stop(setting.plant, q, fast)
+    fast = start.fastest
+    lasts = expected_stop(setting.plant, start.q, fast)
     patience = MORE_PATIENCE if energetic else PATIENCE
     settled = setting.torques.settled
     region = region or Region.first(setting, fast, lasts)
@@ -92,8 +94,8 @@ def march_box(
         coarse = not (settled or region.known)
         steps = max(1, knots // COARSE) if coarse else knots
         tube: Tube = march(
-            plant if settled else region.plant(setting, plant, q, q_radius),
-            q - q_radius, q + q_radius, dq - dq_radius, dq + dq_radius, lasts / steps, steps * patience, parts, energetic,
+            plant if settled else region.plant(setting, plant, start), start.angles, start.speeds, lasts / steps, steps * patience,
+            parts, energetic=energetic,
         )  # fmt: skip
         if settled or (tube.end != OK and not coarse):
             return tube
@@ -114,28 +116,25 @@ def fastest(tube: Tube) -> Array:
 
 
 def tubes_of(
-    setting: Setting, q: Array, dq: Array, q_radius: Array, dq_radius: Array, pieces: int, parts: Parts = ALL_PARTS,
-    last_resort: bool = True, fast: bool = False,
-) -> list[Tube]:  # fmt: skip
-    """Tubes that together hold all stops from the box; the last is not OK if that failed.
+    setting: Setting, start: Start, pieces: int, parts: Parts = ALL_PARTS, *, last_resort: bool = True, fast: bool = False
+) -> list[Tube]:
+    """Tubes that together hold all stops from the states of ``start``; the last is not OK if that failed.
 
     Up to ``pieces`` of them, for every window of the brakes' common delay; with one piece the delays are taken as independent.
     ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop.
     """
-    lasts = expected_stop(setting.plant, q, np.abs(dq) + dq_radius)
-
+    lasts = expected_stop(setting.plant, start.q, start.fastest)
     knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, KNOTS)
+    regions = [Region.first(setting, start.fastest, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
 
-    regions = [Region.first(setting, np.abs(dq) + dq_radius, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
-
-    def one(plant: Plant, energetic: bool) -> Tube:
-        return march_box(setting, plant, q, dq, q_radius, dq_radius, energetic, parts, knots[energetic], regions[energetic])
+    def one(plant: Plant, *, energetic: bool) -> Tube:
+        return march_box(setting, plant, start, parts, energetic=energetic, knots=knots[energetic], region=regions[energetic])
 
     out: list[Tube] = []
     # the latest brakes are the hardest: what cannot be proved is known at once
     delay_spread = setting.delay_spread if pieces > 1 or fast else None
     for plant in reversed(windows(setting.plant, delay_spread, setting.lag, FAST_WINDOWS if fast else None)):
-        out += certify(one, plant, q, lasts, pieces, last_resort)
+        out += certify(one, plant, start.q, lasts, pieces, last_resort=last_resort)
         if out[-1].end != OK:
             break
     return out

@@ -123,7 +123,7 @@ class Recorder:
                 self.trouble = f"the recorder failed: {type(e).__name__}: {e}"
             time.sleep(0.05)
 
-    def turn(self, last: bool = False) -> None:
+    def turn(self, *, last: bool = False) -> None:
         """Do what is due; ``last``: with what there is, because nothing more will come."""
         words = [self._words.popleft() for _ in range(len(self._words))]
         for name, _, data in words:
@@ -140,7 +140,7 @@ class Recorder:
             due = self.trace.head - incident.row > round(AFTER / self.cycle_s)
             due = due or last or self.clock.monotonic() - incident.noticed > AFTER + PATIENCE
             if due or not incident.tried:
-                self._write(incident, due)
+                self._write(incident, whole=due)
             if not due:
                 break
             self._incidents.popleft()
@@ -155,12 +155,12 @@ class Recorder:
         if not len(w) or self._model is None:
             return
         if self.settings.violations:  # else nothing is written, and the next life knows of none before
-            self._place(w.q[-1], self._model[0].joints, begun)
+            self._place(w.q[-1], self._model[0].joints, begun=begun)
         if model is not None and not self._late_said and (late := plausible.late_torque(w, model, self.pause)) is not None:
             self._late_said = True
             self.notes.append(plausible.late_words(late))
 
-    def _place(self, q: Array, joints: tuple[str, ...], begun: bool) -> None:
+    def _place(self, q: Array, joints: tuple[str, ...], *, begun: bool) -> None:
         """Where the arm is, against where it was left; kept for the next life."""
         if not begun and (before := plausible.stored_position(self.folder)) is not None:
             self._position = before
@@ -170,7 +170,7 @@ class Recorder:
             plausible.keep_position(self.folder, q)
             self._position = q
 
-    def _write(self, incident: Incident, whole: bool) -> None:
+    def _write(self, incident: Incident, *, whole: bool) -> None:
         """The bundle: at once with what there is, and once more with what came after."""
         assert self._model is not None
         model, back = self._looking_back(), max(self.settings.before_s, incident.first.age + 0.1)

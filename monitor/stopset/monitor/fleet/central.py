@@ -25,13 +25,13 @@ TURN = 0.2  # [s]
 TOPICS = {"state/json": "state", "event": "event", "health": "health"}
 
 
-class _OnlyState(msgspec.Struct):
+class _StateWord(msgspec.Struct):
     """What of ``state/json`` says whether it is news."""
 
     state: str
 
 
-_state = msgspec.json.Decoder(_OnlyState).decode
+_state = msgspec.json.Decoder(_StateWord).decode
 
 
 @dataclass(slots=True)

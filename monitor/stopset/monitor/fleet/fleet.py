@@ -62,7 +62,7 @@ class Fleet:
         self._arms: dict[str, _Arm] = {}
         self._clock, self._lock, self.garbled, self._notice = clock, threading.Lock(), 0, notice
 
-    def take_alive(self, key: str, there: bool) -> None:
+    def take_alive(self, key: str, *, there: bool) -> None:
         """A token appeared or went."""
         with self._lock:
             if (arm := self._arm(key)) is not None:

@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import zenoh
 
 from stopset.monitor.links.endpoints import check_endpoint, not_opened
+
+
+class Alive(Protocol):
+    """Hears of a token that appeared, or went."""
+
+    def __call__(self, key: str, /, *, there: bool) -> None: ...
 
 
 class ZenohLink:
@@ -84,11 +90,11 @@ class ZenohLink:
         """Hold a liveliness token while the session lives."""
         self._held.append(self._session.liveliness().declare_token(self.key(name)))
 
-    def watch_alive(self, name: str, handler: Callable[[str, bool], None]) -> None:
-        """Call ``handler(key, there)`` when a token appears or goes."""
+    def watch_alive(self, name: str, handler: Alive) -> None:
+        """Call ``handler(key, there=...)`` when a token appears or goes."""
 
         def take(sample: Any) -> None:
-            handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            handler(str(sample.key_expr), there=sample.kind == zenoh.SampleKind.PUT)
 
         self._held.append(self._session.liveliness().declare_subscriber(self.key(name), take, history=True))
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+NAMED_BY_WHY = {"gap"}  # kinds of event whose sentence names them
 GROUPS = 40  # kept; the one that was quiet longest goes first
 
 
@@ -28,7 +29,7 @@ class Event(msgspec.Struct):
         kind = self.kind.replace("_", " ")
         by = f"by {self.name}{'' if self.proven else ' (as they call themselves)'}: {self.reason}" if self.name else ""
         why = self.why or by or ", ".join(self.signals) or (f"model {self.model_sha256[:16]}" if self.model_sha256 else "")
-        return why if why.startswith(kind) else f"{kind}: {why}" if why else kind
+        return why if self.kind in NAMED_BY_WHY else f"{kind}: {why}" if why else kind
 
 
 class Grouped:

@@ -67,7 +67,7 @@ def terms(n: int) -> int:
     return int(6 ** (n - 1))
 
 
-def dynamics(robot: Robot, rotor: Array, as_composed: bool = False) -> DynamicsForms:
+def dynamics(robot: Robot, rotor: Array, *, as_composed: bool = False) -> DynamicsForms:
     """The exact polynomials of an arm, about ``sin = cos = 0``, by operator overloading through the recursive
     algorithm.
 

@@ -74,7 +74,7 @@ def degrees(robot: Robot, viscous: Array) -> Degrees:
     """Maximal degrees of models 1 and 2 (the paper: 3 and 12); model 3 has none, its dynamics are rational."""
     used = np.flatnonzero(np.any(np.asarray(viscous).reshape(robot.n, -1) != 0.0, axis=0))
     friction = int(used.max(initial=0)) + 1
-    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), plain)) for plain in (True, False))
+    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), as_composed=plain)) for plain in (True, False))
     return Degrees(friction, max(friction, composed), max(friction, reduced))
 
 

@@ -13,6 +13,7 @@ from stopset.offline.conform.guarantee import CONFIDENCE, clopper_pearson
 from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp, ramp_time, ramp_tube
 from stopset.reach.stops.setting import Setting, setting_of
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
 from stopset.recording import Recording
@@ -48,7 +49,7 @@ def stop0_tubes(setting: Setting, r: Recording, pieces: int = PIECES) -> list[Tu
     assert k is not None
     n, start = r.q.shape[1], setting.start
     q, dq = r.q[k] + start.centre[:n], r.dq[k] + start.centre[n:]
-    tubes = tubes_of(setting, q, dq, start.radius[:n], start.radius[n:], pieces)
+    tubes = tubes_of(setting, Start(q, dq, start.radius[:n], start.radius[n:]), pieces)
     return None if tubes[-1].end != OK else tubes
 
 

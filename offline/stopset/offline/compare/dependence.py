@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +28,26 @@ SAME = 0.005  # columns that print alike
 FEWEST = 4 * BINS  # windows below which no share is given
 
 
+class ErrorVariable(NamedTuple):
+    """What an error may depend on: of each joint its own, or one ``joint``'s for all."""
+
+    name: str
+    joint: int | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Explained:
     """``share`` (n, k): fraction of each joint's squared torque error that each of the ``variables`` explains, 0 to 1.
 
-    ``error`` (W, n) [N m] and ``values`` (k entries of (W, n)): the windows it was computed from.
+    ``foreign`` (k,): whether a variable is another joint's; ``error`` (W, n) [N m] and ``values`` (k entries of (W, n)): the
+    windows it was computed from.
     """
 
     variables: tuple[str, ...]
     share: Array
     error: Array
     values: tuple[Array, ...]
+    foreign: tuple[bool, ...]
 
     def strongest(self, joint: int) -> int:
         """Number of the variable that explains most at a joint; of those that explain about as much, one of its own, the plainest.
@@ -45,18 +55,13 @@ class Explained:
         Joints that are moved together explain each other's errors as well as their own: only a clearly better one is believed.
         """
         good = np.flatnonzero(self.share[joint] >= self.share[joint].max() - TIE)
-        own = [int(k) for k in good if not foreign(self.variables[k])]
+        own = [int(k) for k in good if not self.foreign[k]]
         return own[0] if own else int(np.argmax(self.share[joint]))
-
-
-def foreign(variable: str) -> bool:
-    """Whether a variable is another joint's."""
-    return variable.startswith(("q of ", "dq of "))
 
 
 def strongest_first(found: Explained) -> NDArray[np.intp]:
     """Numbers of the variables, the ones that tell most first, without those that say the same as one before them."""
-    order = np.argsort(-found.share.max(axis=0) + np.array([TIE * foreign(v) for v in found.variables]), kind="stable")
+    order = np.argsort(-found.share.max(axis=0) + TIE * np.array(found.foreign, float), kind="stable")
     retained: list[int] = []
     for k in order:
         same = [
@@ -124,33 +129,30 @@ def explained(model: Model, pairs: Iterable[tuple[int, Recording, Array]], found
     dt = model.powered.dt
     m = max(1, round(AVERAGING / dt))
     errors: list[Array] = []
-    columns: dict[str, list[Array]] = {}
+    columns: dict[ErrorVariable, list[Array]] = {}
     for _, r, u in pairs:
         e = torque_error(model.abstraction, dt, r.q, r.dq, u)
         if not len(e):
             continue
         errors.append(e)
         middle = np.arange(len(e)) * m + m // 2
-        for name, value in _variables(model, r, u, found.warm(r)).items():
-            columns.setdefault(name, []).append(value[middle])
-    names = tuple(k for k, parts in columns.items() if len(parts) == len(errors))
+        for variable, value in _variables(model, r, u, found.warm(r)).items():
+            columns.setdefault(variable, []).append(value[middle])
+    variables = [k for k, parts in columns.items() if len(parts) == len(errors)]
     error = np.vstack(errors)
-    values = tuple(np.vstack(columns[k]) for k in names)
+    values = tuple(np.vstack(columns[k]) for k in variables)
     # a joint's own angle and speed stand under their own names
     share = np.array(
         [
-            [
-                0.0 if k in (f"q of {name}", f"dq of {name}") else _share(error[:, j], v[:, j])
-                for k, v in zip(names, values, strict=True)
-            ]
-            for j, name in enumerate(model.joints)
+            [0.0 if k.joint == j else _share(error[:, j], v[:, j]) for k, v in zip(variables, values, strict=True)]
+            for j in range(model.n)
         ]
     )
-    return Explained(names, share, error, values)
+    return Explained(tuple(v.name for v in variables), share, error, values, tuple(v.joint is not None for v in variables))
 
 
-def _variables(model: Model, r: Recording, u: Array, warm: float) -> dict[str, Array]:
-    """Signals (N, n) that an error may depend on, by name."""
+def _variables(model: Model, r: Recording, u: Array, warm: float) -> dict[ErrorVariable, Array]:
+    """Signals (N, n) that an error may depend on."""
     n = model.n
     gravity = gravity_torques(model.robot.chain, model.robot.pi, np.ascontiguousarray(r.q))
     direction = np.sign(r.dq)
@@ -161,10 +163,11 @@ def _variables(model: Model, r: Recording, u: Array, warm: float) -> dict[str, A
     }  # fmt: skip
     if r.temp is not None:
         out |= {"temperature": r.temp, "temp * dq": (r.temp - r.temp.mean()) * r.dq, "temp * direction": r.temp * direction}
+    signals = {ErrorVariable(name): value for name, value in out.items()}
     for k, name in enumerate(model.joints):
-        out[f"q of {name}"] = np.repeat(r.q[:, k : k + 1], n, axis=1)
-        out[f"dq of {name}"] = np.repeat(r.dq[:, k : k + 1], n, axis=1)
-    return out
+        signals[ErrorVariable(f"q of {name}", k)] = np.repeat(r.q[:, k : k + 1], n, axis=1)
+        signals[ErrorVariable(f"dq of {name}", k)] = np.repeat(r.dq[:, k : k + 1], n, axis=1)
+    return signals
 
 
 def _share(e: Array, x: Array) -> float:

@@ -6,17 +6,39 @@ nobody has explained, and is the number to hold against other identifications.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from stopset.artifact import Model
+from stopset.artifact import Abstraction, Model
+from stopset.artifact.inputs import InputMap, input_map
+from stopset.effects.base import Fitted
 from stopset.offline.compare.metrics import AVERAGING
 from stopset.offline.nominal.model import shared_inertia
 from stopset.recording import Recording
+from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torques
 from stopset.types import Array
 
 
-def left_over(model: Model, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None) -> Array:
+@dataclass(frozen=True, slots=True)
+class TorqueModel:
+    """What a model says of motor torque, before there are sets to make a model of it."""
+
+    robot: Robot
+    rotor: Array
+    effects: tuple[Fitted, ...]
+    abstraction: Abstraction
+
+    @property
+    def input(self) -> InputMap:
+        """As `Model.input`."""
+        return input_map(self.robot, self.effects, "motor_torque", self.abstraction)
+
+
+def left_over(
+    model: Model | TorqueModel, r: Recording, u: Array, dt: float, ddq: Array | None = None, window: int | None = None
+) -> Array:
     """(W, n) [N m] torque without explanation, averaged over windows of `AVERAGING`; ``u`` (N, n): the model's input.
 
     Accelerations are differences of the recorded speeds where ``ddq`` (N, n) is not given; averaged, their noise is that of a

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.offline.compare.known import left_over
+from stopset.offline.compare.known import TorqueModel, left_over
 from stopset.offline.nominal.preprocess import PreparedMotion, Preprocessing, motions
 from stopset.recording import Recording
 from stopset.types import Array
 
 
-def restored(model: Model, trials: Iterable[Recording], cutoff: float) -> Iterator[Recording]:
+def restored(model: Model | TorqueModel, trials: Iterable[Recording], cutoff: float) -> Iterator[Recording]:
     """The trials with ``tau + y - F y``: ``y`` the model's own torque, ``F`` the low-pass of ``cutoff`` [Hz]; poses as they are.
 
     Above the cut-off nothing was recorded: what such torque says there is the model's.
@@ -30,7 +30,7 @@ def restored(model: Model, trials: Iterable[Recording], cutoff: float) -> Iterat
             yield replace(r, t=m.t, q=q, dq=dq, tau=tau, temp=m.temp, current=None, stop_trigger=None)
 
 
-def model_torque(model: Model, m: PreparedMotion) -> Array:
+def model_torque(model: Model | TorqueModel, m: PreparedMotion) -> Array:
     """(N, n) [N m] torque that the model has for a motion, effects and friction in full, at every sample."""
     q, dq, ddq = (np.ascontiguousarray(x) for x in (m.q, m.dq, m.ddq))
     u = model.input(q, dq, m.raw_tau, m.temp, 0.0, m.t)

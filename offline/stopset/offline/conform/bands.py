@@ -93,7 +93,7 @@ def band_sets(
         fit = fit_sets(fitted, R, problem.asking("all"))
         if problem.options.conform == "position":
             fit = fit_sets(fitted, R, problem.reading(fit.V))
-        final = enclosing(fit.inflated(factors), R, everything, problem.abstraction.decoupled)
+        final = enclosing(fit.inflated(factors), R, everything, decoupled=problem.abstraction.decoupled)
         out[name(k)] = UncertaintySets(
             X0=final.X0, U=final.U, V=final.V, dt=problem.dt, horizon=everything.steps * problem.dt, conform=final.conform,
             windows=problem.options.windows, margin=float(factors.max()), active=final.active, temp=bands.band(k, seen),

@@ -61,7 +61,7 @@ def touching(fit: FittedSets, R: Responses, env: Envelope) -> bool:
     return bool(np.any(env.hi[rows, states] >= hi - near) or np.any(env.lo[rows, states] <= lo + near))
 
 
-def needed_factors(fit: FittedSets, R: Responses, env: Envelope, decoupled: bool) -> Array:
+def needed_factors(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: bool) -> Array:
     """Smallest factors (n,), each >= 1, by which every joint's sets, grown about their centres, enclose ``env``.
 
     Joints of a coupled model, or of a zonotope, reach into each other's tubes: they share one factor.

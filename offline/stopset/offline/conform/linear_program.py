@@ -87,7 +87,9 @@ class _Block:
     upper: NDArray[np.bool_]
 
 
-def _block(env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: list[int], bounds: Bounds, dense: bool) -> _Block:
+def _block(
+    env: Envelope, R: Responses, wanted: list[int], xs: list[int], us: list[int], bounds: Bounds, *, dense: bool
+) -> _Block:
     last = env.steps
     paper = not bounds.capped
     importance = np.full(last, 1.0 / last) if paper else age_weights(last, R.dt)
@@ -134,7 +136,7 @@ def fit_sets(env: Envelope, R: Responses, problem: SetProblem, *, capped: bool =
     for us, xs in blocks:
         bounds = Bounds(problem.readings.take(xs), len(us), capped, None if template is None else n)
         mine = [i for i in wanted if i in xs] if alone else wanted
-        block = _block(env, R, mine, xs, us, bounds, template is None)
+        block = _block(env, R, mine, xs, us, bounds, dense=template is None)
         who = "joint " + ", ".join(joints[j] for j in us if j < n)
         z = _repaired(block, bounds.tidy(cheapest(block.G, block.h, block.cost, bounds, who)))
         lo["X0"][xs], hi["X0"][xs], lo["V"][xs], hi["V"][xs], lo["U"][us], hi["U"][us] = bounds.split(z)

@@ -139,14 +139,14 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
     def fitted(envelopes: Sequence[Envelope], case: str = options.conform) -> FittedSets:
         env = g.union(list(envelopes))
         fit = fit_sets(env, R, cases[case])
-        return fit if problem.template is None else enclosing(fit, R, env, alone)  # its program sees some of the ages
+        return fit if problem.template is None else enclosing(fit, R, env, decoupled=alone)  # its program sees some of the ages
 
     fit = fitted(list(used.values()))
     factors, how, notes = _margin(found.halves, problem, used, fitted, R)
     chosen = np.full(len(problem.joints), options.margin) if options.margin is not None else factors
     grown = fit.inflated(chosen)
-    violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], alone) > 1.0)) for m in division.held)
-    final = enclosing(grown, R, everything, alone)
+    violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], decoupled=alone) > 1.0)) for m in division.held)
+    final = enclosing(grown, R, everything, decoupled=alone)
     extra = float((final.inputs.width / np.maximum(grown.inputs.width, 1e-12)).max())
     if extra > 1.0 + 1e-6:
         notes.append(f"grown by up to another {extra - 1:.1%} after the check so that held-out motions are enclosed too")
@@ -176,7 +176,7 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
             "the torque set is a zonotope: comparison and monitor use its own tube; stops and FMU take the box around it, "
             "which is never narrower"
         )
-    companion = packed(enclosing(second.inflated(chosen), R, everything, alone))
+    companion = packed(enclosing(second.inflated(chosen), R, everything, decoupled=alone))
     return ConformedSets(
         packed(final), companion, promise, factors, table, influence(used, fitted, fit, fixing), fit.cost, tuple(notes)
     )
@@ -187,14 +187,14 @@ def few_motions(used: int) -> bool:
     return used < g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY
 
 
-def enclosing(fit: FittedSets, R: Responses, env: Envelope, decoupled: bool) -> FittedSets:
+def enclosing(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: bool) -> FittedSets:
     """``fit`` grown until it encloses ``env`` in floating point (the closed-form factors are exact but for rounding).
 
     Raises `NotConformant` if growing does not help: nothing may be called enclosed that is not.
     """
     out = fit
     for _ in range(50):
-        left = g.needed_factors(out, R, env, decoupled)
+        left = g.needed_factors(out, R, env, decoupled=decoupled)
         if np.all(left <= 1.0):
             return out
         if not np.all(np.isfinite(left)):
@@ -224,7 +224,7 @@ def _margin(
         for fold in folds:
             rest = [used[m] for m in keys if m not in fold]
             unseen = g.union([used[m] for m in fold])
-            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, alone))
+            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, decoupled=alone))
         return factors, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     if not all(h.labels for h in halves):
         return (
@@ -232,7 +232,7 @@ def _margin(
             g.NO_REPETITION,
             ["no repetition to calibrate a margin on: the sets are those of these trials alone"],
         )
-    needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], alone) for a in (0, 1)]
+    needed = [g.needed_factors(fitted([halves[a]]), R, halves[1 - a], decoupled=alone) for a in (0, 1)]
     factors = np.maximum(*needed)
     note = f"too few motions to calibrate across them: margin {_range(factors)} is that between repetitions (even, odd)"
     return factors, g.REPETITIONS, [note]
@@ -261,7 +261,7 @@ def _in_a_box(env: Envelope, problem: SetProblem) -> FittedSets:
     assert problem.template is not None
     box = replace(problem, template=Template(np.eye(problem.abstraction.n), problem.template.directions))
     R = box.responses()
-    return enclosing(fit_sets(env, R, box), R, env, problem.abstraction.decoupled)
+    return enclosing(fit_sets(env, R, box), R, env, decoupled=problem.abstraction.decoupled)
 
 
 def influence(

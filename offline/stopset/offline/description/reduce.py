@@ -38,7 +38,7 @@ def library() -> Any:
     return pinocchio
 
 
-def reduced(urdf: str, tree: Outline, held: Sequence[str], collision: bool = False) -> Reduced:
+def reduced(urdf: str, tree: Outline, held: Sequence[str], *, collision: bool = False) -> Reduced:
     """The description with the joints ``held`` at zero. Raises `RobotError` with what pinocchio can't read in it."""
     pinocchio = library()
     with _heard() as complaints:

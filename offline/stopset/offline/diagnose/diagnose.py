@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
-from stopset.offline.compare.restored import restored
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
-from stopset.offline.diagnose.evidence.baseline import baseline, settled
 from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.priors import Known
@@ -20,11 +17,10 @@ from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
+from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import verdict_of
-from stopset.offline.diagnose.rows.sampling import in_step
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
-from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -105,37 +101,22 @@ def diagnose_model(
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
         return diagnose_open_loop(model, recordings, names, progress), "open-loop simulation from each trial's start"
-    moving = [r for r in recordings if moves(r)]
-    cutoff = recorded_low_pass(model.robot, moving)
-    if cutoff:
-        recordings = replace(recordings, trials=tuple(restored(model, recordings, cutoff)))
-    base = baseline(model, recordings)
-    taken_out = _common_lag(model)
-    recordings = in_step(recordings, -sum(x["value"] for x in taken_out))
-    # what `identify` chose itself stays in question on its own recordings; against others the model stands as it is
-    fitted = settled(model) if base.known is None else model.effects
-    if not moving:
-        return replace(standing(base.robot, recordings, fitted), notes=base.notes), base.against
-    found = answered(examine(base.robot, recordings, fitted, known=base.known, progress=progress), names)
-    chosen = {f.label for f in model.effects} - {f.label for f in fitted}
+    q = question(model, recordings)
+    if not any(map(moves, q.asked)):
+        return replace(standing(q.robot, q.recordings, q.fitted), notes=q.notes), q.against
+    found = answered(examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress), names)
+    chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    filtered = (
-        (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
-    )
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*base.notes, *filtered, *found.notes))
-    found = replace(found, taken_out=tuple(model.provenance.get("taken_out", ())) if base.known is None else taken_out)
-    if base.known is None or names is not None:
-        return found, base.against
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*q.notes, *found.notes))
+    found = replace(found, taken_out=q.taken_out)
+    if q.known is None:
+        return found, q.against
     progress("what changed since identification")
-    return _with_changes(found, changes(model, [r for r in recordings if moves(r)])), base.against
-
-
-def _common_lag(model: Model) -> tuple[Mapping[str, Any], ...]:
-    """The lag of all joints' torque that identification took out: it is told, and nothing is asked of it again."""
-    return tuple(x for x in model.provenance.get("taken_out", ()) if x["joint"] is None)
+    changed = changes(model, [r for r in q.recordings if moves(r)])
+    return _with_changes(found, [c for c in changed if names is None or c.effect in names]), q.against
 
 
 def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
@@ -164,7 +145,7 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
 def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
     """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding."""
     sound = [k for k, r in enumerate(x.ranked) if not r.objection]
-    error = x.errors(sound)[-1]
+    error = x.steps(sound)[-1].after if sound else x.found.before
     out = []
     for j, joint in enumerate(x.engine.data.joints):
         refuted = tuple(

@@ -9,17 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from stopset.effects.base import Fitted
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import Examination, examine
+from stopset.offline.diagnose.question import Inquiry
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
 from stopset.progress import Progress, silent
-from stopset.recording import Recordings
-from stopset.robot import Robot
 from stopset.types import Array
 
 
@@ -46,28 +42,18 @@ class Estimates:
     words: str
 
 
-def estimates(
-    robot: Robot,
-    recordings: Recordings,
-    names: Sequence[str],
-    fitted: Sequence[Fitted] = (),
-    known: Known | None = None,
-    progress: Progress = silent,
-) -> Estimates:
-    """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing.
-
-    ``fitted``: effects the model has already; ``known``: a model from other recordings, as for `examine`.
-    """
-    if not any(map(moves, recordings)):
+def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> Estimates:
+    """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
+    if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(robot, recordings, fitted, known=known, progress=progress)
+    x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     named = {e.name for e in out}
     for name in names:
         if name in named:
             continue
-        beside = (*fitted, *(e.fitted for e in out))
-        alone = examine(robot, recordings, beside, names=[name.partition(":")[0]], known=known, progress=progress)
+        beside = (*q.fitted, *(e.fitted for e in out))
+        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, progress=progress)
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
 
@@ -79,6 +65,5 @@ def _claims(x: Examination, name: str) -> tuple[int, ...]:
 
 def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:
     order = list(dict.fromkeys(k for _, claims in wanted for k in claims))
-    errors = x.errors(order)
     by = {k: name for name, claims in reversed(wanted) for k in claims}
-    return [Estimate(by[k], x.ranked[k], np.asarray(errors[at]), np.asarray(errors[at + 1])) for at, k in enumerate(order)]
+    return [Estimate(by[k], x.ranked[k], s.before, s.after) for k, s in zip(order, x.steps(order), strict=True)]

@@ -9,7 +9,7 @@ from stopset.effects import Effect, Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter, Ranked
-from stopset.offline.diagnose.evidence.candidate import Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
@@ -17,13 +17,12 @@ from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
 from stopset.offline.diagnose.remainder import Left, left_of
-from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
-from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +47,9 @@ class Examination:
             if r.effect == effect and not r.objection and (wanted is None or set(r.joints) == wanted)
         )
 
-    def errors(self, claims: Sequence[int]) -> list[Array]:
-        """Held-out torque error (n,) [N m] without any claim and after each of ``claims`` in turn, the others left out."""
-        return _errors(self.found, self.already, [self.found.claims[k] for k in claims])
+    def steps(self, claims: Sequence[int]) -> list[Step]:
+        """Held-out errors before and after each of ``claims`` in turn, the others left out."""
+        return _steps(self.found, self.already, [self.found.claims[k] for k in claims], judge=False)
 
 
 def examine(
@@ -94,14 +93,15 @@ def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
     return now
 
 
-def _errors(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[Array]:
-    """Held-out error (n,) of the model without any claim, and after each of ``claims`` in turn."""
-    if not claims:
-        return [found.before]
-    out = [found.before]
+def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], *, judge: bool) -> list[Step]:
+    """Each of ``claims`` beside those before it; ``judge``: those that take too little away are no cause for the next ones."""
+    out, before, earlier = list[Step](), found.before, list[Candidate]()
     for claim in claims:
-        already = already.plus(claim.scored.candidate)
-        out.append(held_out(already, found.hyper))
+        c = claim.scored.candidate
+        out.append(step(already, c, before, found.hyper, earlier))
+        if judge and out[-1].why:
+            continue
+        already, before, earlier = already.plus(c), out[-1].after, [*earlier, c]
     return out
 
 
@@ -115,22 +115,24 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(objections) if not why][: limit.HANDFUL]
-    errors = dict(zip([-1, *sound], _errors(found, already, [found.claims[k] for k in sound]), strict=True))
-    out, before = [], errors[-1]
+    sound = [k for k, why in enumerate(objections) if not why]
+    sound = [k for place, k in enumerate(sound) if place < limit.HANDFUL]
+    steps = dict(zip(sound, _steps(found, already, [found.claims[k] for k in sound], judge=True), strict=True))
+    out, error = [], found.before
     for k, claim in enumerate(found.claims):
-        c, after = claim.scored.candidate, errors.get(k, before)
-        where = list(c.joints) or list(range(len(joints)))
-        worst = max(where, key=lambda j: before[j] - after[j])
+        c, taken = claim.scored.candidate, steps.get(k, Step(error, error, ""))
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
-        why = objections[k] or ("" if k in errors else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        why = objections[k] or taken.why
+        if not why and k not in steps:
+            why = f"{limit.HANDFUL} effects are named already: the rest is told in sum"
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(before[worst]), float(after[worst]), given,
-                c.effect.look_at, _says(c.effect, given), points=partial(found.now, left.hyper, left.theta, c, worst), objection=why,
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
+                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given),
+                points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why,
             )
         )  # fmt: skip
-        before = after
+        error = error if why else taken.after
     return tuple(out)
 
 

@@ -131,14 +131,14 @@ def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tupl
     shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
-        limit.DAILY * np.array([a.before, b.before]), True,
+        limit.DAILY * np.array([a.before, b.before]), friction=True,
     )  # fmt: skip
     one = [
         (direction, (a,), limit.DAILY * level),
         (speed, (b,), limit.DAILY * level / max(usual, 1e-9)),
         (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), limit.DAILY),
     ]
-    return [free, *(LevelChange(joint, x, shares, said, np.zeros(1), np.array([least]), True) for x, said, least in one)]
+    return [free, *(LevelChange(joint, x, shares, said, np.zeros(1), np.array([least]), friction=True) for x, said, least in one)]
 
 
 def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:

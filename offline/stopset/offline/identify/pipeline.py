@@ -30,13 +30,14 @@ from stopset.offline.conform.linear_sets import ConformedSets
 from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.ladder import climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
-from stopset.offline.nominal.model import NominalPart, fit_nominal, known_effects, pairs_of
+from stopset.offline.nominal.model import NominalPart, fit_nominal, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.update.signals_file import RetainedSignals
@@ -96,7 +97,7 @@ def identified(
     run = Run(robot, meta, source, found, chosen)
     fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, progress), survey=learnt)
     shared = _shared(fitting, known)
-    numbers = known_effects(robot, meta, fitting.trials, chosen, known, [g.name for g in shared])
+    numbers = asked_effects(fitting, known, [g.name for g in shared])
     shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))
     nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
     plain = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))

@@ -57,7 +57,7 @@ class Finding:
         return f"{where}{self.seen}; expected {self.expected}: {self.do}"
 
 
-def clock(t: SignalSums, meta: Meta, dq_sound: bool = True) -> list[Finding]:
+def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
     """Irregular stamps, missing, repeated and jumped samples, and a rate that is not the stated one.
 
     ``dq_sound``: dq is the derivative of q, so that jumps of q against it tell of lost samples.

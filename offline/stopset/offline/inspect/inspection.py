@@ -172,14 +172,14 @@ def _findings(
         # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
         torn = any(f.severity == "error" for f in clock)
         scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
-        out += _torque(robot, data, scales, meta, sign, torn)
+        out += _torque(robot, data, scales, meta, sign, torn=torn)
         if meta.effort != "compensated_torque" and not torn:
             out += detect.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
 
 
 def _torque(
-    robot: Robot, data: NormalEquations, scales: tuple[Array, Array], meta: Meta, sign: list[Finding], torn: bool
+    robot: Robot, data: NormalEquations, scales: tuple[Array, Array], meta: Meta, sign: list[Finding], *, torn: bool
 ) -> list[Finding]:
     """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
     compensated = meta.effort == "compensated_torque"

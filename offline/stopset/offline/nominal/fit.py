@@ -178,7 +178,7 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     # a description believed too much explains itself: what it leaves then counts as noise, and the noise lets it be believed
     starts = [(1.0, False), (WIDEST_PRIOR, False), (1.0, True), (WIDEST_PRIOR, True)]
     scores = _scores(data, moving, p)
-    tried = [_weighed(p, scores, prior, scale, loaded) for scale, loaded in starts]
+    tried = [_weighed(p, scores, prior, scale, loaded=loaded) for scale, loaded in starts]
     weighed = min(tried, key=lambda x: x.unlikely + CLEARLY * x.loaded)
     variance, variance_still, inflation, scale, H, b = (
         weighed.variance, weighed.variance_still, weighed.inflation, weighed.scale, weighed.H, weighed.b
@@ -215,7 +215,7 @@ class _Weighed:
     unlikely: float
 
 
-def _weighed(p: _Problem, scores: Sequence[_Scores | None], prior: Prior, scale: float, loaded: bool) -> _Weighed:
+def _weighed(p: _Problem, scores: Sequence[_Scores | None], prior: Prior, scale: float, *, loaded: bool) -> _Weighed:
     """Rounds of fitting and weighing, beginning with a description that is off by ``scale`` times its tolerance."""
     n, m = p.layout.n, len(prior.mean)
     rows, rows_still = p.rows, p.rows_still
@@ -228,7 +228,7 @@ def _weighed(p: _Problem, scores: Sequence[_Scores | None], prior: Prior, scale:
     for _ in range(ROUNDS):
         w, w_still = 1 / np.maximum(variance * inflation, 1e-12), 1 / np.maximum(variance_still, 1e-12)
         w, w_still = np.where(rows > 0, w, 0.0), np.where(rows_still > 0, w_still, 0.0)
-        precision = prior.believed(scale, loaded)
+        precision = prior.believed(scale, loaded=loaded)
         H, b = assemble(p, w, w_still, precision, prior.mean)
         theta: Array = np.asarray(np.linalg.solve(H, b), np.float64)
         for j in range(n):

@@ -61,7 +61,7 @@ def _place(layout: Layout, joint: int, effect: Effect) -> tuple[int, list[int]]:
     return start, [k for k, c in enumerate(layout.columns[joint]) if c.effect is effect]
 
 
-def _rows(layout: Layout, joint: int, dq: Array, load: Array, viscous: bool) -> Array:
+def _rows(layout: Layout, joint: int, dq: Array, load: Array, *, viscous: bool) -> Array:
     """(rows, size): resisting torque of the joint's friction, per speed if ``viscous``, else in the mean of directions."""
     A = np.zeros((len(dq), layout.size))
     for effect in dict.fromkeys(c.effect for c in layout.columns[joint]):
@@ -81,7 +81,7 @@ def _rows(layout: Layout, joint: int, dq: Array, load: Array, viscous: bool) -> 
     return A
 
 
-def ranges(layout: Layout, rotor_positive: bool = True) -> ParameterLimits:
+def ranges(layout: Layout, *, rotor_positive: bool = True) -> ParameterLimits:
     """Each term within its admissible range, rotors not negative."""
     rows, lo, hi = [], [], []
     for j, columns in enumerate(layout.columns):

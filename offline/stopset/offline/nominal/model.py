@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.recording import Meta, Recording, Recordings
+from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 from stopset.types import Array
@@ -60,33 +60,6 @@ def fit_nominal(
     if meta.effort == "compensated_torque":
         return _compensated(robot, found, settings)
     return _motor(robot, meta, source, found, settings, known)
-
-
-def known_effects(
-    robot: Robot, meta: Meta, source: Source, settings: Settings, known: tuple[Fitted, ...] = (), chosen: Sequence[str] = ()
-) -> tuple[Fitted, ...]:
-    """Numbers of the effects that ``settings`` ask for beyond friction, estimated from the motor torque of ``source``.
-
-    ``known`` ones are kept, ``chosen`` ones taken where they leave a trace; friction of single joints is regressed with the rigid
-    body, see `regressed`.
-    Raises `EffectError` for an effect that these recordings show no trace of.
-    """
-    if meta.effort == "compensated_torque":
-        return ()  # fitted with everything else, by output error
-    wanted = [
-        name for name in (*settings.effects, *chosen)
-        if not regressed(parse_effect(name, robot)[0]) and not any(matches(f, name) for f in known)
-    ]  # fmt: skip
-    if not wanted:
-        return tuple(known)
-    from stopset.offline.diagnose.estimate import estimates
-
-    trials = Recordings(replace(meta, joints=robot.joints), tuple(source()))
-    found = estimates(robot, trials, wanted, known).found
-    for name in wanted:
-        if name not in chosen and not any(e.name == name for e in found):
-            raise EffectError(f"{name}: {NO_TRACE}")
-    return (*known, *(e.fitted for e in found))
 
 
 def regressed(effect: Effect) -> bool:

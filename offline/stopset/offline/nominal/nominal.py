@@ -140,9 +140,9 @@ def identify_nominal(
     reference = None
     if any("load" in _effect(e).needs for e in effects) and not once:
         for _ in range(LOAD_PASSES):
-            first = accumulate(robot, trials(), effects, settings, reference, compensated)
+            first = accumulate(robot, trials(), effects, settings, reference, compensated=compensated)
             reference = solve_nominal(robot, first, tolerance=tolerance, delay=delay).pi
-    data = accumulate(robot, trials(), effects, settings, reference, compensated)
+    data = accumulate(robot, trials(), effects, settings, reference, compensated=compensated)
     return solve_nominal(robot, data, tolerance=tolerance, delay=delay)
 
 

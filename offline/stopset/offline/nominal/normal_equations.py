@@ -91,7 +91,7 @@ class Layout:
         return (*link * self.n, *["kg m²"] * self.n, *friction)
 
 
-def layout_of(robot: Robot, effects: Sequence[str | Effect], compensated: bool) -> Layout:
+def layout_of(robot: Robot, effects: Sequence[str | Effect], *, compensated: bool) -> Layout:
     """The parameters of ``effects`` (names, ``name:joint``, or effects) at every joint, in the order given.
 
     Torque that is already compensated (eq. 11) holds no Coulomb friction: only what enters as damping is kept.
@@ -179,7 +179,7 @@ def group_of(r: Recording) -> int:
     return zlib.crc32(name.encode(), r.file) % GROUPS
 
 
-def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Array, compensated: bool) -> NormalEquations:
+def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Array, *, compensated: bool) -> NormalEquations:
     """Normal equations of no data."""
     n = robot.n
     c = 10 * n + 1 + layout.width + len(DELAYS)
@@ -197,14 +197,15 @@ def accumulate(
     effects: Sequence[str | Effect] | None = None,
     settings: Preprocessing | None = None,
     reference: Array | None = None,
+    *,
     compensated: bool = False,
 ) -> NormalEquations:
     """One pass over the recordings; memory does not grow with their number. ``effects`` left out: `base` friction.
 
     ``reference``: link parameters (n, 10) for the load of load-dependent effects, the robot's own if left out.
     """
-    layout = layout_of(robot, base() if effects is None else effects, compensated)
-    out = empty(robot, layout, settings or Preprocessing(), robot.pi if reference is None else reference, compensated)
+    layout = layout_of(robot, base() if effects is None else effects, compensated=compensated)
+    out = empty(robot, layout, settings or Preprocessing(), robot.pi if reference is None else reference, compensated=compensated)
     view = robot.with_parameters(out.reference)
     pending: list[Recording] = []  # the trials of the static pose being read
     for r in recordings:

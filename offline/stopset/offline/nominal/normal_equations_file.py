@@ -69,10 +69,10 @@ def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
         head = json.loads(arrays["head"].tobytes())
         _check(head, robot, path)
         effects = [f"{e}:{j}" for j, es in zip(head["joints"], head["effects"], strict=True) for e in dict.fromkeys(es)]
-        layout = layout_of(robot, effects, head["compensated"])
+        layout = layout_of(robot, effects, compensated=head["compensated"])
         if list(layout.names()) != head["parameters"]:
             raise ModelFileError(f"{path}: its effects have other parameters than today's; identify from the recordings again")
-        out = empty(robot, layout, Preprocessing(**head["settings"]), arrays["reference"], head["compensated"])
+        out = empty(robot, layout, Preprocessing(**head["settings"]), arrays["reference"], compensated=head["compensated"])
         c = out.moving.shape[-1]
         moving, still = _square(arrays["moving"], c), _square(arrays["still"], c)
         out.moving[arrays["used"]] = moving

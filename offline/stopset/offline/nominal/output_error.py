@@ -62,7 +62,7 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
     p = np.concatenate([p, np.zeros(sum(len(t.effect.terms) for t in terms))])
     if terms:
         p = gauss_newton(batch, terms, p, lag_known=not determined)
-    return _packed(batch, joint, terms, p, determined)
+    return _packed(batch, joint, terms, p, determined=determined)
 
 
 def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
@@ -103,7 +103,7 @@ def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:
     return misfit
 
 
-def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jacobian: bool) -> tuple[Array, Array]:
+def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, *, with_jacobian: bool) -> tuple[Array, Array]:
     """Weighted residuals (rows,) and their Jacobian (rows, parameters) by forward differences, one batched simulation."""
     step = 1e-4 * np.maximum(1.0, np.abs(p))
     P = np.vstack([p, p + np.diag(step)]) if with_jacobian else p[None, :]
@@ -119,7 +119,7 @@ def residuals(batch: JointBatch, terms: Sequence[EffectTerm], p: Array, with_jac
 
 
 def gauss_newton(
-    batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps: int = ITERATIONS, lag_known: bool = False
+    batch: JointBatch, terms: Sequence[EffectTerm], p: Array, steps: int = ITERATIONS, *, lag_known: bool = False
 ) -> Array:
     """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more.
 
@@ -165,7 +165,7 @@ def _spread(batch: JointBatch, terms: Sequence[EffectTerm], p: Array) -> Array:
     return std
 
 
-def _packed(batch: JointBatch, joint: str, terms: Sequence[EffectTerm], p: Array, determined: bool) -> JointFit:
+def _packed(batch: JointBatch, joint: str, terms: Sequence[EffectTerm], p: Array, *, determined: bool) -> JointFit:
     e, std = residuals(batch, terms, p, with_jacobian=False)[0], _spread(batch, terms, p)
     if not determined:
         std[:2] = 1.0  # what is expected holds within a factor e

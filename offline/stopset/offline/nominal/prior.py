@@ -59,7 +59,7 @@ class Prior:
         n = len(self.rotor_known)
         return slice(10 * n - 10, 10 * n)
 
-    def believed(self, scale: float, loaded: bool) -> Array:
+    def believed(self, scale: float, *, loaded: bool) -> Array:
         """(11 n, 11 n) precision of a description off by ``scale`` times its tolerance, with or without something carried."""
         out = self.precision / scale**2
         if loaded:

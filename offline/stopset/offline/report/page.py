@@ -62,7 +62,7 @@ def _cell(value: Any, *, words: bool, shade: int | None = None) -> dict[str, Any
     return {"text": text, "look": ("" if len(text) > SHORT else "s") if words else "n", "shade": shade}
 
 
-def _head(text: str, words: bool) -> dict[str, Any]:
+def _head(text: str, *, words: bool) -> dict[str, Any]:
     # a unit stays in one piece
     return {"text": re.sub(r"\[[^]]*\]", lambda unit: unit[0].replace(" ", "\u00a0"), text), "words": words}
 
@@ -119,7 +119,7 @@ class Page:
         """Columns of figures are set to the right, columns of words to the left."""
         words = [_words([row[k] for row in rows]) for k in range(len(head))]
         cells = [[_cell(c, words=w) for c, w in zip(row, words, strict=True)] for row in rows]
-        heads = [_head(h, w) for h, w in zip(head, words, strict=True)]
+        heads = [_head(h, words=w) for h, w in zip(head, words, strict=True)]
         self._put(
             "table",
             head=heads,
@@ -136,7 +136,7 @@ class Page:
             [_cell(name, words=True), *(_cell(int(p), words=False, shade=min(int(p), 60)) for p in line)]
             for name, line in zip(rows, percent, strict=True)
         ]
-        heads = [_head(h, k == 0) for k, h in enumerate(("", *columns))]
+        heads = [_head(h, words=k == 0) for k, h in enumerate(("", *columns))]
         self._put("table", head=heads, rows=cells, caption=caption, shaded=True, label=caption)
 
     def picture(self, svg: str, caption: str = "") -> None:

@@ -47,7 +47,7 @@ class Document:
         self._put(MARGIN, 24.0, self._footer, 6.5)
         self._put(WIDTH - MARGIN - 20, 24.0, str(len(self._pages)), 6.5)
 
-    def _put(self, x: float, y: float, text: str, size: float, bold: bool = False) -> None:
+    def _put(self, x: float, y: float, text: str, size: float, *, bold: bool = False) -> None:
         safe = text.encode("cp1252", "replace").replace(b"\\", b"\\\\").replace(b"(", b"\\(").replace(b")", b"\\)")
         font = "F2" if bold else "F1"
         self._pages[-1].append(f"BT /{font} {size} Tf {x:.2f} {y:.2f} Td ({safe.decode('cp1252')}) Tj ET")
@@ -98,7 +98,7 @@ class Document:
         self._y -= 1.4 * size
         x = MARGIN
         for cell, w in zip(row, widths, strict=True):
-            self._put(x, self._y, cell[: max(1, int(w * scale / (0.46 * size)))], size, bold)
+            self._put(x, self._y, cell[: max(1, int(w * scale / (0.46 * size)))], size, bold=bold)
             x += w * scale
         if rule:
             self._pages[-1].append(f"0.8 G 0.3 w {MARGIN:.1f} {self._y - 2:.2f} m {WIDTH - MARGIN:.1f} {self._y - 2:.2f} l S 0 G")

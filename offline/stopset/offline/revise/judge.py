@@ -21,7 +21,8 @@ from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
-from stopset.offline.diagnose.evidence.baseline import baseline, settled
+from stopset.offline.diagnose.evidence.baseline import settled
+from stopset.offline.diagnose.question import question
 from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.progress import Progress
@@ -73,7 +74,7 @@ class Judge:
 
 
 def by_simulation(
-    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
     """Judge effects on compensated torque; ``first``: errors that are known already."""
     errors = start = dict(first) if first else judge.simulated(settings, ())
@@ -83,7 +84,7 @@ def by_simulation(
         more = replace(settings, effects=(*settings.effects, name))
         after = judge.simulated(more, ())
         effect, joints = parse_effect(name, judge.robot)
-        helps = _helps(errors, after, joints, effect.enters in SHIFTS)
+        helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
         why = "" if helps or force else "it does not lower the error on held-out data"
         judged.append(Judged(name, errors, after, helps, entry(effect), why))
         if not why:
@@ -91,21 +92,25 @@ def by_simulation(
     return Judgement(tuple(judged), start, settings, (), judge.division.words)
 
 
+def retained_effects(model: Model) -> tuple[Fitted, ...]:
+    """Effects beyond plain friction that a revision of a model keeps, with their numbers."""
+    return tuple(f for f in settled(model) if not get(f.effect).base)
+
+
 def by_evidence(
-    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, force: bool
+    judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
-    base = baseline(judge.model, recordings)
-    had = settled(judge.model)
-    retained = tuple(f for f in had if not get(f.effect).base)
-    answer = estimates(base.robot, recordings, names, had, base.known, judge.progress)
+    q = question(judge.model, recordings)
+    answer = estimates(q, names, judge.progress)
     found = answer.found
     joints = judge.model.joints
     judge.progress("simulating without and with it")
     wanted = [n for n in names if any(e.name == n for e in found)]
     more = replace(settings, effects=(*settings.effects, *wanted))
+    retained = retained_effects(judge.model)
     taken = (*retained, *(e.fitted for e in found))
     simulated = [dict(first)] if first else [judge.simulated(settings, retained)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
@@ -144,7 +149,7 @@ def _rms(errors: Iterable[float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(errors)))))
 
 
-def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], shift: bool) -> bool:
+def _helps(before: dict[str, float], after: dict[str, float], joints: Sequence[str], *, shift: bool) -> bool:
     """Whether held-out errors fall, over the arm or at the effect's own ``joints``, and none rises as much; a ``shift`` need only not raise them.
 
     A shifted parameter (a payload, a rotor, a torque scale) is absorbed by a free fit at the price of implausible values:

@@ -16,14 +16,15 @@ import numpy as np
 
 from stopset.artifact import Model, Revision
 from stopset.effects.selection import parse_effect
-from stopset.errors import EffectError, ModelFileError, NotCovered
+from stopset.errors import EffectError, ModelFileError, NotConformant, NotCovered
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Keep, Settings, identified
-from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation
+from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation, retained_effects
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
 from stopset.robot import Robot
@@ -72,7 +73,7 @@ def add(
     surveyed = survey(campaign.trials)
     judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, progress)
     first = _judged_before(model, campaign)
-    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force)
+    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force=force)
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
@@ -81,6 +82,9 @@ def add(
     fresh = found.model
     progress("bounding stops before and after")
     before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
+    if not own(model, campaign.meta):
+        progress("identifying these recordings without it")
+        before |= _widths_without(model, campaign, settings)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
     after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     refused = "" if force else widened(before, after)
@@ -93,11 +97,22 @@ def add(
     return Revised(revised, before, after, verdict.judged, verdict.words, found.retained)
 
 
+def _widths_without(model: Model, campaign: Campaign, settings: Settings) -> dict[str, float]:
+    """Widths of U that recordings of another day have without what is added; infinite where no sets enclose them."""
+    keys = ("sum_U_width", "sum_U_width_without_margin")
+    try:
+        plain = identified(model.robot.as_described, campaign, settings, silent, known=retained_effects(model)).model
+    except NotConformant:
+        return dict.fromkeys(keys, float("inf"))
+    return {key: plain.revisions[-1].after[key] for key in keys}
+
+
 def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     """Why a revision whose torque sets grew is refused; empty where they did not.
 
     The rule: an effect that is truly there takes uncertainty away, so the widths of U, summed over the joints and before any
     margin, may not grow by more than `limit.WIDER`.  They do where recordings of different conditions are identified as one.
+    Recordings none of which the model was identified from have widths of their own: theirs without the effect are ``before``.
     """
     a, b = (x.get("sum_U_width_without_margin") for x in (before, after))
     if a is None or b is None or b <= (1.0 + limit.WIDER) * a:
@@ -112,7 +127,11 @@ def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[st
     """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
     names = tuple(effects)
     for k, name in enumerate(names):
-        parse_effect(name, robot)
+        if parse_effect(name, robot)[0].base:
+            raise EffectError(
+                f"{name}: every model has it, and its level is found at each identification; identify again from recordings of today "
+                "(`stopset identify`)"
+            )
         if name in settings.effects:
             raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
         if name in names[:k]:

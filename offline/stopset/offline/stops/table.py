@@ -23,6 +23,7 @@ from stopset.progress import Progress, counted, silent
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
 from stopset.reach.stops.setting import HEAVIEST, beyond_domain, beyond_payload
+from stopset.reach.stops.start import NONE, Extrapolation
 from stopset.types import Array
 
 SHARES = (33, 66, 100)
@@ -85,8 +86,9 @@ class Question:
     payload: float | None = None  # [kg] instead of 33/66/100 % of the largest
     payload_com: Array | None = None
     rated: float | None = None  # [kg] what 100 % payload means, default the largest of the model's domain
-    extrapolate: bool = False  # payloads beyond the domain are computed and marked, else refused
-    extrapolate_state: bool = False  # and so are angles and speeds beyond it, else not covered
+    extrapolate: Extrapolation = (
+        NONE  # what beyond the domain is computed and marked; else payloads are refused, states not covered
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +126,7 @@ def loads(model: Model, question: Question) -> list[tuple[float, float]]:
             raise NotCovered(
                 f"a payload of {kg:g} kg; expected a mass of at least 0 kg and at most {HEAVIEST:g} kg: give it in kg"
             )
-        if not (question.extrapolate or lo - 1e-9 <= kg <= hi + 1e-9):
+        if not (question.extrapolate.payload or lo - 1e-9 <= kg <= hi + 1e-9):
             raise NotCovered(beyond_payload(kg, kg, (lo, hi)))
     return chosen
 
@@ -137,10 +139,7 @@ def prepared(model: Model, kg: float, question: Question) -> StopBounds:
         between = max(lo, kg - slack), min(hi, kg + slack)
     else:
         between = kg * (1.0 - LOAD_TOLERANCE), kg * (1.0 + LOAD_TOLERANCE)
-    return StopBounds.of(
-        model, between, question.payload_com, question.ramp, pieces=PIECES, extrapolate=question.extrapolate,
-        extrapolate_state=question.extrapolate_state,
-    )  # fmt: skip
+    return StopBounds.of(model, between, question.payload_com, question.ramp, PIECES, extrapolate=question.extrapolate)
 
 
 def three_axes(model: Model, poses: Poses, speed: Array) -> list[int]:
@@ -206,7 +205,7 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
         what = (
             f"EXTRAPOLATED POSES: {names} lie outside the angles of the recordings in some test poses; there the rigid body is computed, "
             "and friction and U are taken not to change"
-            if question.extrapolate_state
+            if question.extrapolate.state
             else f"no recording shows {names} at the angles of some test poses: those are not covered"
         )
         assumptions += (what,)

@@ -33,7 +33,7 @@ def folded(data: NormalEquations, robot: Robot, model: Model, new: Iterable[Reco
     cad = described(robot, known)
     held = found.held_out
     trials = (plain(r, cad, known, found.warm(r)) for r in new if r.suite_key not in held)
-    return data + accumulate(cad, trials, data.layout.effects, data.settings, data.reference, data.compensated)
+    return data + accumulate(cad, trials, data.layout.effects, data.settings, data.reference, compensated=data.compensated)
 
 
 def _known(data: NormalEquations, model: Model) -> tuple[Fitted, ...]:

@@ -86,7 +86,7 @@ class Loop:
         self._attends = False
         self._worker.stop()
 
-    def start(self, action: str, automatic: bool = False, **options: Any) -> bool:
+    def start(self, action: str, *, automatic: bool = False, **options: Any) -> bool:
         """Begin an action of `ACTIONS` in the background; False while another one runs that somebody asked for.
 
         What runs by itself gives way.

@@ -1,6 +1,6 @@
 /* One power-off stop from a box of states, as a loop asks for it: the brakes' windows, a tube of each, the tool's travel.
  *
- * The same as stopset.reach.stops.bounds with `fast`. The windows of the brakes' common delay are told in stopset.reach.stops.windows, the
+ * Source: the same as stopset.reach.stops.bounds with `fast`. The windows of the brakes' common delay are told in stopset.reach.stops.windows, the
  * region in which effects are evaluated in stopset.reach.stops.tubes.
  */
 #include <string.h>

@@ -4,6 +4,8 @@
  * distance of p from axis b. So around the middle c of a box of joint displacements
  *     p(q0 + d) - p(q0)  in  p(q + c) - p(q) + J(q + c) [-r, r] + ball(curved part),
  * and the largest length over the box of the linear part sits at a corner.
+ *
+ * Source: Featherstone (2008) for the frames; stopset.reach.stops.cartesian.
  */
 #include <math.h>
 #include <string.h>

@@ -139,6 +139,24 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
     return 0;
 }
 
+/* More (n,) [N m] that gravity can push per way than in angles E->q + [x_lo, x_hi], joints on from there by ways of which sum_i of
+ * (all of joint i) / way_i <= 1: its work is what its potential differs by, so half of what it changes by. */
+static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_lo, const double *x_hi, const double *travel, double *more) {
+    const int n = E->n;
+    for (int i = 0; i < n; i++) {
+        more[i] = 0.0;
+        for (int k = 0; k < n; k++) {
+            const double *bend = p->curvature.g + (i * n + k) * n;
+            double slope = size_of(E->dg[i * n + k]) + size_of(E->dgp[i * n + k]), on = 0.0;
+            for (int o = 0; o < n; o++) {
+                slope += bend[o] * most(size_of(x_lo[o]), size_of(x_hi[o]));
+                on = most(on, bend[o] * travel[o]);
+            }
+            more[i] = most(more[i], 0.5 * least(slope + on, bend[k]) * travel[k]); /* of degree one in q_k: no slope is larger than a second one */
+        }
+    }
+}
+
 /* How far [rad] each joint can still go from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known. Brakes only gain torque:
  * once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than y^2 / 2 |w_i|.
  * That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
@@ -146,46 +164,71 @@ int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E
                       const StopsetParts *parts, Local *at, double *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
-    double x_lo[SN], x_hi[SN], w[SN];
-    Energy there;
+    double w[SN], more[SN], left[SN];
+    Energy here;
+    stops_box_terms(E, &p->curvature, q_lo, q_hi, none, none, parts, at); /* at rest: h is gravity alone */
     for (int i = 0; i < n; i++) {
-        if (!(B_lo[i] > 0.0)) return 0;
-        travel[i] = 1.1 * work / B_lo[i] + 1e-9;
+        here.g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
+        here.g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
+    }
+    stops_power_excess(n, &here, p->u_lo, p->u_hi, B_lo, none, none, w);
+    for (int i = 0; i < n; i++) {
+        if (!(w[i] < 0.0)) return 0;
+        travel[i] = 1.1 * work / -w[i] + 1e-9;
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
+        heavier(p, E, q_lo, q_hi, travel, more);
         for (int i = 0; i < n; i++) {
-            x_lo[i] = q_lo[i] - travel[i];
-            x_hi[i] = q_hi[i] + travel[i];
-        }
-        stops_box_terms(E, &p->curvature, x_lo, x_hi, none, none, parts, at); /* at rest: h is gravity alone */
-        for (int i = 0; i < n; i++) {
-            there.g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
-            there.g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
-        }
-        stops_power_excess(n, &there, p->u_lo, p->u_hi, B_lo, none, none, w);
-        for (int i = 0; i < n; i++) {
-            if (!(w[i] < 0.0)) return 0;
-            if (!(work / -w[i] < travel[i])) {
+            left[i] = least(w[i] + more[i], p->curvature.load[i] + most(p->u_hi[i], -p->u_lo[i]) - B_lo[i]);
+            if (!(left[i] < 0.0)) return 0;
+            if (!(work / -left[i] < travel[i])) {
                 enough = 0;
-                travel[i] = 1.1 * work / -w[i] + 1e-9;
+                travel[i] = 1.1 * work / -left[i] + 1e-9;
             }
         }
         if (!enough) continue;
-        for (int i = 0; i < n; i++) travel[i] = work / -w[i] * stopset_energy_rounding;
+        for (int i = 0; i < n; i++) travel[i] = work / -left[i] * stopset_energy_rounding;
         return 1;
     }
     return 0;
 }
 
-/* y after a step from y on which the speeds lie in [x_lo, x_hi]: the energy balance itself. */
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h) {
-    double power = 0.0;
+/* Largest sum_i w_i |v_i| [W] where slow_i <= |v_i| <= fast_i and sum_i P_i |v_i| >= z: what has much energy moves, and what moves is braked.
+ * Where torques push all of a speed is taken, of the others as much as z asks for, those first that hold most of it for least power. */
+static double power(int n, const double *w, const double *slow, const double *fast, const double *P, double z) {
+    int left[SN], count = 0;
+    double out = 0.0, scale = 0.0;
     for (int i = 0; i < n; i++) {
-        const double slow = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
-        power += w[i] * (w[i] > 0.0 ? most(size_of(x_lo[i]), size_of(x_hi[i])) : slow);
+        const double v = w[i] > 0.0 ? fast[i] : slow[i];
+        out += w[i] * v;
+        scale += size_of(w[i]) * fast[i];
+        z -= P[i] * v;
+        if (w[i] <= 0.0 && fast[i] > slow[i] && P[i] > 0.0) left[count++] = i;
     }
-    return sqrt(most(y * y + 2.0 * h * power, 0.0)) * stopset_energy_rounding;
+    while (z > 0.0 && count > 0) {
+        int best = 0;
+        for (int k = 1; k < count; k++)
+            if (w[left[k]] * P[left[best]] > w[left[best]] * P[left[k]]) best = k;
+        const int i = left[best];
+        const double v = least(fast[i] - slow[i], z / P[i]);
+        out += w[i] * v;
+        z -= P[i] * v;
+        left[best] = left[--count];
+    }
+    return out + 1e-12 * scale; /* for rounding */
+}
+
+/* y after a step from y on which the speeds lie in [x_lo, x_hi] and no momentum is larger than P: the energy balance, Lemma 8 of docs/stops.md. */
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h) {
+    const double z = y * y;
+    double slow[SN], fast[SN];
+    for (int i = 0; i < n; i++) {
+        slow[i] = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
+        fast[i] = most(size_of(x_lo[i]), size_of(x_hi[i]));
+    }
+    const double low = least(most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), z), rate = power(n, w, slow, fast, P, low);
+    return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
 /* Speed bands cut to the caps; a joint that has rested may rest. */
@@ -221,6 +264,12 @@ double stopset_largest_energy(const StopsetPlant *plant, const double *q, const 
     stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
     stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &stops_whole, &at);
     return stops_largest(&at, v_lo, v_hi);
+}
+
+int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h, double *out) {
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    *out = stops_by_power(n, y, w, v_lo, v_hi, P, h);
+    return STOPSET_OK;
 }
 
 int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,

@@ -1,4 +1,4 @@
-/* Inertia and torques while angles and speeds stay in a box, from the local expansion of a pose. */
+/* Inertia and torques while angles and speeds stay in a box, from the local expansion of a pose: Lemma 4 of docs/stops.md. */
 #include <string.h>
 
 #include "stops.h"

@@ -1,4 +1,4 @@
-/* What the momenta p = M v know of the speeds.
+/* What the momenta p = M v know of the speeds: Lemma 6 of docs/stops.md.
  *
  *     p_i' = 1/2 v' dM/dq_i v - g_i - D_i v_i + u_i - f_i
  *

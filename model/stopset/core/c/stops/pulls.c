@@ -4,7 +4,7 @@
  * joint that comes to rest, or goes backward, has no more momentum than the others pull at it, sup of p_i over v_i <= 0. So every p_i lies
  * between two lines, and M v = p between boxes of v and p is linear: solved for the speeds of every subset of joints.
  *
- * Lemma 6 of docs/stops.md. Source: Goodnight (1979) for the sweep operator.
+ * Lemmas 6 and 9 of docs/stops.md. Source: Goodnight (1979) for the sweep operator.
  */
 #include <math.h>
 #include <string.h>
@@ -15,9 +15,9 @@ enum { CLAIMS = STOPSET_PULL_CLAIMS };
 
 typedef struct {
     const Local *at;
-    const Span *v;
-    Span p, *out, *rest; /* p: of M_c v, what M is uncertain by included */
-    double loose[SN];    /* how far M v can be from M_c v */
+    const Span *v, *p;
+    Span *out, *rest;
+    double start[SN * SN * WIDE], loose[SN], beyond[SN], shared; /* M; how far M v can be from M_c v, all of it and beyond slopes */
     int inside[SN], open[SN], count;
 } Exchange;
 
@@ -30,32 +30,62 @@ static void add(double w, double lo, double hi, double *out_lo, double *out_hi, 
     *scale += size_of(w) * largest(lo, hi);
 }
 
+/* A sum of entries times numbers in boxes: at the entries' middle, how far the rest is from that by the boxes alone (loose), or by their slopes:
+ * what one angle or the payload does to the middle of all of it (turn), and what is beyond (spread). */
+typedef struct {
+    double lo, hi, scale, loose, spread, turn[WIDE];
+} Row;
+
+/* w (slopes along) [lo, hi], added. */
+static void add_entry(int n, const double *entry, double sign, double lo, double hi, Row *row) {
+    double size = 0.0;
+    for (int l = 1; l < n + 2; l++) {
+        size += size_of(entry[l]);
+        row->turn[l] += 0.5 * entry[l] * (lo + hi);
+    }
+    row->spread += 0.5 * size * (hi - lo);
+    add(sign * entry[0], lo, hi, &row->lo, &row->hi, &row->scale);
+}
+
+static double away(int n, const Row *row, double shared) {
+    double spread = row->spread;
+    for (int l = 1; l < n + 2; l++) spread += size_of(row->turn[l]);
+    return least(row->loose, shared * spread) + stopset_rate_rounding * (row->scale + row->loose);
+}
+
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
 static void read_rows(const double *A, Exchange *x) {
-    const int n = x->at->n;
+    const int n = x->at->n, wide = n + 2;
     for (int i = 0; i < n; i++) {
-        double lo = 0.0, hi = 0.0, scale = 0.0;
-        const double sign = x->inside[i] ? -1.0 : 1.0;
+        const double *own = A + i * (n + 1) * wide;
+        Row row = {0};
         for (int j = 0; j < n; j++) {
-            if (x->inside[j])
-                add(sign * A[i * n + j], x->p.lo[j], x->p.hi[j], &lo, &hi, &scale);
-            else if (j != i)
-                add(sign * A[i * n + j], x->v->lo[j], x->v->hi[j], &lo, &hi, &scale);
+            const double *e = A + (i * n + j) * wide;
+            const Span *of = x->inside[j] ? x->p : x->v;
+            if (j == i && !x->inside[i]) continue;
+            add_entry(n, e, x->inside[i] ? -1.0 : 1.0, of->lo[j], of->hi[j], &row);
+            if (!x->inside[j]) continue;
+            double size = 0.0;
+            for (int l = 1; l < wide; l++) size += size_of(e[l]);
+            row.loose += size_of(e[0]) * x->loose[j];
+            row.spread += size * x->loose[j] + size_of(e[0]) * x->beyond[j];
         }
         if (x->inside[i]) {
-            const double slack = stopset_rate_rounding * scale;
-            x->out->lo[i] = most(x->out->lo[i], lo - slack);
-            x->out->hi[i] = least(x->out->hi[i], hi + slack);
+            const double off = away(n, &row, x->shared);
+            x->out->lo[i] = most(x->out->lo[i], row.lo - off);
+            x->out->hi[i] = least(x->out->hi[i], row.hi + off);
             continue;
         }
-        const double own = A[i * n + i], slack = stopset_rate_rounding * (scale + size_of(own) * largest(x->v->lo[i], x->v->hi[i])) + x->loose[i];
+        row.loose += x->loose[i];
+        row.spread += x->beyond[i];
         if (x->v->lo[i] <= 0.0) {
-            const double a = own * x->v->lo[i], b = own * least(x->v->hi[i], 0.0);
-            x->rest->hi[i] = least(x->rest->hi[i], hi + most(a, b) + slack);
+            Row up = row;
+            add_entry(n, own, 1.0, x->v->lo[i], least(x->v->hi[i], 0.0), &up);
+            x->rest->hi[i] = least(x->rest->hi[i], up.hi + away(n, &up, x->shared));
         }
         if (x->v->hi[i] >= 0.0) {
-            const double a = own * x->v->hi[i], b = own * most(x->v->lo[i], 0.0);
-            x->rest->lo[i] = most(x->rest->lo[i], lo + least(a, b) - slack);
+            add_entry(n, own, 1.0, most(x->v->lo[i], 0.0), x->v->hi[i], &row);
+            x->rest->lo[i] = most(x->rest->lo[i], row.lo - away(n, &row, x->shared));
         }
     }
 }
@@ -63,16 +93,16 @@ static void read_rows(const double *A, Exchange *x) {
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
 static void visit(const double *A, int k, Exchange *x) {
     const int n = x->at->n;
-    double B[SN * SN];
+    double B[SN * SN * WIDE];
     if (k == x->count) {
         read_rows(A, x);
         return;
     }
-    const int joint = x->open[k];
+    const int joint = x->open[k], at = joint * (n + 1) * (n + 2);
     visit(A, k + 1, x);
-    if (!(A[joint * n + joint] > 1e-6 * x->at->M[joint * n + joint])) return;
-    memcpy(B, A, (size_t)(n * n) * sizeof *B);
-    stops_pivot(n, B, joint, 1);
+    if (!(A[at] > 1e-6 * x->start[at])) return;
+    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
+    stops_pivot_along(n, B, joint);
     x->inside[joint] = 1;
     visit(B, k + 1, x);
     x->inside[joint] = 0;
@@ -132,20 +162,22 @@ static void looseness(const Expansion *E, const Local *at, const Inverse *invers
 
 /* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
  * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
-static void exchange(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
+static void exchange(const StopsetPlant *plant, const Expansion *E, const Local *at, const Inverse *inverse, const StopsetParts *parts, const Span *v,
+                     const Span *p, Span *out, Span *rest) {
     const int n = at->n;
-    Exchange x = {.at = at, .v = v, .out = out, .rest = rest};
+    double fast[SN], push[SN];
+    Exchange x = {.at = at, .v = v, .p = p, .out = out, .rest = rest, .shared = parts->shared};
+    for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
+    stops_slopes(plant, E, at, fast, x.start, push, x.beyond);
     looseness(E, at, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        x.p.lo[i] = p->lo[i] - x.loose[i];
-        x.p.hi[i] = p->hi[i] + x.loose[i];
         out->lo[i] = -STOPS_INF;
         out->hi[i] = STOPS_INF;
         rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
         rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
         if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
     }
-    visit(at->M, 0, &x);
+    visit(x.start, 0, &x);
 }
 
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
@@ -217,7 +249,7 @@ static void speak(const StopsetPlant *plant, const Expansion *E, const Local *at
         rates(plant, E, at, inverse, s, w, step, parts, any, on);
         during(at->n, p, any, h, step);
     }
-    exchange(E, at, inverse, w, step, raw, rest);
+    exchange(plant, E, at, inverse, parts, w, step, raw, rest);
 }
 
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p) {
@@ -277,8 +309,8 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
     }
 }
 
-/* Momenta after a step of h seconds on which `at` holds and speeds lie in w. */
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p) {
+/* Momenta after a step of h seconds on which `at` holds and speeds lie in w; `size`: cut to their largest on the step. */
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size) {
     const int n = at->n;
     Span any, on, step, raw, rest;
     speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
@@ -288,13 +320,14 @@ void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *a
         const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
         const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
         const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
+        size[i] = least(size[i], largest(step.lo[i], step.hi[i]) + slack);
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
         p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
     }
 }
 
 /* At a moment: speeds in v cut by momenta in p, and these by the speeds. Returns a bound of sqrt(v' M v). */
-double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
+double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v) {
     const int n = at->n;
     double power = 0.0;
     Span raw, rest, known;
@@ -304,11 +337,35 @@ double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(E, at, invert(E, at, &inverse) ? &inverse : 0, v, p, &raw, &rest);
+    exchange(plant, E, at, invert(E, at, &inverse) ? &inverse : 0, parts, v, p, &raw, &rest);
     for (int i = 0; i < n; i++) {
         v->lo[i] = most(v->lo[i], raw.lo[i]);
         v->hi[i] = least(v->hi[i], raw.hi[i]);
         power += most(most(v->lo[i] * p->lo[i], v->lo[i] * p->hi[i]), most(v->hi[i] * p->lo[i], v->hi[i] * p->hi[i]));
     }
     return sqrt(most(power, 0.0)) * stopset_energy_rounding;
+}
+
+int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo, const double *v_hi,
+                         const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out) {
+    const int n = plant->arm.n;
+    const size_t row = (size_t)n * sizeof *out;
+    Expansion E;
+    Local at;
+    Inverse inverse;
+    Span v, p, speeds, rest;
+    if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
+    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, v_lo, v_hi, parts, &at);
+    memcpy(v.lo, v_lo, row);
+    memcpy(v.hi, v_hi, row);
+    memcpy(p.lo, p_lo, row);
+    memcpy(p.hi, p_hi, row);
+    exchange(plant, &E, &at, invert(&E, &at, &inverse) ? &inverse : 0, parts, &v, &p, &speeds, &rest);
+    memcpy(out, speeds.lo, row);
+    memcpy(out + n, speeds.hi, row);
+    memcpy(out + 2 * n, rest.lo, row);
+    memcpy(out + 3 * n, rest.hi, row);
+    return STOPSET_OK;
 }

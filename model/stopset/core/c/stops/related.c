@@ -11,8 +11,6 @@
 
 #include "stops.h"
 
-enum { WIDE = SN + 2 }; /* an entry: its value, its slopes in all angles and in the payload, each times its half range */
-
 typedef struct {
     int n, inside[SN], open[SN], count, fits;
     double start[SN * SN * WIDE], push[SN], beyond[SN]; /* M; torques of its change, and of what is beyond slopes, at claimed accelerations */
@@ -22,8 +20,7 @@ typedef struct {
     double (*out)[SN], shared;
 } Relation;
 
-/* Joint k into the moving set as stops_pivot does it, slopes along. */
-static void pivot(int n, double *A, int k) {
+void stops_pivot_along(int n, double *A, int k) {
     const int wide = n + 2;
     double row[SN * WIDE], share[SN];
     memcpy(row, A + k * n * wide, (size_t)(n * wide) * sizeof *row);
@@ -91,7 +88,7 @@ static int joined(const double *A, int k, Relation *x, double *B) {
     const int n = x->n, at = k * (n + 1) * (n + 2);
     memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
     if (!(B[at] > 1e-6 * x->start[at])) return x->fits = 0;
-    pivot(n, B, k);
+    stops_pivot_along(n, B, k);
     return 1;
 }
 
@@ -115,23 +112,22 @@ static void visit(const double *A, int k, Relation *x) {
     }
 }
 
-/* The inertia with its slopes. */
-static void inertia(const StopsetPlant *p, const Expansion *E, const Local *at, Relation *x) {
+void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, double *A, double *push, double *beyond) {
     const int n = at->n;
     for (int i = 0; i < n; i++) {
-        x->push[i] = x->beyond[i] = 0.0;
+        push[i] = beyond[i] = 0.0;
         for (int j = 0; j < n; j++) {
             const int ij = i * n + j;
             const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
-            double *a = x->start + ij * (n + 2), linear = 0.0;
+            double *a = A + ij * (n + 2), linear = 0.0;
             a[0] = at->M[ij];
             for (int l = 0; l < n; l++) {
                 a[1 + l] = E->dM[ij * n + l] * at->rad[l];
                 linear += size_of(a[1 + l]);
             }
             a[1 + n] = at->Mp[ij] - rotor;
-            x->push[i] += at->dM[ij] * x->s->a_far[j];
-            x->beyond[i] += (most(at->M_rad[ij] - linear, 1e-12 * linear) + at->Mp_rad[ij] + rotor) * x->s->a_far[j];
+            push[i] += at->dM[ij] * size[j];
+            beyond[i] += (most(at->M_rad[ij] - linear, 1e-12 * linear) + at->Mp_rad[ij] + rotor) * size[j];
         }
     }
 }
@@ -201,7 +197,7 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
     const int n = at->n;
     double found[RATES][SN];
     Relation x = {.n = n, .fits = 1, .s = s, .out = found, .shared = parts->shared};
-    inertia(p, E, at, &x);
+    stops_slopes(p, E, at, s->a_far, x.start, x.push, x.beyond);
     for (int i = 0; i < n; i++) {
         torques(p, E, at, i, &x);
         for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;

@@ -71,6 +71,11 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
 void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
                      const double *w_hi, const StopsetParts *parts, Local *out);
 void stops_pivot(int n, double *A, int k, int into);
+/* A (n, n, n + 2): the inertia at the middle of a box and its slopes in all angles and in the payload, each times its half range; how much its
+ * change, and what is beyond the slopes, can make of numbers no larger than `size`. Then: joint k inside as stops_pivot does it, slopes along. */
+enum { WIDE = SN + 2 };
+void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, double *A, double *push, double *beyond);
+void stops_pivot_along(int n, double *A, int k);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
 void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]);
 void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);
@@ -89,12 +94,12 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
                       double h, const StopsetParts *parts, Local *at);
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       const StopsetParts *parts, Local *at, double *travel);
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, double h);
+double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
                      const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p);
-double stops_pull_cut(const Expansion *E, const Local *at, Span *p, Span *v);
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size);
+double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v);
 #endif

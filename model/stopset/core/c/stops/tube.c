@@ -6,6 +6,7 @@
  *
  * Source: Moreau (1988) for the inclusion; Goodnight (1979) for the sweep operator.
  */
+#include <math.h>
 #include <string.h>
 
 #include "stops.h"
@@ -13,7 +14,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { PASSES = STOPSET_TUBE_PASSES };
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
 
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
@@ -322,36 +323,48 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
     return 1;
 }
 
-/* Momenta of all joints after a step, and what they and the energy know of the speeds at its end. */
-static void pull(March *m, double *v_lo, double *v_hi) {
-    const size_t row = (size_t)m->n * sizeof *v_lo;
-    Span w, end;
+/* P (n,): largest momenta on a step on which the energy is no more than y, as |p_i| <= sqrt(M_ii) y; those that are followed, at its end. */
+static void follow_momenta(March *m, double y, double *P) {
+    const size_t row = (size_t)m->n * sizeof *P;
+    Span w, any;
     memcpy(w.lo, m->x_lo, row);
     memcpy(w.hi, m->x_hi, row);
-    stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta);
+    stops_start_pulls(&m->at, w.lo, w.hi, &any);
+    for (int i = 0; i < m->n; i++) {
+        const int own = i * (m->n + 1);
+        const double most_own = sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding;
+        P[i] = least(most(size_of(any.lo[i]), size_of(any.hi[i])), most_own);
+    }
+    if (m->pulled) stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta, P);
+    for (int i = 0; i < m->n; i++) P[i] *= m->parts->held;
+}
+
+/* What momenta and energy know of the speeds at the end of a step. */
+static void pull(March *m, double *v_lo, double *v_hi) {
+    const size_t row = (size_t)m->n * sizeof *v_lo;
+    Span end;
     memcpy(end.lo, v_lo, row);
     memcpy(end.hi, v_hi, row);
-    m->energy.y = least(m->energy.y, stops_pull_cut(&m->E, &m->at, &m->momenta, &end));
+    m->energy.y = least(m->energy.y, stops_pull_cut(m->p, &m->E, &m->at, m->parts, &m->momenta, &end));
     stops_cap_bands(m->n, &m->end, &end);
     stops_total(m->n, &m->end, v_lo, v_hi);
     m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
 }
 
 /* Momenta, energy and bands at the knot after step k. */
-static void settle(March *m, int64_t k, double y, int verified) {
+static void settle(March *m, int64_t k, double y) {
     const StopsetPlant *p = m->p;
     const int n = m->n;
-    double before[SN], excess[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
+    double before[SN], excess[SN], P[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
     stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->retained, m->x_lo, m->x_hi, m->h);
     for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
     memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
-        if (verified) {
-            stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
-            m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, m->h));
-        }
+        stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
+        follow_momenta(m, most(y, m->energy.y), P);
+        m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, P, m->h));
         Span end;
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
@@ -450,7 +463,7 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         if (!verified && !energetic) return UNBOUNDED;
         m.related = m.related && verified; /* where it does not help it costs the most */
         displace(&m, k);
-        settle(&m, k, y, verified);
+        settle(&m, k, y);
         tube->t[k + 1] = now + h;
         *made = k + 1;
         for (int i = 0; i < n; i++) tube->travel_left[(k + 1) * n + i] = STOPS_INF;

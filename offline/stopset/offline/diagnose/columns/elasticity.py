@@ -27,17 +27,17 @@ def swing(source: ArmSignals, joint: int, shapes: Mapping[str, float]) -> dict[i
     The swing ``x`` follows ``M_jj x'' + D x' + (K + dg_j/dq_j) x = -link``; the poses see it at rest.  ``shapes``: ``K, D``;
     the link torque is calmed unless ``exact``, see `calm`; ``begun``: a trial may begin in the middle of a swing, see `_begun`.
     """
-    d, g, K, D = source.data, source.stiff(joint, False), shapes["K"], shapes["D"]
+    d, g, K, D = source.data, source.stiff(joint, still=False), shapes["K"], shapes["D"]
     if not np.all(source.mass[:, joint, joint] > 0):  # described without inertia: a link that cannot swing leaves no trace
         return {i: (np.zeros((len(d.q), 1)), np.zeros((len(d.q_still), 1))) for i in range(d.n)}
     if "exact" in shapes:
-        moving = _true_swing(source, joint, K, D, "begun" in shapes)
+        moving = _true_swing(source, joint, K, D, begun="begun" in shapes)
     else:
         filtered = _Filter.of(source, joint, K, D)
         quiet = calm(np.ascontiguousarray(source.link[:, joint]), source.first)
         x, _, ddx = filtered(quiet, *filtered.at_rest(quiet))
         moving = source.mass[:, :, joint] * ddx[:, None] + g * x[:, None]
-    g_still = source.stiff(joint, True)
+    g_still = source.stiff(joint, still=True)
     x_still = -source.load_still[:, joint] / (K + g_still[:, joint])
     return {i: (moving[:, i, None], (g_still[:, i] * x_still)[:, None]) for i in range(d.n)}
 
@@ -59,7 +59,7 @@ class _Filter:
     def of(source: ArmSignals, joint: int, K: float, D: float) -> _Filter:
         d = source.data
         M = np.ascontiguousarray(source.mass[:, joint, joint])
-        g = np.ascontiguousarray(source.stiff(joint, False)[:, joint])
+        g = np.ascontiguousarray(source.stiff(joint, still=False)[:, joint])
         return _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, *source.start(joint))
 
     def __call__(self, link: Array, x0: Array, dx0: Array) -> tuple[Array, Array, Array]:
@@ -82,7 +82,7 @@ class _Filter:
         return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D))
 
 
-def _true_swing(source: ArmSignals, joint: int, K: float, D: float, begun: bool = False) -> Array:
+def _true_swing(source: ArmSignals, joint: int, K: float, D: float, *, begun: bool = False) -> Array:
     """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
 
     A joint's own inertia does not depend on its own position, so it is the same in every round; what gravity does to a small

@@ -26,7 +26,7 @@ def columns(
         return swing(source, joints[0], shapes)
     if effect.role == "reading" and effect.needs == ("stiff",):  # a joint turned for good: gravity differs at all of them
         j = joints[0]
-        return {i: (source.stiff(j, False)[:, i, None], source.stiff(j, True)[:, i, None]) for i in range(d.n)}
+        return {i: (source.stiff(j, still=False)[:, i, None], source.stiff(j, still=True)[:, i, None]) for i in range(d.n)}
     if effect.enters == "input_delay" and shapes.get("d0"):
         return {joints[0]: (lagged(source, joints[0], shapes["d0"]), np.zeros((len(d.q_still), 1)))}
     out = {}

@@ -25,7 +25,7 @@ class ArmSignals:
     data: Prepared
     compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
     gain: float = 1.0  # recorded over true torque: what a new load adds to the record
-    gain_std: float = limit.DRIVES
+    gain_std: float = field(default_factory=lambda: limit.DRIVES)
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit
@@ -90,7 +90,7 @@ class ArmSignals:
         """(P, n) gravity torque of the poses [N m]."""
         return self._get("load_still", lambda: self.regressor_still @ self.robot.pi.ravel())
 
-    def moments(self, still: bool) -> GravityMoments:
+    def moments(self, *, still: bool) -> GravityMoments:
         """Moments of gravity in the poses (``still``) or the rows."""
         if still not in self._moments:
             self._moments[still] = gravity_moments(self.robot.chain, self.robot.pi, self.data.q_still if still else self.data.q)
@@ -99,7 +99,7 @@ class ArmSignals:
     @property
     def gravity(self) -> Array:
         """(N, n) gravity torque of the rows [N m]."""
-        return self._get("g", lambda: self.moments(False).torque(self.robot.chain.gravity))
+        return self._get("g", lambda: self.moments(still=False).torque(self.robot.chain.gravity))
 
     @property
     def swift(self) -> Array:
@@ -126,15 +126,15 @@ class ArmSignals:
                 out[trial.rows.start] = self.gravity[trial.rows.start, joint]
         return out, d.kernel.half * d.kernel.dt
 
-    def tilt(self, still: bool) -> Array:
+    def tilt(self, *, still: bool) -> Array:
         """(N or P, n, 2) derivative of the torques by roll and pitch of the base; exact, as gravity enters linearly."""
         gx, gy, gz = self.robot.chain.gravity
         turned = (-np.array([0.0, -gz, gy]), -np.array([gz, 0.0, -gx]))
-        return self._get(f"tilt{still}", lambda: np.stack([self.moments(still).torque(g) for g in turned], axis=-1))
+        return self._get(f"tilt{still}", lambda: np.stack([self.moments(still=still).torque(g) for g in turned], axis=-1))
 
-    def stiff(self, joint: int, still: bool) -> Array:
+    def stiff(self, joint: int, *, still: bool) -> Array:
         """(N or P, n): derivative of every joint's gravity torque by the position of ``joint`` [N m/rad]."""
-        return self._get(f"stiff{joint}{still}", lambda: self.moments(still).stiffness(self.robot.chain.gravity, joint))
+        return self._get(f"stiff{joint}{still}", lambda: self.moments(still=still).stiffness(self.robot.chain.gravity, joint))
 
     def fine(self, joint: int) -> Signals:
         """Signals at the recording's rate, for laws of position, speed, direction, temperature and load."""
@@ -161,7 +161,7 @@ class ArmSignals:
         return Signals(
             q=d.q[:, joint], dq=d.dq[:, joint], ddq=d.ddq[:, joint], given_direction=d.direction[:, joint], load=still, tau=tau,
             dtau=self._rate(calm(smooth, self.first)), link=self.link[:, joint], tip=tuple(Y[:, joint, -10:].T),
-            tilt=tuple(self.tilt(False)[:, joint].T), stiff=self.stiff(joint, False)[:, joint],
+            tilt=tuple(self.tilt(still=False)[:, joint].T), stiff=self.stiff(joint, still=False)[:, joint],
             inertia=self.mass[:, joint, joint], coriolis=swift - still, t=d.t, warm=d.warm,
             temp=0.0 if d.temp is None else d.temp[:, joint] - REFERENCE_TEMPERATURE,
         )  # fmt: skip
@@ -171,8 +171,8 @@ class ArmSignals:
         z, load = np.zeros(len(self.data.q_still)), self.load_still[:, joint]
         return Signals(
             q=self.data.q_still[:, joint], dq=z, ddq=z, given_direction=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
-            tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(True)[:, joint].T),
-            stiff=self.stiff(joint, True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
+            tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(still=True)[:, joint].T),
+            stiff=self.stiff(joint, still=True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip
 
     def _rate(self, x: Array) -> Array:

@@ -12,11 +12,12 @@ from stopset.effects.selection import of_part
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.nominal.prior import Tolerance
-from stopset.recording import Recordings
+from stopset.recording import Meta, Recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques
 from stopset.sets import Box
 
+DESCRIBED = "robot description and data sheet"
 POSES = 500  # at which gravity torques are compared
 
 
@@ -37,9 +38,8 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     measured against the robot description and data sheet.  Other recordings are measured against the model.
     """
     described = model.robot.as_described
-    own = set(dict(model.provenance.get("data", {})).values())
-    if own & {digest for _, digest in recordings.meta.sources}:
-        return Baseline(described, None, "robot description and data sheet")
+    if own(model, recordings.meta):
+        return Baseline(described, None, DESCRIBED)
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction = np.zeros((model.n, 2))
     for f in model.effects:
@@ -49,6 +49,11 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     robot = replace(model.robot, drives=drives)
     gain, std, notes = drive_gain(described, robot, model.domain.q)
     return Baseline(robot, Known(friction, gain, std), "identified model", notes)
+
+
+def own(model: Model, meta: Meta) -> bool:
+    """Whether a model was identified from some of these recordings."""
+    return bool(set(dict(model.provenance.get("data", {})).values()) & {digest for _, digest in meta.sources})
 
 
 def settled(model: Model) -> tuple[Fitted, ...]:

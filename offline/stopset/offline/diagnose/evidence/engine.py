@@ -47,8 +47,8 @@ class Engine:
     rotors: Index  # and those whose prior is the data sheet
     stamps: Index  # and those of the stamps, by joint
     size: int  # columns in all; column 0 is y
-    scales: tuple[float, ...] = limit.SCALES
-    rotor_scales: tuple[float, ...] = limit.ROTOR_SCALES
+    scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
+    rotor_scales: tuple[float, ...]
     _level: dict[int, float] = field(default_factory=dict)
     _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)

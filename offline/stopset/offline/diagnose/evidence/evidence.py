@@ -71,7 +71,7 @@ class JointGram:
         out = [np.add.reduceat(w[:last] * self.f[:last, c, None], self.starts, axis=0) for c in range(self.f.shape[1])]
         return np.stack(out, axis=1)
 
-    def bordered(self, w: Array, index: Index, rows: bool = True) -> JointGram:
+    def bordered(self, w: Array, index: Index, *, rows: bool = True) -> JointGram:
         """With the further columns ``w`` (K, k); without any ``rows`` where only the sums are asked for."""
         k, c = w.shape[1], self.X.shape[1]
         G = np.zeros((len(self.G), c + k, c + k))
@@ -87,7 +87,7 @@ class JointGram:
             np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
         )  # fmt: skip
 
-    def keep(self, local: Index, rows: bool = True) -> JointGram:
+    def keep(self, local: Index, *, rows: bool = True) -> JointGram:
         """The same sums over some of the columns; without their ``rows`` where only the sums are asked for."""
         return JointGram(
             self.X[:, local] if rows else self.X[:, :0], self.f, self.row_fold, self.starts, self.ends, self.trial,

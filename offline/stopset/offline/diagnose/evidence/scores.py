@@ -36,7 +36,7 @@ class _Best:
         return sorted(self.scored.values(), key=lambda r: -r.score)
 
 
-def scores(now: Hypothesis, candidates: Sequence[Candidate], hyper: Hyper, quick: bool = False) -> list[Scored]:
+def scores(now: Hypothesis, candidates: Sequence[Candidate], hyper: Hyper, *, quick: bool = False) -> list[Scored]:
     """Every candidate against the hypothesis ``now``, best first, each with its own best hyperparameters.
 
     ``quick``: at the hyperparameters given, for comparing shapes of one effect.
@@ -85,7 +85,7 @@ def _other_scatter(
 
 
 def score_new(
-    now: Hypothesis, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float], hyper: Hyper, quick: bool = False
+    now: Hypothesis, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float], hyper: Hyper, *, quick: bool = False
 ) -> Scored | None:
     """Score of an effect with new shapes beside ``now``, without keeping its columns in the engine."""
     made = now.engine.make_again(effect, joints, shapes)
@@ -97,4 +97,4 @@ def score_new(
     candidate = replace(candidate, cols=np.arange(own.size, own.size + len(candidate.cols)))
     grams = [g.bordered(parts[i], candidate.cols, rows=False) if i in parts else g for i, g in enumerate(own.grams)]
     wider = replace(own, grams=grams, size=own.size + len(candidate.cols))
-    return scores(replace(view, engine=wider), [candidate], hyper, quick)[0]
+    return scores(replace(view, engine=wider), [candidate], hyper, quick=quick)[0]

@@ -31,12 +31,12 @@ def pattern(now: Hypothesis, theta: Array, hyper: Hyper, joint: int, alone: Sequ
     best = alone[0] if alone else None
     pair = _best_product(now, theta, hyper, joint)
     if pair is not None and pair.gain > max(least, limit.TOGETHER * (best.gain if best else 0.0)):
-        return Pattern(tuple(pair.variable.split(" * ")), pair.share, True)
+        return Pattern(tuple(pair.variable.split(" * ")), pair.share, together=True)
     if best is None or best.gain <= least:
         return None
     strong = [d for d in alone if d.gain > least and d.share > limit.NAMED_BESIDE * best.share][:3]
     names = dict.fromkeys(part for d in strong for part in d.variable.split(" * "))
-    return Pattern(tuple(names), best.share, False)
+    return Pattern(tuple(names), best.share, together=False)
 
 
 def _best_product(now: Hypothesis, theta: Array, hyper: Hyper, joint: int) -> Dependence | None:

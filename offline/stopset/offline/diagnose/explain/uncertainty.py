@@ -81,7 +81,7 @@ def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int,
 def _scores(engine: Engine, wide: Hypothesis, hyper: Hyper, theta: Array) -> Array:
     """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
     d, few = engine.data, len(engine.data.trials) < limit.FEW_TRIALS
-    parts = (d.t / limit.PART).astype(np.intp) * few
+    parts = (d.t / limit.PART).astype(np.intp) if few else np.zeros(len(d.t), np.intp)
     _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
     count = int(cluster.max()) + 1
     poses = max(r.still for r in engine.rows)

@@ -10,12 +10,13 @@ import numpy as np
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.settle import added, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
@@ -67,7 +68,9 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     left: list[Scored] = []
     first = before = held_out(now, hyper)
     refused = set[tuple[str, tuple[int, ...]]]()
-    for _ in range(limit.MAX_CLAIMS):
+    turn = 0
+    while turn < limit.MAX_CLAIMS:
+        turn += 1
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
@@ -87,7 +90,8 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        if not predicts(candidate, _unexcused(earlier, candidate, before, hyper), error):
+        claimed = [c for c in earlier.active if c.key in {x.scored.candidate.key for x in claims}]
+        if judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
@@ -131,13 +135,6 @@ def _as_fitted(now: Hypothesis, claims: Sequence[Claim], theta: Array) -> list[C
     return out
 
 
-def _unexcused(earlier: Hypothesis, candidate: Candidate, before: Array, hyper: Hyper) -> Array:
-    """(n,) held-out error before a delay just added, its joint's stamps held: far off, they would imitate a good part of it."""
-    if candidate.effect.enters != "input_delay":
-        return before
-    return held_out(replace(earlier, held=(int(earlier.engine.stamps[candidate.joints[0]]),)), hyper)
-
-
 def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
     """Whether a contender is as likely against ``now``, in which earlier claims' forms may be off."""
     c = s.candidate
@@ -145,12 +142,6 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
         return s.score >= limit.THRESHOLD
     again = score_new(now, c.effect, c.joints, c.shapes, hyper)
     return again is not None and again.score - c.charge >= limit.THRESHOLD
-
-
-def predicts(candidate: Candidate, before: Array, after: Array) -> bool:
-    """Whether a law foretells motions that it was not fitted to; what a free base model takes up can't show there."""
-    where = list(candidate.joints) or list(range(len(before)))
-    return candidate.effect.absorbed or bool(np.max(1.0 - after[where] / before[where]) > limit.LOWERED)
 
 
 def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:

@@ -1,0 +1,101 @@
+"""What recordings are asked, and against what: the same question whichever command asks it.
+
+A model's numbers of an effect must not depend on the way they were asked for.  So `diagnose`, `add` and `identify --effects` put one
+question to the search: the same trials, the torque in step with the motion and without what a filter took off it, against the same
+description, beside the same effects.  The motions that judge a model's sets are left out of it: a model that is made with these
+numbers must not have seen them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stopset.artifact import Model
+from stopset.effects.base import Fitted
+from stopset.offline.campaign.session import POWERED
+from stopset.offline.campaign.survey import survey
+from stopset.offline.compare.known import TorqueModel
+from stopset.offline.compare.restored import restored
+from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, settled
+from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.rows.sampling import in_step
+from stopset.offline.diagnose.standing import moves
+from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
+from stopset.recording import Recordings, SuiteKey
+from stopset.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Inquiry:
+    """``recordings`` as they are asked, against ``robot`` and, of other recordings than the model's own, what is ``known`` of it.
+
+    ``held``: suites that are not asked, because a model's sets are judged on them; ``fitted``: effects that stand beside every
+    hypothesis; ``against``, ``notes``: for people; ``taken_out``: what identification took off, before anything was asked.
+    """
+
+    robot: Robot
+    recordings: Recordings
+    held: frozenset[SuiteKey]
+    fitted: tuple[Fitted, ...]
+    known: Known | None
+    against: str
+    notes: tuple[str, ...] = ()
+    taken_out: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def asked(self) -> Recordings:
+        """The recordings without those that judge."""
+        return replace(self.recordings, trials=tuple(r for r in self.recordings if r.suite_key not in self.held))
+
+
+def question(model: Model, recordings: Recordings) -> Inquiry:
+    """What ``recordings`` are asked against a model.
+
+    What `identify` chose itself stays in question on its own recordings; against others the model stands as it is.
+    """
+    base = baseline(model, recordings)
+    own = base.known is None
+    taken_out = tuple(model.provenance.get("taken_out", ()))
+    powered = any(moves(r) and r.phase in POWERED for r in recordings)
+    held = survey(lambda: recordings.trials).held_out if powered else frozenset()
+    learnt = [r for r in recordings if moves(r) and r.suite_key not in held]
+    cutoff = recorded_low_pass(model.robot.as_described, learnt)
+    filtered = (
+        (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
+    )
+    return Inquiry(
+        base.robot, in_time(recordings, model, cutoff, taken_out), held, settled(model) if own else model.effects, base.known,
+        base.against, (*base.notes, *filtered), taken_out if own else common_lags(taken_out),
+    )  # fmt: skip
+
+
+def first_question(
+    robot: Robot,
+    recordings: Recordings,
+    body: TorqueModel,
+    cutoff: float,
+    fitted: Sequence[Fitted],
+    taken_out: Sequence[Mapping[str, Any]],
+) -> Inquiry:
+    """What an identification asks its ``recordings``, of which none judges, before there is a model of them."""
+    prepared = in_time(recordings, body, cutoff, taken_out)
+    return Inquiry(robot, prepared, frozenset(), tuple(fitted), None, DESCRIBED, (), tuple(taken_out))
+
+
+def in_time(
+    recordings: Recordings, body: Model | TorqueModel, cutoff: float, taken_out: Sequence[Mapping[str, Any]]
+) -> Recordings:
+    """Recordings with what a low-pass of ``cutoff`` [Hz] took off put back, and without the lag of all joints' torque.
+
+    That lag was taken out by identification, which is told: nothing is asked of it again.
+    """
+    if cutoff:
+        recordings = replace(recordings, trials=tuple(restored(body, recordings, cutoff)))
+    return in_step(recordings, -sum(float(x["value"]) for x in common_lags(taken_out)))
+
+
+def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
+    """The lag of all joints, of what was taken out."""
+    return tuple(x for x in taken_out if x["joint"] is None and x["unit"] == "s")

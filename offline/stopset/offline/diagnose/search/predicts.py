@@ -1,0 +1,60 @@
+"""The held-out rule, one for all commands: how much of the error on motions that it was not fitted to a claim must take away."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
+from stopset.offline.diagnose.search.held_out import held_out
+from stopset.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One claim more: held-out torque error (n,) [N m] ``before`` and ``after``, and why that is too little, empty where it is not."""
+
+    before: Array
+    after: Array
+    why: str
+
+    @property
+    def joint(self) -> int:
+        """Where it takes most away."""
+        return int(np.argmax(self.before - self.after))
+
+
+def step(now: Hypothesis, candidate: Candidate, before: Array, hyper: Hyper, earlier: Sequence[Candidate]) -> Step:
+    """What ``candidate`` takes off the error ``before`` of ``now``, which has the ``earlier`` claims."""
+    return judged(now, candidate, before, held_out(now.plus(candidate), hyper), hyper, earlier)
+
+
+def judged(
+    now: Hypothesis, candidate: Candidate, before: Array, after: Array, hyper: Hyper, earlier: Sequence[Candidate]
+) -> Step:
+    """`step` where the error ``after`` is known.
+
+    A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
+    What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
+    """
+    if candidate.effect.enters == "input_delay":
+        before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
+    if candidate.effect.absorbed:
+        return Step(before, after, "")
+    where = list(candidate.joints) or list(range(len(before)))
+    lowered, expected = float(np.max(1.0 - after[where] / before[where])), _least(candidate, earlier)
+    why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}"
+    return Step(before, after, "" if lowered > expected else why)
+
+
+def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:
+    """The share that a claim must lower; a finer form of an earlier claim is no second cause."""
+    if candidate.effect.role == "swing":
+        return limit.LOWERED_SWING
+    if any(set(candidate.joints) & set(c.joints) and c.effect.name not in candidate.effect.refines for c in earlier):
+        return limit.LOWERED_MORE
+    return limit.LOWERED

@@ -1,0 +1,52 @@
+"""Numbers of the effects that an identification is asked for: those that `diagnose` would give them, and `add` too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from stopset.effects.base import Fitted
+from stopset.effects.registry import get
+from stopset.effects.selection import matches, parse_effect
+from stopset.errors import EffectError
+from stopset.offline.campaign.run import Run
+from stopset.offline.compare.known import TorqueModel
+from stopset.offline.diagnose.estimate import estimates
+from stopset.offline.diagnose.question import first_question
+from stopset.offline.nominal.model import NO_TRACE, fit_nominal, regressed
+from stopset.recording import Recordings
+from stopset.robot import Robot
+
+
+def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] = ()) -> tuple[Fitted, ...]:
+    """Numbers of the effects that the settings of ``run`` ask for beyond friction; ``run``: of what may shape the nominal model.
+
+    ``known`` ones are kept, ``chosen`` ones taken where they leave a trace.  What the torque was late and what a filter took off it is
+    that of a nominal model without them, so that the recordings are asked as a diagnosis of that model asks them.
+    Raises `EffectError` for an effect that these recordings show no trace of.
+    """
+    if run.meta.effort == "compensated_torque":
+        return ()  # fitted with everything else, by output error
+    wanted = [
+        name for name in (*run.settings.effects, *chosen)
+        if _estimated(name, run.robot, run.settings.friction) and not any(matches(f, name) for f in known)
+    ]  # fmt: skip
+    if not wanted:
+        return tuple(known)
+    settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
+    part = fit_nominal(run.robot, run.meta, run.trials, run.survey, settings, tuple(known))
+    trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
+    plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
+    beside = [f for f in known if not get(f.effect).base]
+    found = estimates(first_question(run.robot, trials, plain, run.survey.low_pass, beside, part.taken_out), wanted).found
+    for name in wanted:
+        if name not in chosen and not any(e.name == name for e in found):
+            raise EffectError(f"{name}: {NO_TRACE}")
+    return (*known, *(e.fitted for e in found))
+
+
+def _estimated(name: str, robot: Robot, friction: str) -> bool:
+    """Whether numbers of an effect are estimated: not of plain friction, nor, where ``friction`` is but what is asked for, of a law
+    that is asked for at every joint: that is what friction then is."""
+    effect = parse_effect(name, robot)[0]
+    return not effect.base and (":" in name or friction == "evidence" or not regressed(effect))

@@ -1,0 +1,53 @@
+"""One answer: what `diagnose` names `add` takes, `identify --effects` too, with the same numbers; asked for these names alone it is the same."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from stopset.offline.campaign.survey import survey
+from stopset.offline.diagnose.question import common_lags, question
+from stopset.offline.nominal.nominal import LOW_PASS
+from test_hidden_effects import ARM
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import found_pairs
+from one_answer import contradictions
+
+MANY = (5.0,) * 8  # [s] motions enough for some to be held out from a model's sets
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("arm") / "three.urdf"
+    path.write_text(ARM)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "lengths", "seed", "label"),
+    [
+        ("load_coulomb loaded", MANY, 307, "load_coulomb:lift"),  # a law that identification regresses where nobody asks for it
+        ("later payload arm", found_pairs.PROGRAM, 433, "payload"),  # of another day, whose sets are wider anyway
+    ],
+)
+def test_all_commands_say_the_same(arm: str, name: str, lengths: tuple[float, ...], seed: int, label: str) -> None:
+    case = next(c for c in found_pairs.CASES if c.name == name)
+    robot, model, data, pair = found_pairs.made(arm, replace(case, lengths=lengths), seed)
+    answer = contradictions(robot, model, data, own=not pair)
+    assert answer["named"] == [label] and answer["contradictions"] == []
+    if lengths is MANY:
+        held = survey(lambda: data.trials).held_out
+        asked = question(model, data).asked
+        assert held and not any(r.suite_key in held for r in asked) and len(asked.trials) == len(data.trials) - len(held)
+
+
+def test_a_low_pass_is_no_lag() -> None:
+    """Both are taken out of all joints' torque; its cut-off, taken for a lag, moved the torque by seconds."""
+    lag = {"what": "lag", "joint": None, "value": -0.012, "std": 1e-3, "unit": "s"}
+    own = {"what": "lag", "joint": "lift", "value": 0.02, "std": 1e-3, "unit": "s"}
+    low_pass = {"what": LOW_PASS, "joint": None, "value": 2.0, "std": 0.05, "unit": "Hz"}
+    assert common_lags([low_pass, lag, own]) == (lag,)
