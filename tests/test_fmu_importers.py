@@ -28,7 +28,7 @@ from stopset.effects import get
 from stopset.errors import EffectError, NotCovered, OutputError
 from stopset.fmu import PLATFORMS, Contents, archive, build, export
 from stopset.fmu.check import check_fmu
-from stopset.fmu.description import base_unit
+from stopset.fmu.description import base_unit, build_description
 from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
 from stopset.reach.flowpipe import predict
@@ -211,6 +211,11 @@ def test_sources_alone_become_the_same_unit_by_another_compiler(tmp_path: Path, 
         new.write(folder / "unit.so", f"binaries/{place}/stopset_test_arm.so")
     checked = check_fmu(built)
     assert checked.good and checked.stops == checked.equal == 12
+
+
+def test_compiler_options_say_whose_they_are() -> None:
+    """The FMI-VDM rule validCompilerOptions."""
+    assert 'compiler="gcc" compilerOptions="-std=c11 -ffp-contract=off"' in build_description("a", ["a.c"])
 
 
 @pytest.mark.parametrize("warnings", [["-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wno-sign-conversion"]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from stopset.errors import OutputError
 from stopset.fmu import Contents, archive, export
 from stopset.fmu.build import native
 from stopset.fmu.stops import bounds_of
-from test_fmu import EFFECTS, exported  # noqa: F401
+from stopset.sets import Box
+from test_fmu import EFFECTS, exported, friction  # noqa: F401
 from test_fmu_stops import braked, braking, equals, silent
 
 pytest.importorskip("fmpy")
@@ -145,6 +147,21 @@ def test_a_step_tells_of_the_way_and_ends_where_it_is_asked_to(exported: Any) ->
             plain.slave.doStep(done, t - done)
             assert abs(plain.get("q_axis_1") - q) < 1e-9
             done = t
+
+
+def test_ranges_of_payload_and_temperature_widen_the_bound() -> None:
+    """What is given wider is bounded wider; the unit has these bounds to the last bit."""
+    warm = friction("thermal_viscous", "axis_1", k_T=-0.05, b=0.025)
+    model = braked(8.0, 3, effort="motor_torque", effects=[friction("viscous", "axis_1", F_v=20.0), warm])
+    d = model.domain
+    narrow = {"payload": replace(d, payload=(0.0, 0.0)), "temp": replace(d, temp=Box.of(np.full(3, 34.0), np.full(3, 35.0)))}
+    wide = bounds_of(model).bound(Q, DQ)
+    assert wide.forward is not None and wide.back is not None
+    for name, domain in narrow.items():
+        less = bounds_of(replace(model, domain=domain)).bound(Q, DQ)
+        assert less.forward is not None and less.back is not None
+        assert np.all(wide.forward >= less.forward) and np.all(wide.back >= less.back), name
+        assert wide.forward[0] > less.forward[0], name
 
 
 def test_another_payload_in_a_run_is_not_covered_until_a_measured_state_begins_anew(exported: Any) -> None:  # noqa: F811

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import tempfile
 import time
@@ -18,12 +19,15 @@ from stopset.fmu.build import native
 from stopset.types import Array
 
 AGREE = 1e-9  # [rad, rad/s] nominal motion and bounds
+SUMS = "documentation/SHA256SUMS"  # of every file of a unit as it was exported
 STEMS = {"q": "rad", "dq": "rad/s", "q_lo": "rad", "q_hi": "rad", "dq_lo": "rad/s", "dq_hi": "rad/s"}
 
 
 @dataclass(frozen=True, slots=True)
 class FmuCheck:
-    """``problems``: of fmpy's validator; ``differences``: largest of motion and bounds by quantity [rad, rad/s]; ``rows``: compared.
+    """``problems``: of fmpy's validator, and files that are not as exported; ``rows``: compared.
+
+    ``differences``: largest of motion and bounds by quantity [rad, rad/s].
 
     ``stops``: states whose stop bounds were compared, ``equal``: those with every bit the same; ``step``: CPU time of a step [s].
     """
@@ -55,6 +59,7 @@ def check_fmu(path: str | Path) -> FmuCheck:
         description = fmpy.read_model_description(str(path), validate=False)
         with zipfile.ZipFile(path) as z:
             names = z.namelist()
+            changed = _changed(z, names)
             tables = {end: _table(z, names, f"_{end}.csv") for end in ("in", "ref", "stops")}
     except OSError as e:
         raise OutputError(f"{path}: {e.strerror or e}; expected an FMU that can be read: name another file") from e
@@ -69,7 +74,7 @@ def check_fmu(path: str | Path) -> FmuCheck:
             f"{path} has no library for this machine ({here or fmpy.platform_tuple}); expected one: export it with --platform, or build "
             "its sources into it"
         )
-    problems = tuple(str(p) for p in fmpy.validation.validate_fmu(str(path)))
+    problems = (*changed, *(str(p) for p in fmpy.validation.validate_fmu(str(path))))
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as folder:
         fmpy.extract(str(path), folder)
         rows, differences, step = _run(description, folder, tables["in"], tables["ref"])
@@ -82,6 +87,18 @@ def _runs_here(names: list[str]) -> bool:
 
     folders = {fmpy.platform, fmpy.platform_tuple}
     return any(n.split("/")[0] == "binaries" and n.split("/")[1] in folders for n in names if n.count("/") > 1)
+
+
+def _changed(z: zipfile.ZipFile, names: list[str]) -> list[str]:
+    """Files that are missing or others than at the export; libraries that were built from the sources since may be more."""
+    out = []
+    for line in z.read(SUMS).decode().splitlines() if SUMS in names else []:
+        wanted, name = line.split("  ", 1)
+        if name not in names:
+            out.append(f"{name} is missing; expected the file of the export: export the unit again")
+        elif hashlib.sha256(z.read(name)).hexdigest() != wanted:
+            out.append(f"{name} is not the file of the export; expected SHA-256 {wanted[:12]}...: export the unit again")
+    return out
 
 
 def _table(z: zipfile.ZipFile, names: list[str], end: str) -> dict[str, Array]:

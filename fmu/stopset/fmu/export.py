@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tempfile
 import zipfile
@@ -16,6 +17,7 @@ from stopset.artifact import Model
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
+from stopset.fmu.check import SUMS
 from stopset.fmu.description import NOTICE, build_description, description
 from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
@@ -93,6 +95,7 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     if contents.reference:
         files |= {f"documentation/{file}": content.encode() for file, content in reference_texts(model).files(name).items()}
         say("reference results: computed")
+    files[SUMS] = "".join(f"{hashlib.sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files)).encode()
     buffer = BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as z:
         for path, content in files.items():

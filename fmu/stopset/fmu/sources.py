@@ -37,7 +37,7 @@ OWN_UNITS = (
     "fmi2.c",
     "fmi3.c",
 )
-OWN_HEADERS = ("stopset_core.h", "stopset_fmi.h")
+OWN_HEADERS = ("runge_kutta.h", "stopset_core.h", "stopset_fmi.h")
 # the compiled core's own files: what the monitor runs is what the FMU runs
 CORE = "core"
 PROOF = (

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args.json, args.report)
     c = check_fmu(args.fmu)
     title = f"{args.fmu}: FMI {c.fmi}, library for {c.platform}"
-    lines = [f"fmpy's validator: {'; '.join(c.problems) or 'clean'}"]
+    lines = [f"files and fmpy's validator: {'; '.join(c.problems) or 'clean'}"]
     for stem, x in c.differences.items():
         lines.append(f"{stem:<6} {c.rows} rows: differs from the reference by {x:.1e} {STEMS[stem]} at most (allowed {AGREE:g})")
     equal = f"{c.equal} of {c.stops} states equal to the last bit" if c.stops else "this model has none"

@@ -6,6 +6,7 @@ functions, one rounding each, in the order in which the law writes them.  A step
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,11 +58,33 @@ class Tape:
         return self.step(SIGNAL, k)
 
     def finished(self, result: Any) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Steps (K, 3) of which the last one gives ``result``, and the constants."""
+        """Steps (K, 3) of which the last one gives ``result``, none of them without use, and the constants."""
         last = result if isinstance(result, Played) else self.constant(float(result))
-        if last.at != len(self.steps) - 1:  # found in the middle: once more at the end
-            last = self.step(MUL, last.at, self.constant(1.0).at)
-        return np.array(self.steps, np.int32).reshape(-1, 3), np.array(self.numbers or [0.0], float)
+        steps, _ = needed(self.steps, [last.at])
+        return np.array(steps, np.int32).reshape(-1, 3), np.array(self.numbers or [0.0], float)
+
+
+def needed(steps: Sequence[tuple[int, int, int]], at: Sequence[int]) -> tuple[list[tuple[int, int, int]], list[int]]:
+    """Only the steps that ``at`` rest on, and where these are then."""
+
+    def arguments(step: tuple[int, int, int]) -> tuple[int, ...]:
+        what, first, second = step
+        return () if what in (CONSTANT, SIGNAL) else (first, second) if what in BINARY else (first,)
+
+    wanted, todo = set(), list(at)
+    while todo:
+        k = todo.pop()
+        if k not in wanted:
+            wanted.add(k)
+            todo += arguments(steps[k])
+    place = {k: i for i, k in enumerate(sorted(wanted))}
+    out = []
+    for k in sorted(wanted):
+        what, first, second = steps[k]
+        if what not in (CONSTANT, SIGNAL):
+            first, second = place[first], place[second] if what in BINARY else second
+        out.append((what, first, second))
+    return out, [place[k] for k in at]
 
 
 @dataclass(frozen=True, slots=True)

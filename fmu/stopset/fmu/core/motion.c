@@ -1,13 +1,14 @@
 /* Motion that has no closed form: friction polynomials, effects at the simulated state, sticking joints.
  *
- * Dormand and Prince's pair of order 5(4), local error below TOLERANCE per step. Friction that depends on the direction of
- * motion is set-valued: each joint slides up, slides down or sticks, and every change is located in time by bisection, so
- * the order of the method survives it. Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, II.5;
- * Filippov (1988) for the sticking.
+ * Dormand and Prince's method of order 8(5,3), local error (root mean square) below TOLERANCE per step: a communication step of some
+ * milliseconds mostly is one step. Friction that depends on the direction of motion is set-valued: each joint slides up, slides down or
+ * sticks, and every change is located in time by bisection, so the order of the method survives it. Source: Hairer, Norsett & Wanner,
+ * Solving Ordinary Differential Equations I, II.5 and II.10; Filippov (1988) for the sticking.
  */
 #include <math.h>
 #include <string.h>
 
+#include "runge_kutta.h"
 #include "stopset_core.h"
 
 enum { YM = NX, NY = YM + N_MEMORY }; /* what the effects remember comes last */
@@ -153,7 +154,7 @@ static void own_rates(const StopsetState *s, StopsetWork *w, double t, const dou
 }
 
 /* Accelerations with the sticking joints held: M_ff ddq_f = net_f. */
-static void accelerate(const StopsetState *s, const StopsetWork *w, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
+static void accelerate(const StopsetState *s, StopsetWork *w, const int32_t mode[NJ], const double net[NJ], double ddq[NJ]) {
     int held = 0;
     if (directional(s))
         for (int i = 0; i < NJ; i++) held += mode[i] == 0;
@@ -165,16 +166,22 @@ static void accelerate(const StopsetState *s, const StopsetWork *w, const int32_
         }
         return;
     }
-    double A[NJ][NJ], inverse[NJ][NJ];
-    for (int r = 0; r < NJ; r++)
-        for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? w->M[r][c] : (r == c ? 1.0 : 0.0);
-    memset(inverse, 0, sizeof inverse);
-    stopset_invert(A, inverse); /* a principal block of a positive definite matrix */
+    int same = w->sliding_made;
+    for (int i = 0; i < NJ; i++) same = same && w->sliding_of[i] == (mode[i] != 0);
+    if (!same || KIND == 3) { /* model 3 has another M at every state */
+        double A[NJ][NJ];
+        for (int r = 0; r < NJ; r++)
+            for (int c = 0; c < NJ; c++) A[r][c] = (mode[r] && mode[c]) ? w->M[r][c] : (r == c ? 1.0 : 0.0);
+        memset(w->sliding, 0, sizeof w->sliding);
+        stopset_invert(A, w->sliding); /* a principal block of a positive definite matrix */
+        for (int i = 0; i < NJ; i++) w->sliding_of[i] = (uint8_t)(mode[i] != 0);
+        w->sliding_made = 1;
+    }
     for (int r = 0; r < NJ; r++) {
         ddq[r] = 0.0;
         if (!mode[r]) continue;
         for (int c = 0; c < NJ; c++)
-            if (mode[c]) ddq[r] += inverse[r][c] * net[c];
+            if (mode[c]) ddq[r] += w->sliding[r][c] * net[c];
     }
 }
 
@@ -188,38 +195,31 @@ static void derivative(const StopsetState *s, StopsetWork *w, double t, const do
 }
 
 /* One step of length h from the derivative `first` at y; returns the error over the tolerance, `last`: the derivative at the end. */
-static double dormand_prince(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double h, const double first[NY],
-                             double out[NY], double last[NY]) {
-    static const double A[7][6] = {
-        {0},
-        {1.0 / 5},
-        {3.0 / 40, 9.0 / 40},
-        {44.0 / 45, -56.0 / 15, 32.0 / 9},
-        {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729},
-        {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
-        {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84},
-    };
-    static const double C[7] = {0.0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1.0, 1.0};
-    static const double E[7] = {71.0 / 57600,      0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
-    double k[7][NY];
+static double runge_kutta(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double h,
+                          const double first[NY], double out[NY], double last[NY]) {
+    double k[STAGES][NY], fine = 0.0, coarse = 0.0;
     memcpy(k[0], first, sizeof k[0]);
-    for (int stage = 1; stage < 7; stage++) {
+    for (int stage = 1; stage <= STAGES; stage++) {
+        const double *share = stage < STAGES ? RK_A[stage] : RK_B;
         for (int i = 0; i < NY; i++) {
             double sum = 0.0;
-            for (int j = 0; j < stage; j++) sum += A[stage][j] * k[j][i];
+            for (int j = 0; j < stage; j++) sum += share[j] * k[j][i];
             out[i] = y[i] + h * sum;
         }
-        derivative(s, w, t + C[stage] * h, out, mode, k[stage]);
+        derivative(s, w, stage < STAGES ? t + RK_C[stage] * h : t + h, out, mode, stage < STAGES ? k[stage] : last);
     }
-    memcpy(last, k[6], sizeof k[6]);
-    double worst = 0.0;
     for (int i = 0; i < NY; i++) {
-        double e = 0.0;
-        for (int j = 0; j < 7; j++) e += E[j] * k[j][i];
-        e = fabs(h * e) / (TOLERANCE * (1.0 + fabs(y[i])));
-        if (!(e <= worst)) worst = e;
+        const double scale = TOLERANCE * (1.0 + fabs(y[i]));
+        double e5 = 0.0, e3 = 0.0;
+        for (int j = 0; j < STAGES; j++) {
+            e5 += RK_E5[j] * k[j][i];
+            e3 += RK_E3[j] * k[j][i];
+        }
+        fine += e5 * e5 / (scale * scale);
+        coarse += e3 * e3 / (scale * scale);
     }
-    return worst;
+    if (fine == 0.0 && coarse == 0.0) return 0.0;
+    return fabs(h) * fine / sqrt((fine + 0.01 * coarse) * NY);
 }
 
 /* Who of the joints at rest begins to slide, and which way: torque with the friction of either direction decides. */
@@ -316,9 +316,9 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double 
     for (int count = 0; left > 0.0; count++) {
         if (count == MOST_STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
         double now = step >= left ? left : 2.0 * step > left ? 0.5 * left : step; /* no short one at the end */
-        double error = dormand_prince(s, w, t, y, mode, now, first, next, last);
+        double error = runge_kutta(s, w, t, y, mode, now, first, next, last);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
-        double factor = error > 0.0 ? 0.9 * stopset_exp(-0.2 * stopset_log(error)) : 4.0;
+        double factor = error > 0.0 ? 0.9 * stopset_exp(-0.125 * stopset_log(error)) : 4.0;
         if (error > 1.0 && now > 1e-12) {
             step = now * fmax(factor, 0.1);
             continue;
@@ -328,14 +328,14 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double 
             double early = 0.0, late = now;
             for (int k = 0; k < 60 && late - early > 1e-15; k++) {
                 double middle = 0.5 * (early + late);
-                dormand_prince(s, w, t, y, mode, middle, first, next, last);
+                runge_kutta(s, w, t, y, mode, middle, first, next, last);
                 if (event(s, w, t + middle, next, mode))
                     late = middle;
                 else
                     early = middle;
             }
             now = late;
-            dormand_prince(s, w, t, y, mode, now, first, next, last);
+            runge_kutta(s, w, t, y, mode, now, first, next, last);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
             settle(s, w, t + now, next, mode);

@@ -178,7 +178,7 @@ const char *stopset_prepare(const StopsetState *s, StopsetWork *w) {
     memcpy(key + 4, &s->r[VR_WARM], sizeof(double));
     memcpy(key + 5, &s->r[VR_FIRST_PHYSICAL], N_PHYSICAL * sizeof(double));
     if (w->made && memcmp(key, w->key, sizeof key) == 0) return 0;
-    w->made = 0;
+    w->made = w->sliding_made = 0;
     load(s, w);
     const char *wrong = inertia(s, w);
     if (wrong) return wrong;

@@ -91,6 +91,8 @@ typedef struct {
     int made;
     double pi[NJ][10], offset[NJ], numbers[NN];    /* links with the payload; [N m]; constants of all tapes */
     double Minv[NJ][NJ], M[NJ][NJ], Av[NJ][NJ];
+    double sliding[NJ][NJ];                        /* inverse of M's block of the joints that slide */
+    uint8_t sliding_of[NJ], sliding_made;          /* which these are */
     StopsetLaw law[NL];
     StopsetCarried carried[NM];
     StopsetInputs map;

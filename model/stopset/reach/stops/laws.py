@@ -5,7 +5,6 @@ What is asked of a law, and why the answer encloses it, stands in `stopset.effec
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -19,7 +18,7 @@ from stopset.effects.bound import Unbounded, labelled, parameter, straight
 from stopset.effects.memory import affine, whole
 from stopset.errors import NotCovered
 from stopset.ring import Interval, Tape
-from stopset.ring.tape import BINARY, CONSTANT, SIGNAL
+from stopset.ring.tape import SIGNAL, needed
 from stopset.types import Array
 
 ROLES = {"friction": lib.STOPSET_RUBS, "torque": lib.STOPSET_PULLS, "arm or drive": lib.STOPSET_ARM_OR_DRIVE}
@@ -116,7 +115,7 @@ def _recorded(effect: Effect, shapes: dict[str, Interval], *, warm: bool, flow: 
     s = _seen(tape, len(effect.states), warm=warm)
     results = effect.rates(s, values)[:1] if flow else effect.columns(s, values)
     at = [x.at if hasattr(x, "at") else tape.constant(float(x)).at for x in results]
-    steps, places = _needed(tape.steps, at)
+    steps, places = needed(tape.steps, at)
     numbers = np.array([tape.numbers, tape.numbers]).T if tape.numbers else np.zeros((1, 2))
     for k, x in enumerate(shapes.values()):
         numbers[k] = x.lo[0], x.hi[0]
@@ -148,26 +147,3 @@ def _seen(tape: Tape, states: int, *, warm: bool) -> Signals:
     every["tilt"] = tuple(tape.signal(TILT + k) for k in range(2))
     every["memory"] = tuple(tape.signal(MEMORY + k) for k in range(states))
     return Signals(**every)
-
-
-def _needed(steps: Sequence[tuple[int, int, int]], at: Sequence[int]) -> tuple[list[tuple[int, int, int]], list[int]]:
-    """Only the steps that ``at`` rest on, and where these are then."""
-
-    def arguments(step: tuple[int, int, int]) -> tuple[int, ...]:
-        what, first, second = step
-        return () if what in (CONSTANT, SIGNAL) else (first, second) if what in BINARY else (first,)
-
-    wanted, todo = set(), list(at)
-    while todo:
-        k = todo.pop()
-        if k not in wanted:
-            wanted.add(k)
-            todo += arguments(steps[k])
-    place = {k: i for i, k in enumerate(sorted(wanted))}
-    out = []
-    for k in sorted(wanted):
-        what, first, second = steps[k]
-        if what not in (CONSTANT, SIGNAL):
-            first, second = place[first], place[second] if what in BINARY else second
-        out.append((what, first, second))
-    return out, [place[k] for k in at]
