@@ -22,6 +22,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.monitor.watch import Quantum
 from stopset.offline.description import robot_from_text
 from stopset.reach.flowpipe import deviation_tube, discretise, responses
+from stopset.reach.nonlinear import dynamics
 from stopset.reach.stops.cartesian import slices
 from stopset.reach.stops.tube import OK, Tube
 from stopset.robot.rigid import arm_struct, torques
@@ -231,6 +232,32 @@ def test_a_memory_goes_on_along_a_recording_as_step_by_step() -> None:
     for k in range(1, 5):
         want.append(0.25 if first[k] else float(stepped(np.array(want[-1]), b[k - 1], a[k - 1], 0.1)))
     assert z.tolist() == pytest.approx(want, rel=1e-14)
+
+
+def test_a_model_without_polynomials_is_its_damping() -> None:
+    """Model 2 whose Coriolis torque is nil; and where a reading may be at once, after no step: where it was, give or take the sets."""
+    a = replace(coupled(3.0), kind=2)
+    struct, work = dynamics(a)
+    q, dq, out = np.array([0.3, -0.2]), np.array([0.5, -0.7]), np.empty(2)
+    lib.stopset_drag(struct, view(q), view(dq), view(work), view(out))
+    assert out == pytest.approx(3.0 * dq, rel=1e-15)
+    X = [np.array([side * size] * 4) for size in (1e-3, 0.5, 1e-4) for side in (-1.0, 1.0)]
+    sets, path, room = (
+        ffi.new("StopsetSets *", (*map(view, X), 0)),
+        np.concatenate([q, dq]),
+        np.empty(lib.stopset_ahead_room(struct, 0)),
+    )
+    lo, hi = np.empty(4), np.empty(4)
+    assert lib.stopset_ahead(struct, sets, 0, view(path), ffi.NULL, 0.01, view(room), view(lo), view(hi)) == 0
+    assert lo == pytest.approx(path - 1.1e-3, abs=1e-12) and hi == pytest.approx(path + 1.1e-3, abs=1e-12)
+    struct.n = lib.STOPSET_JOINTS + 1
+    try:
+        assert (
+            lib.stopset_ahead(struct, sets, 0, view(path), ffi.NULL, 0.01, ffi.NULL, view(lo), view(hi))
+            == lib.STOPSET_TOO_MANY_JOINTS
+        )
+    finally:
+        struct.n = 2
 
 
 def test_a_seal_is_both_checksums_of_what_is_before_them() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from stopset.artifact.taped import MEMORY, SIGNALS, TILT
 from stopset.core.library import ffi, lib, view
+from stopset.core.library import given as array
 from stopset.effects.base import Fitted
 from stopset.effects.registry import get
 from stopset.fmu.stops import bounds_of
@@ -197,22 +198,39 @@ def test_what_laws_see_of_the_rigid_body_holds_it_at_every_pose() -> None:
     s = bounds_of(model).setting
     assert s is not None
     n, rng = 3, np.random.default_rng(3)
-    q, wide, still = np.array([0.2, 0.7, -0.4]), np.full(3, 0.15), np.zeros(3)
-    for name, needs in (("stiff", lib.STOPSET_NEEDS_STIFF), ("inertia", lib.STOPSET_NEEDS_INERTIA)):
+    q, wide, fast = np.array([0.2, 0.7, -0.4]), np.full(3, 0.15), np.array([0.5, 1.0, 0.8])
+    seen = {"stiff": "STIFF", "inertia": "INERTIA", "load": "LOAD", "coriolis": "LINK"}
+    for name, bit in seen.items():
+        needs = getattr(lib, f"STOPSET_NEEDS_{bit}")
         laws = [replace(one((t.SIGNAL, SIGNALS.index(name), 0)), joint=i, needs=needs) for i in range(n)]
-        lo, hi = over(s, laws, needs, q - wide, q + wide, still)
+        lo, hi = over(s, laws, needs, q - wide, q + wide, fast)
+        worst = np.zeros(n)
         for _ in range(100):
-            x = q + rng.uniform(-wide, wide)
-            value = truth(s.plant, x, name)
+            x, dq = q + rng.uniform(-wide, wide), rng.choice([-1.0, 1.0], n) * fast
+            value = truth(s.plant, x, dq, name)
             assert np.all(lo - 1e-9 <= -value) and np.all(-value <= hi + 1e-9)
-        assert np.all(hi - lo < 1.5 * (1.0 + np.abs(truth(s.plant, q, name))))
+            worst = np.maximum(worst, np.abs(value))
+        if name == "coriolis":  # of what stands still there is none
+            lo, hi = over(s, laws, needs, q - wide, q + wide, np.zeros(n))
+        assert np.all(hi - lo < (1e-9 if name == "coriolis" else 1.5 * (1.0 + worst)))
 
 
-def truth(plant: Any, q: Array, name: str) -> Array:
-    from stopset.robot.rigid import gravity_torque, mass_matrix
+def test_a_law_of_the_sign_of_what_never_is_zero_is_a_constant() -> None:
+    """Of speed less (more) than what the joint ever has: it pushes one way, and opposes nothing."""
+    for off, want in ((2.0, -1.0), (-2.0, 1.0)):
+        got = acted(one((t.SIGNAL, DQ, 0), (t.CONSTANT, 0, 0), (t.SUB, 0, 1), (SIGN, 2, 0), numbers=((off, off),)))
+        assert got is not None and np.allclose(got, [[0.0, 0.0], [0.0, 0.0], [want, want]], rtol=0.0, atol=1e-12)
+
+
+def truth(plant: Any, q: Array, dq: Array, name: str) -> Array:
+    from stopset.robot.rigid import gravity_torque, mass_matrix, torque
 
     if name == "inertia":
         return np.diag(mass_matrix(plant.chain, plant.pi, q))
+    if name == "load":
+        return gravity_torque(plant.chain, plant.pi, q)
+    if name == "coriolis":
+        return torque(plant.chain, plant.pi, q, dq, np.zeros(len(q))) - gravity_torque(plant.chain, plant.pi, q)
     d = 1e-5
     ahead, back = (
         np.array([gravity_torque(plant.chain, plant.pi, q + side * e)[i] for i, e in enumerate(d * np.eye(len(q)))])
@@ -229,10 +247,10 @@ def over(s: Any, laws: list[ActingLaw], needs: int, q_lo: Array, q_hi: Array, sp
     keep: list[Any] = []
     table = ffi.new("StopsetActing[]", [law.struct(keep) for law in laws])
     none, far, gear = np.zeros(10 * n), np.full(n, 1e3), np.full(n, 30.0)
-    zero = np.zeros(n)
+    zero, turn = np.zeros(n), array(s.torques.body.K.Gamma)
     torques = ffi.new("StopsetTorques *", {
         "laws": len(laws), "needs": needs, "law": table, "base": view(none), "fixed": view(none), "gear": view(gear),
-        "speed": view(far), "fastest": view(far), "free_lo": view(zero), "free_hi": view(zero),
+        "speed": view(far), "fastest": view(far), "free_lo": view(zero), "free_hi": view(zero), "turn": view(turn),
     })  # fmt: skip
     struct, held = plant_struct(s.plant)
     out = np.empty(6 * n)

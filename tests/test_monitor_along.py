@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from monitor_arm import DT, INERTIA, NOISE, VISCOUS, U, known_model
 from stopset.artifact import Abstraction, Model, UncertaintySets, load_model, save_model
 from stopset.artifact.abstraction import Polynomial
+from stopset.core.library import lib, view
 from stopset.errors import NotCovered
 from stopset.monitor.along import WatchAlong, watch_for
 from stopset.monitor.config import Bus, Config, Publish, Records, Stops
@@ -19,11 +21,10 @@ from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.layout import State
-from stopset.monitor.predictions import Tubes, ages_of
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch, check_cycle
-from stopset.reach.nonlinear import predicted_tube
+from stopset.reach.nonlinear import dynamics, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
 from test_monitor_daemon import Arm, Script, Wire
@@ -125,26 +126,18 @@ def test_the_tube_is_that_of_the_comparison(which: str) -> None:
     """What `predicted_tube` gives, which identification and compare use, from the states and mean torques of its grid."""
     model = MODELS[which]()
     x, tau = read(model, 3, 201)
-    seen: dict[int, tuple[Array, Array]] = {}
     watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
     assert isinstance(watch, WatchAlong)
-    every, real = watch.every, watch._predictions.tubes
-
-    def tubes() -> Tubes:
-        ages, foreign, lo, hi = real()
-        seen.update({int(a): (lo[k], hi[k]) for k, a in enumerate(ages)})
-        return ages, foreign, lo, hi
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(watch._predictions), "tubes", lambda self: tubes())
-        for k in range(len(x)):
-            watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
+    every = watch.every
+    for k in range(len(x)):
+        watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
     at = (len(x) - 1) // every * every
     for age in (1, 3, 8):
         u = tau[at - age * every : at].reshape(age, every, 6).mean(axis=1)
         lo, hi = predicted_tube(model.abstraction, model.powered, x[at - age * every], u)
-        assert np.all(seen[age][0] <= lo[-1] + 1e-12) and np.all(seen[age][1] >= hi[-1] - 1e-12), "coarser, if anything"
-        assert np.allclose(seen[age], (lo[-1], hi[-1]), rtol=0, atol=1e-7)
+        seen = watch._predictions.bounds(age)
+        assert np.all(seen[0] <= lo[-1] + 1e-12) and np.all(seen[1] >= hi[-1] - 1e-12), "coarser, if anything"
+        assert np.allclose(seen, (lo[-1], hi[-1]), rtol=0, atol=1e-7)
 
 
 def test_rounding_of_the_bus_never_flags_a_conformant_arm() -> None:
@@ -186,8 +179,105 @@ def test_the_grid_must_be_a_whole_number_of_cycles() -> None:
         check_cycle(known_model(), 0.002)
 
 
+def gentle() -> Model:
+    """Friction so little curved that a step is not cut into parts."""
+    m = curved()
+    return replace(m, abstraction=Abstraction(1, 3, np.diag(1 / INERTIA), CURVED * [1.0, 1.0, 0.01]))
+
+
+def tied() -> Model:
+    """Linear friction, but joints that accelerate each other: no two simulations enclose that."""
+    m = curved()
+    Minv = np.diag(1 / INERTIA)
+    Minv[0, 2] = Minv[2, 0] = 0.1
+    return replace(m, abstraction=Abstraction(1, 3, Minv, CURVED))
+
+
+def of_sets(model: Model, **changes: Any) -> Model:
+    return replace(model, sets={"powered": replace(model.powered, **changes)})
+
+
+VARIANTS = {
+    **MODELS, "gentle": gentle, "tied": tied,
+    "curved, positions": lambda: of_sets(curved(), conform="position"),
+    "curved, from the start": lambda: of_sets(curved(), windows="start"),
+    "model 2, positions": lambda: of_sets(coupled(), conform="position"),
+    "model 2, from the start": lambda: of_sets(coupled(), windows="start"),
+    "model 3, far": lambda: of_sets(whole(), dt=DT, horizon=0.25),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("which", VARIANTS)
+def test_a_sample_is_held_against_what_is_due(which: str) -> None:
+    """By hand, from the bounds of each prediction: which ages, what they leave, the nearest bound, the worst that is passed; what is
+    refuted predicts nothing, and what passed a sample outside the domain is marked."""
+    model = VARIANTS[which]()
+    sets, paths = model.powered, not model.abstraction.decoupled
+    x, tau = read(model, 4, 200)
+    tau[110:, 1] += 60.0  # from here on refuted
+    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    assert isinstance(watch, WatchAlong)
+    every, steps, sliding = watch.every, len(watch.ages) - 1, sets.windows == "sliding"
+    looks = [a for a in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64) if a < steps] + [steps]
+    starts, beyond, turns, refuted = [0], set(), {}, 0
+    for k in range(len(x)):
+        far = 20 * every <= k < 20 * every + 2  # the arm was somewhere else, for two samples
+        v = watch.step(Sample(k, DT * k, x[k, :6] + 3.1 * far, x[k, 6:], tau[k]))
+        beyond |= {k} if v.outside else set()
+        if k % every:
+            continue
+        step = k // every
+        ages = [step - s for s in starts if 0 < step - s <= steps]
+        if paths and sliding:
+            old = [a for a in ages if a in looks and a > 24]
+            assert v.compared == len([a for a in ages if a in looks and a <= 24]) + (len(old) > 0)
+            oldest = round(v.oldest / sets.dt)
+            turns[oldest] = turns.get(oldest, 0) + (len(old) > 1)
+            ages = [a for a in ages if a in looks and (a <= 24 or a == oldest)]
+        assert v.compared == len(ages), step
+        if sliding and step and not v.deviations:
+            starts.append(step)
+        if not ages:
+            continue
+        lo, hi = np.array([watch._predictions.bounds(a) for a in sorted(ages)]).transpose(1, 0, 2)
+        z = np.concatenate([x[k, :6] + 3.1 * far, x[k, 6:]])
+        between = watch.tube(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k]))
+        assert between is not None and np.array_equal(between, (lo.max(axis=0), hi.min(axis=0)))
+        width = np.where(np.isfinite(hi - lo), hi - lo, 1e9)  # no speed was promised: as far from a bound as can be
+        room = np.minimum(2.0 * np.minimum(z - lo, hi - z) / width, 1.0).min(axis=0)
+        assert v.room is not None and np.allclose(v.room, room, rtol=1e-9, atol=0)
+        assert {(d.state, d.joint, d.side) for d in v.deviations} == {
+            ("q" if i < 6 else "dq", model.joints[i % 6], side)
+            for i in range(12) for side, bad in (("above", z > hi), ("below", z < lo)) if bad[:, i].any()
+        }  # fmt: skip
+        for d in v.deviations:
+            i = model.joints.index(d.joint) + 6 * (d.state == "dq")
+            past = (z - hi) / width if d.side == "above" else (lo - z) / width
+            row = int(np.argmax(past[:, i]))
+            assert d.fraction == past[row, i] and round(d.age / sets.dt) == sorted(ages)[row]
+            assert d.in_domain == (not beyond & set(range(k - sorted(ages)[row] * every, k + 1)))
+        refuted += bool(v.deviations)
+    assert refuted and (sum(n > 0 for n in turns.values()) > 1) == (which in ("tied", "model 3, far")), turns
+
+
+def test_a_corner_that_runs_away_is_held() -> None:
+    """Friction that drives: its corners stay numbers, and predict nothing that is passed."""
+    a = Abstraction(1, 3, np.eye(1), np.array([[0.0, 0.0, -50.0]]))
+    struct, _ = dynamics(a)
+    for side in (1.0, -1.0):
+        z = np.array([0.0, side * 30.0])
+        lib.stopset_corners(struct, 1, view(np.zeros(1)), 0.01, 4, 100.0, view(z))
+        assert z[1] == side * 100.0 and np.isfinite(z[0])
+    lib.stopset_corners(struct, 1, view(np.zeros(1)), 0.01, 4, 100.0, view(z := np.array([0.0, 1e-3])))
+    assert 1e-3 < z[1] < 1.1e-3
+
+
 def test_ages_reach_the_horizon() -> None:
-    assert ages_of(100) == [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 100] and ages_of(1) == [1]
+    def ages(oldest: int) -> list[int]:
+        return [k for k in range(-1, oldest + 3) if lib.stopset_looked_at(k, oldest)]
+
+    assert ages(100) == [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 100]
+    assert ages(1) == [1] and ages(2) == [1, 2] and ages(5) == [1, 2, 3, 4, 5]
 
 
 def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:

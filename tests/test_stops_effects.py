@@ -25,7 +25,7 @@ from stopset.effects.base import Fitted, Number
 from stopset.effects.bound import ACTING, SIGMAS
 from stopset.errors import EffectError, NotCovered
 from stopset.fmu.sources import sources
-from stopset.fmu.stops import stop_data, stop_refusal
+from stopset.fmu.stops import bounds_of, stop_data, stop_refusal
 from stopset.fmu.variables import variables
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
@@ -35,9 +35,12 @@ from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import acted, torques_of
 from stopset.reach.stops.laws import acting_law
-from stopset.reach.stops.tubes import fastest
+from stopset.reach.stops.tube import OK
+from stopset.reach.stops.tubes import fastest, tubes_of
 from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
+from test_fmu import friction
+from test_fmu_stops import braked, core_stop
 from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -346,6 +349,16 @@ def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was
     q = Box.point(np.zeros(6))
     push = [torques.over(q, np.full(6, v)).push.hi[0] for v in (1.0, 2.0)]
     assert push[1] == pytest.approx(2.0 * push[0]) and push[0] >= 4.0
+
+
+def test_a_stop_that_leaves_every_region_it_is_tried_in_is_not_provable(others: None) -> None:
+    """Driven by its own speed a joint is faster than any region's largest: core and Python stop trying, and give no number."""
+    q, dq, r = np.array([0.3, 0.4, -0.4]), np.full(3, 0.01), np.full(3, 1e-4)
+    for drives, provable in ((50.0, True), (170.0, False)):
+        bounds = bounds_of(braked(8.0, 3, effort="motor_torque", effects=[friction("driving", "axis_3", k0=-drives)]))
+        tube = tubes_of(bounds.setting, q, dq, r, r, 1, last_resort=False, fast=True)[-1]
+        assert (tube.end == OK) == provable == (core_stop(bounds)(q, dq, "0", r, r) is not None)
+        assert np.all(np.isfinite(tube.d_hi))  # the tube itself comes to an end, in too small a region
 
 
 def test_what_the_abstraction_damps_by_is_friction_where_no_effect_says_better() -> None:

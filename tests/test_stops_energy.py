@@ -20,7 +20,7 @@ from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, march
-from stopset.reach.stops.tubes import march_box, tubes_of
+from stopset.reach.stops.tubes import KNOTS, expected_stop, march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
 
@@ -70,6 +70,20 @@ def test_energy_without_disturbance_is_escaped() -> None:
     assert escaped > 0
 
 
+def test_what_travel_is_left_is_not_known_before_every_brake_holds() -> None:
+    """A joint without dry friction coasts until its brake engages: no travel left is claimed before, and a finite one later."""
+    s = StopBounds.of(ur5_like(), (4.75, 5.0)).setting
+    assert s is not None
+    none = np.zeros(6)
+    smooth = s.plant._replace(coulomb_lo=none)
+    q, dq, r = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1]), np.full(6, 0.3), np.full(6, 1e-3)
+    lasts = expected_stop(smooth, q, dq)
+    tube = march(smooth, q - r, q + r, dq - r, dq + r, lasts / KNOTS, 6 * KNOTS, ALL_PARTS, True)
+    free = tube.t < smooth.delay_hi.min()
+    assert tube.end == OK and np.all(np.isinf(tube.travel_left[free])) and free.sum() > 3
+    assert np.all(np.isfinite(tube.travel_left[-2])) and np.all(tube.travel_left[-2] > 0.0)
+
+
 def one_joint(B: float, speed: float) -> tuple[Plant, float]:
     """An upright axis with all brakes closed at the cut, and how far it goes: its energy over its brake."""
     chain = Chain(np.eye(3)[None], np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([0.0, 0.0, -9.81]))
@@ -98,7 +112,7 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
     plant, _ = one_joint(6.0, 1.0)
     v, q = np.full(1, 1e200), np.zeros(1)
-    assert march(plant, q, q, v, v, 1e-3, 5, ALL_PARTS, True).end != OK
+    assert march(plant, Box(q, q), Box(v, v), 1e-3, 5, ALL_PARTS, energetic=True).end != OK
 
 
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:

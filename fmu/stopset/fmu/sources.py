@@ -21,7 +21,7 @@ from stopset.fmu.laws import Laws, laws_of
 from stopset.fmu.stops import controlled, stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.reach.flowpipe import torque_set
-from stopset.reach.nonlinear import FAR, FASTEST, MARGIN, NEAR, STEP, ages_of, dynamics, parts
+from stopset.reach.nonlinear import FAR, dynamics
 from stopset.reach.stops.ramp import ramp_of
 
 OWN_UNITS = (
@@ -55,7 +55,19 @@ PROOF = (
     "torques",
     "tube",
 )
-SHARED = ("along", "inputs", "law", "linear", "maths", "polynomials", "predict", "predictions", "rigid", "watch")
+SHARED = (
+    "along",
+    "inputs",
+    "law",
+    "linear",
+    "maths",
+    "polynomials",
+    "predict",
+    "predictions",
+    "predictions_along",
+    "rigid",
+    "watch",
+)
 CORE_UNITS = (*(f"{name}.c" for name in SHARED), *(f"stops/{name}.c" for name in PROOF))
 CORE_HEADERS = (
     "inputs.h",
@@ -114,10 +126,9 @@ def _sizes(model: Model, variables: Variables, laws: Laws) -> dict[str, int]:
     stride = max(1, -(-steps // MOST_PREDICTIONS)) if a.linear else 1
     generators = 0 if sets.zonotope is None or not a.linear else sets.zonotope.generators.shape[1]
     struct, paths = dynamics(a)[0], not (a.linear or a.decoupled)
-    fastest = np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi))
     return {
-        "KIND": a.kind, "CORNERS": int(a.decoupled and not a.linear), "PATHS": int(paths), "NEAR": NEAR, "N_LOOKS": len(looks_of(model)),
-        "PARTS": parts(a, sets.dt, fastest + MARGIN), "ROOM": lib.stopset_ahead_room(struct, steps if paths else 0),
+        "KIND": a.kind, "CORNERS": int(a.decoupled and not a.linear), "PATHS": int(paths),
+        "ROOM": lib.stopset_along_room(struct, steps) if paths else lib.stopset_ahead_room(struct, 0),
         "HAS_DIRECTION": int(laws.direction), "HAS_INDICATORS": int(variables.count("INDICATOR") > 0), "AGES": steps + 1,
         "STRIDE": stride, "PREDICTIONS": steps // stride + 1, "N_TORQUES": model.n + generators,
         "N_STOPS": 1 if controlled(model) is None else 1 + len(CONTROLLED),
@@ -131,18 +142,11 @@ def steps_of(model: Model) -> int:
     return steps if a.linear or a.decoupled else min(steps, FAR)
 
 
-def looks_of(model: Model) -> list[int]:
-    """Ages in steps at which predictions along paths are looked at."""
-    a = model.abstraction
-    return [1] if a.linear or a.decoupled else ages_of(steps_of(model))
-
-
 def _polynomials(model: Model) -> str:
-    """``stopset_polynomials_of`` and the ages of `looks_of`."""
-    a, looks = model.abstraction, ", ".join(map(str, looks_of(model)))
-    lines = [f"const int32_t stopset_looks[] = {{{looks}}};"]
+    """``stopset_polynomials_of``."""
+    a, lines = model.abstraction, []
     if not (a.coriolis or a.acceleration):
-        return "\n".join([*lines, "const StopsetPolynomials stopset_polynomials_of = {0};\n"])
+        return "const StopsetPolynomials stopset_polynomials_of = {0};\n"
     p = a.program
     for name, x in (("parent", p.parent), ("variable", p.variable)):
         lines.append(f"static const int64_t monomial_{name}[] = {{{', '.join(map(str, x.tolist()))}}};")
@@ -166,12 +170,11 @@ def _numbers(model: Model) -> dict[str, Any]:
     """The model's arrays, by the names of their C fields."""
     sets, a, d, chain, n = model.powered, model.abstraction, model.domain, model.robot.chain, model.n
     torques, U = torque_set(sets) if a.linear else (None, sets.U)
-    cut = parts(a, sets.dt, np.maximum(np.abs(d.dq.lo), np.abs(d.dq.hi)) + MARGIN)
     temp = (np.full(n, -np.inf), np.full(n, np.inf)) if d.temp is None else (d.temp.lo, d.temp.hi)
     return {
         "Minv": a.Minv, "X0_lo": sets.X0.lo, "X0_hi": sets.X0.hi, "V_lo": sets.V.lo, "V_hi": sets.V.hi,
         "U_lo": U.lo, "U_hi": U.hi, "across": np.eye(n) if torques is None else torques, "dt": sets.dt,
-        "horizon": steps_of(model) * sets.dt, "fastest": FASTEST, "rough": STEP**5 / 120.0 if cut > 1 else 0.0,
+        "horizon": steps_of(model) * sets.dt,
         "lo": np.concatenate([d.q.lo, d.dq.lo, d.u.lo, temp[0]]), "hi": np.concatenate([d.q.hi, d.dq.hi, d.u.hi, temp[1]]),
         "payload_lo": d.payload[0], "payload_hi": d.payload[1],
         "R": chain.R, "p": chain.p, "axis": chain.axis, "gravity": chain.gravity, "pi": model.robot.pi,

@@ -31,11 +31,7 @@ from stopset.types import Array
 
 # a step's rate times its length; the fourth-order error of one step is below STEP^5 / 120 of the speed's change
 STEP: float = lib.stopset_corner_step
-# of predictions that go on step by step, in the monitor and the FMU
-MARGIN = 0.5  # [rad/s] a corner is faster than the fastest reading
-FASTEST = 1e6  # [rad/s] where a corner that runs away is held
-FAR = 64  # steps of the oldest prediction along a nominal motion: one that is twice as old costs four times as much
-NEAR = 24  # steps up to which all of the ages below are looked at; of older ones one per step, in turn
+FAR: int = lib.STOPSET_FAR  # steps of the oldest prediction along a nominal motion, in the monitor and the FMU
 # a frozen, slotted value has no room for a cache of its own; entries go when the abstraction goes
 _DYNAMICS: WeakKeyDictionary[Abstraction, tuple[Any, Any]] = WeakKeyDictionary()
 _TERMS: int = lib.STOPSET_TERMS  # of the exponential of one step's matrix, whose norm is below 1
@@ -65,12 +61,6 @@ def dynamics(abstraction: Abstraction) -> tuple[Any, Array]:
         _DYNAMICS[abstraction] = struct, (Minv, viscous, table, held)
     struct = _DYNAMICS[abstraction][0]
     return struct, np.empty(lib.stopset_dynamics_room(struct))
-
-
-def ages_of(steps: int) -> list[int]:
-    """1, 2, 3, 4, 6, 8, 12, ... up to ``steps``: near ones closely, far ones seldom."""
-    out = {min(steps, a << k) for k in range(steps.bit_length()) for a in (1, 3)} | {2}
-    return sorted(a for a in out if a <= steps)
 
 
 def parts(abstraction: Abstraction, dt: float, speed: Array) -> int:

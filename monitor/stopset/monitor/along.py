@@ -1,7 +1,7 @@
 """The check for nonlinear models, whose tube is another one along every motion.
 
 The sets' own grid counts: for models 2 and 3 it is coarser than the samples, and inputs are means over its steps. What is predicted,
-and how, stands in `stopset.monitor.predictions`.
+and what a sample is held against, stands in `stopset.monitor.predictions`.
 
 Source: Liu & Althoff (2018), Sec. IV-C.
 """
@@ -11,17 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
 from stopset.monitor.inputs import Inputs
-from stopset.monitor.predictions import Corners, Paths
+from stopset.monitor.predictions import Predictions
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
 from stopset.monitor.watch import Watch
 from stopset.reach.nonlinear import FAR
-from stopset.types import Array, Index
+from stopset.types import Array
 
 
 def watch_for(model: Model, quantum: Quantum, payload: float, warm: tuple[float, float], cycle_s: float) -> Watch | WatchAlong:
@@ -45,8 +44,8 @@ class WatchAlong(Check):
     every: int = 1
     ages: Array = field(init=False)
     _inputs: Inputs = field(init=False)
-    _predictions: Corners | Paths = field(init=False)
-    _since: list[tuple[Array, Array]] = field(default_factory=list)  # u, du of the samples since the last step
+    _predictions: Predictions = field(init=False)
+    _input: tuple[Array, Array] | None = None  # u, du of the sample taken last
     _last: Sample | None = None
     _said: Verdict | None = None
     _between: tuple[Array, Array] | None = None  # (2n,) each, what all predictions of the last step leave
@@ -57,7 +56,7 @@ class WatchAlong(Check):
         if not self.model.abstraction.decoupled:
             steps = min(steps, FAR)
         self.ages = np.asarray(sets.dt * np.arange(steps + 1))
-        self._predictions = (Corners if self.model.abstraction.decoupled else Paths)(self.model, self.quantum, steps)
+        self._predictions = Predictions(self.model, self.quantum, steps, self.every)
         self._inputs = Inputs.of(self.model, self.quantum, self.warm)
 
     @property
@@ -68,7 +67,7 @@ class WatchAlong(Check):
     @property
     def inputs(self) -> tuple[Array, Array] | None:
         """``u`` and ``du`` (n,) [N m] of the sample taken last; None where it had none."""
-        return self._since[-1] if self._since else None
+        return self._input
 
     def tube(self, _: Sample) -> tuple[Array, Array] | None:
         """Between which states (2n,) the predictions of the last step put it; None where there were none."""
@@ -77,8 +76,7 @@ class WatchAlong(Check):
     def restart(self) -> None:
         """The next sample belongs to no earlier one."""
         self._predictions.forget()
-        self._since.clear()
-        self._last = self._said = self._between = None
+        self._last = self._said = self._between = self._input = None
         self._inputs.forget()
 
     def _step(self, s: Sample) -> Verdict:
@@ -93,12 +91,14 @@ class WatchAlong(Check):
         self._last = s
         u, du = self._inputs(s.q, s.dq, s.tau, s.temp)
         beyond = outside(self.model, self.quantum, s, u, du)
-        if self._said is not None and len(self._since) < self.every:
-            said = self._said
-            self._since.append((u, du))
-            return said if not beyond and said.conformance is Conformance.CONFORMANT else self._doubtful(beyond)
-        verdict = self._at_step(np.concatenate([s.q, s.dq]), beyond)
-        self._since.append((u, du))
+        x = np.concatenate([s.q, s.dq])
+        held = self._predictions.sample(x, u, du, outside=bool(beyond))
+        self._input = u, du
+        if held < 0:
+            assert self._said is not None
+            good = not beyond and self._said.conformance is Conformance.CONFORMANT
+            return self._said if good else self._doubtful(beyond)
+        verdict = self._at_step(x, held, beyond)
         if broken and before is not None:
             verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
         self._said = verdict
@@ -111,32 +111,13 @@ class WatchAlong(Check):
         )
         return Verdict(Conformance.UNKNOWN, why, outside=outside)
 
-    def _at_step(self, x: Array, outside: tuple[str, ...]) -> Verdict:
-        """A sample at a step of the grid: held against predictions of earlier steps, and kept for later ones."""
-        if self._since:
-            us, dus = zip(*self._since, strict=True)
-            self._predictions.advance(np.mean(us, axis=0), np.max(dus, axis=0), foreign=bool(outside))
-            self._since.clear()
-        ages, foreign, lo, hi = self._predictions.tubes()
-        verdict = self._held(x, ages, foreign, lo, hi, outside)
-        self._predictions.launch(x, foreign=bool(outside), good=not verdict.deviations)  # what is refuted itself predicts nothing
-        return verdict
-
-    def _held(self, x: Array, ages: Index, foreign: NDArray[np.bool_], lo: Array, hi: Array, outside: tuple[str, ...]) -> Verdict:
-        if not len(ages):
+    def _at_step(self, x: Array, live: int, outside: tuple[str, ...]) -> Verdict:
+        """A sample at a step of the grid, held against ``live`` predictions."""
+        if not live:
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
-        self._between = lo.max(axis=0), hi.min(axis=0)
-        width = np.maximum(hi - lo, 1e-300)
-        bounded = np.isfinite(width)
-        room = np.where(bounded, 2.0 * np.minimum(x - lo, hi - x) / np.where(bounded, width, 1.0), 1.0).min(axis=0)
-        found = []
-        for above, out in ((True, (x - hi) / width), (False, (lo - x) / width)):
-            # written so that what is not a number is outside
-            bad = ~(x <= hi) if above else ~(x >= lo)
-            for i in np.flatnonzero(bad.any(axis=0)).tolist():
-                row = int(np.argmax(np.where(bad[:, i], out[:, i], -np.inf)))
-                d = self._deviation(x, i, above=above, age=int(ages[row]), bounds=(float(lo[row, i]), float(hi[row, i])))
-                found.append(replace(d, in_domain=not foreign[row]))
+        held = self._predictions.held
+        self._between = held.lo.copy(), held.hi.copy()
+        found = [self._deviation(x, side, i) for side, i in np.argwhere(held.age > 0).tolist()]
         result, why = Conformance.CONFORMANT, "inside every prediction"
         if found:
             worst = max(found, key=lambda d: d.fraction)
@@ -144,15 +125,16 @@ class WatchAlong(Check):
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
         elif outside:
             result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
-        return Verdict(result, why, len(ages), float(self.ages[ages.max()]), tuple(found), outside, room)
+        return Verdict(result, why, live, float(self.ages[held.oldest[0]]), tuple(found), outside, held.room.copy())
 
-    def _deviation(self, x: Array, i: int, *, above: bool, age: int, bounds: tuple[float, float]) -> Deviation:
-        n, bound = self.model.n, bounds[above]
-        excess = float(x[i]) - bound if above else bound - float(x[i])
+    def _deviation(self, x: Array, below: int, i: int) -> Deviation:
+        n, held = self.model.n, self._predictions.held
+        lo, hi = held.ends[below, i].tolist()
+        bound = lo if below else hi
         return Deviation(
-            joint=self.model.joints[i % n], state="q" if i < n else "dq", side="above" if above else "below",
-            age=float(self.ages[age]), excess=excess, fraction=excess / max(bounds[1] - bounds[0], 1e-300),
-            measured=float(x[i]), bound=bound, in_domain=True,
+            joint=self.model.joints[i % n], state="q" if i < n else "dq", side="below" if below else "above",
+            age=float(self.ages[held.age[below, i]]), excess=bound - float(x[i]) if below else float(x[i]) - bound,
+            fraction=float(held.worst[below, i]), measured=float(x[i]), bound=bound, in_domain=not held.foreign[below, i],
         )  # fmt: skip
 
     def _no_verdict(self, s: Sample) -> str:

@@ -60,7 +60,6 @@ typedef struct {
     double ramp_value[NJ], ramp_delay[NJ], ramp_pace; /* [1] or [rad/s^2]; [s]; [1/s] */
     double q_a[NJ];                                /* posture at which Minv was taken [rad] */
     double reference_temperature;                  /* [degC] */
-    double fastest, rough;                         /* [rad/s] where a corner that runs away is held; relative error of its integration */
     int needs;                                     /* what laws look at of the rigid body */
     int decoupled, generators, position_only, motor_torque, swift, plain, sliding, timed, has_domain_temp, has_brakes;
     StopsetPlace place[NL];
@@ -74,7 +73,6 @@ typedef struct {
 } StopsetModel;
 
 extern const StopsetPolynomials stopset_polynomials_of; /* of models 2 and 3; empty else */
-extern const int32_t stopset_looks[]; /* ages in steps at which predictions along paths are looked at, N_LOOKS of them */
 extern const StopsetTape stopset_tapes[];
 extern const StopsetModel stopset_model;
 extern const uint32_t stopset_arrays[]; /* the first of the NJ scalars that an array of FMI 3 is, N_ARRAYS of them */
@@ -117,17 +115,13 @@ typedef struct {
 /* Predictions from past samples, as the monitor has them. */
 #if CORNERS || PATHS
 typedef struct {
-    double sum[NJ], du[NJ], ends[NM][2]; /* of the inputs since the last step of the grid; what is remembered */
-    int64_t steps, turn;                 /* of the grid since the first sample; old ages are looked at in turn */
-    int32_t samples, every, said;        /* since that step, per step; its verdict */
-    uint8_t known;
-#if CORNERS
-    double z[2][AGES][NX];               /* lower and upper corner of every prediction */
-    int64_t age[AGES], next;
-#else
-    double x[AGES][NX], u[AGES][NJ], unsure[AGES][NJ]; /* rings: states, inputs to the next, how far these are unknown */
-    uint8_t starts[AGES];
+    double x[CORNERS ? 2 : 1][AGES][NX], sum[2][NJ], ends[NM][2]; /* see core/stopset.h; and what is remembered */
+#if PATHS
+    double u[AGES][2][NJ];
 #endif
+    int64_t count[STOPSET_ALONG_COUNTS];
+    int32_t every, said;                 /* samples per step of the grid; its verdict */
+    uint8_t starts[AGES], outside[AGES];
 } StopsetPast;
 #else
 typedef struct {

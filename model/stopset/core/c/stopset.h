@@ -441,6 +441,51 @@ STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, do
 /* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
 STOPSET_API void stopset_corners(const StopsetDynamics *dynamics, int64_t N, const double *u, double h, int64_t parts, double most, double *z);
 
+/* ---- predictions_along.c: predictions of a nonlinear model from past samples */
+
+/* Steps of the oldest prediction along a nominal motion: one that is twice as old costs four times as much; steps up to which all
+ * ages that are looked at are, of older ones one per step, in turn. */
+enum { STOPSET_FAR = 64, STOPSET_NEAR = 24 };
+/* What is counted: steps of the grid, samples since the last one, turns of the old ages, and whether a sample since was outside. */
+enum { STOPSET_ALONG_STEPS, STOPSET_ALONG_SAMPLES, STOPSET_ALONG_TURN, STOPSET_ALONG_OUTSIDE, STOPSET_ALONG_COUNTS };
+
+/* What is kept of past samples; a row is a step of the sets' grid. At the start, and to forget, `starts` and `count` are zero. */
+typedef struct {
+    const StopsetDynamics *dynamics;
+    const StopsetSets *sets;     /* as identified, U along the joints */
+    const double *rounding;      /* (2n,) greatest error of the bus */
+    double dt, fastest;          /* [s] of a step; [rad/s] of any joint's readings */
+    int64_t oldest;              /* steps of the oldest prediction */
+    int32_t corners, sliding;    /* of decoupled joints, else along paths; one starts at every step, or (0) at the first one only */
+    double *x;                   /* corners (2, oldest + 1, 2n): lower, upper; paths (oldest + 1, 2n): where predictions start */
+    double *u;                   /* paths (oldest + 1, 2, n): inputs to the next step, and how far these are unknown */
+    uint8_t *starts, *outside;   /* (oldest + 1,) a prediction starts there; a sample until the next step is outside the domain */
+    double *sum;                 /* (2, n) inputs since the last step: their sum, and how far they are unknown at most */
+    int64_t *count;              /* (STOPSET_ALONG_COUNTS,) */
+    double *work;                /* paths: stopset_along_room */
+} StopsetAlong;
+
+/* A sample against predictions. */
+typedef struct {
+    double *room, *lo, *hi; /* (2n,) least distance to a bound over half the width, 1: there is none; what all predictions leave */
+    double *worst, *ends;   /* (2, 2n), above and below: how far beyond the bound over its width; (2, 2n, 2) that prediction's bounds */
+    int64_t *age;           /* (2, 2n) of it in steps, 0: none is passed */
+    uint8_t *foreign;       /* (2, 2n) it passed samples outside the domain */
+    int64_t *oldest;        /* (1,) the greatest age looked at */
+} StopsetHeld;
+
+STOPSET_API int64_t stopset_along_room(const StopsetDynamics *dynamics, int64_t oldest);
+/* Whether predictions along paths are looked at at an age [steps]. */
+STOPSET_API int stopset_looked_at(int64_t age, int64_t oldest);
+/* The next sample belongs to no earlier one. */
+STOPSET_API void stopset_along_forget(const StopsetAlong *along);
+/* Between which bounds (2n,) a reading may be now, by the prediction that began `age` steps ago. */
+STOPSET_API void stopset_along_bounds(const StopsetAlong *along, int64_t age, double *lo, double *hi);
+/* A sample x (2n,) with its input u, known to within du (n,); `every`: samples per step. At a step it is held against all predictions
+ * that are due, and kept for later ones: returns how many these were; between two steps -1, and `held` is not touched. */
+STOPSET_API int64_t stopset_along_sample(const StopsetAlong *along, int64_t every, const double *x, const double *u, const double *du,
+                                         int outside, const StopsetHeld *held);
+
 /* Terms of a product [any] up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
  * room. Returns how many, -1: room is too small. */
 STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
