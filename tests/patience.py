@@ -12,7 +12,6 @@ from typing import Any, Self
 
 LOAD = Path("/proc/loadavg")
 TICK = 0.02  # [s]
-IDLE, MOST = 120.0, 900.0  # [s] without any progress, and at all
 
 
 def share() -> float:
@@ -40,24 +39,6 @@ def wait(what: Callable[[], Any], seconds: float = 60.0) -> Any:
 def rest(seconds: float) -> None:
     """Let the others go on for so many seconds of a machine that has nothing else to do."""
     wait(lambda: False, seconds)
-
-
-def until(holds: Callable[[], Any], progress: Callable[[], Any] = lambda: None) -> Any:
-    """What ``holds`` gives once it is true; fails when ``progress`` stays the same for `IDLE`."""
-    began = moved = time.monotonic()
-    seen = progress()
-    while not (found := holds()):
-        now, at = progress(), time.monotonic()
-        if now != seen:
-            seen, moved = now, at
-        assert at - moved < IDLE and at - began < MOST, f"never; last seen: {seen}"
-        time.sleep(0.05)
-    return found
-
-
-def shows(browser: Any, holds: Callable[[], Any]) -> Any:
-    """`until` of a page in a browser, which gets on as long as its words change."""
-    return until(holds, lambda: str(browser.execute_script("return document.body ? document.body.innerText : ''"))[:400])
 
 
 class Granted:

@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 from monitor_arm import known_model
-from patience import Granted, shows, wait
+from patience import Granted, wait
 from stopset.artifact.store import model_text
 from stopset.cli.main import main
 from stopset.monitor.fleet import Fleet, FleetPage
@@ -86,7 +86,8 @@ def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
     page.start()
     try:
         browser.get(page.url)
-        shows(browser, lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
+        there = wait(lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
+        assert there, browser.find_element("tag name", "body").text
         yield page
     finally:
         browser.get("about:blank")
@@ -205,7 +206,7 @@ def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:
         " + (document.getElementById('stops').innerText.match(/ mm/g) || []).length"
     )
     with shown(view, browser, "OK"):
-        shows(browser, lambda: browser.execute_script(left) >= 7)  # six bars and a distance while it lives
+        assert wait(lambda: browser.execute_script(left) >= 7), "six bars and a distance while it lives"
         view.ask = None
         living.set()
         assert wait(lambda: not browser.execute_script(left) and browser.find_element("id", "word").text == "NO DATA", 1.5)
@@ -251,7 +252,7 @@ def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path
     for name in ("c.html", "all.html"):
         browser.get((tmp_path / name).as_uri())
         browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-        shows(browser, lambda: browser.execute_script("return [...document.querySelectorAll('.plot')].every(d => d._fullLayout)"))
+        assert wait(lambda: browser.execute_script("return [...document.querySelectorAll('.plot')].every(d => d._fullLayout)"))
         assert serious(browser, axe) == [], name
     browser.get("about:blank")
 
@@ -272,7 +273,7 @@ def test_the_fleet_is_for_everybody(browser: Any, axe: str) -> None:
     page.start()
     try:
         browser.get(page.url)
-        shows(browser, lambda: len(browser.find_elements("css selector", "article")) == 7)
+        assert wait(lambda: len(browser.find_elements("css selector", "article")) == 7)
         assert serious(browser, axe) == []
     finally:
         browser.get("about:blank")
@@ -287,8 +288,8 @@ def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp
     try:
         s.loop.start("compare")
         browser.get(s.url)
-        shows(browser, lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy)
-        shows(browser, lambda: "done in" in browser.find_element("id", "jobtext").text)  # its buttons know that nothing runs
+        assert wait(lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy, 120.0)
+        time.sleep(0.7)  # until its buttons know that nothing runs
         assert serious(browser, axe) == []
     finally:
         browser.get("about:blank")

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 import patience
-from patience import shows
 from stopset.monitor.layout import State
 from stopset.monitor.packer import pack
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -246,7 +245,7 @@ def test_a_crowd_does_not_take_the_machine(watch: ViewerPage) -> None:
 
 
 def wait(browser: Any, holds: Callable[[], bool]) -> None:
-    shows(browser, holds)
+    assert patience.wait(holds), browser.execute_script("return document.body.innerText")[:400]
 
 
 def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: ViewerPage, browser: Any) -> None:

@@ -95,6 +95,7 @@ LEFT_OUT = (
     ("stopset.reach.stops.laws", "ROLES ROAMING", CODES),
     ("stopset.reach.stops.parts", "ALL_PARTS", CODES),
     ("stopset.reach.stops.setting", "OUTSIDE", WORDS),
+    ("stopset.offline.compare.metrics", "REPEATED", "which scatters between repetitions are reported"),
     ("stopset.reach.stops.start", "NONE", "no extrapolation at all: what is known at the start as it is"),
     ("stopset.reach.stops.setting", "HEAVIEST FARTHEST", REFUSED),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import patience
-from patience import shows, until
 from stopset.artifact import load_model
 from stopset.errors import BusError, OutputError, RecordingError
 from stopset.offline.workbench import Loop, Server
@@ -44,7 +43,7 @@ def do(s: Server, action: str, **options: Any) -> tuple[int, str]:
 
 
 def wait(s: Server) -> dict[str, Any]:
-    until(lambda: not s.loop.busy, s.loop.job)
+    assert patience.wait(lambda: not s.loop.busy, 120.0), "the job never ended"
     return dict(json.loads(call(s, "state")[1]))
 
 
@@ -194,7 +193,8 @@ def test_a_port_that_cannot_be_had_is_said_in_a_sentence(server: Server) -> None
 def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
     browser.get(server.url)
     browser.find_element("css selector", "[data-do=compare]").click()
-    shows(browser, lambda: "recordings leave the sets" in browser.find_element("id", "compare").text)
+    compared = patience.wait(lambda: "recordings leave the sets" in browser.find_element("id", "compare").text, 120.0)
+    assert compared, browser.find_element("id", "jobtext").text
     text = browser.execute_script("return document.body.innerText")
     assert "Monitoring aid. Not a safety function" in text
     assert browser.find_element("id", "stage").is_displayed()
@@ -203,7 +203,7 @@ def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
     assert browser.find_element("id", "now").text != before, "the arm goes through the recording"
     assert patience.wait(lambda: browser.find_elements("css selector", ".heat tbody button")), "what it depends on comes later"
     browser.find_element("css selector", ".heat tbody button").click()
-    shows(browser, lambda: browser.find_element("id", "cloudsays").text)
+    assert patience.wait(lambda: browser.find_element("id", "cloudsays").text)
     for width in (390, 1250):
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)

@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from patience import until, wait
+from patience import wait
 from stopset.artifact import Model, load_model
 from stopset.errors import RecordingError
 from stopset.fmu import Contents
@@ -37,6 +37,12 @@ def loop(altered: Path, tmp_path: Path) -> Iterator[Loop]:
     made.choose([0], ["", ""])
     yield made
     made.close()
+
+
+def until(holds: Callable[[], Any], seconds: float = 90.0) -> Any:
+    found = wait(holds, seconds)
+    assert found, "never"
+    return found
 
 
 def at_hand(loop: Loop) -> dict[str, Any]:
@@ -160,12 +166,12 @@ def test_diagnose_add_and_the_curve_falls_in_a_browser(altered: Path, tmp_path: 
     text = lambda what: browser.find_element("id", what).text  # noqa: E731
     try:
         browser.get(server.url)
-        until(lambda: loop.job()["job"]["what"] == "diagnose", loop.job)
+        until(lambda: loop.job()["job"]["what"] == "diagnose")
         until(lambda: "diagnose" in text("jobtext"))
         browser.refresh()  # in the middle of a job: it is still there
         until(lambda: "diagnose" in text("jobtext"))
         assert loop.busy or "done in" in text("jobtext")
-        until(lambda: "missing" in text("diagnose"), loop.job)
+        until(lambda: "missing" in text("diagnose"))
         assert "The model fails most at bend" in text("says")
         card = browser.find_element("css selector", ".card")
         assert "spring at bend" in card.text and "N m/rad" in card.text and card.find_element("css selector", "canvas.evidence")
@@ -176,8 +182,8 @@ def test_diagnose_add_and_the_curve_falls_in_a_browser(altered: Path, tmp_path: 
         until(lambda: "does not answer" in text("jobtext"))
         server = Server(loop, "127.0.0.1", server.port)
         server.start()
-        until(lambda: "revision 1" in text("data"), loop.job)
-        until(lambda: "compare-1" in loop.snapshot()["reports"] and "diagnose-1" in loop.snapshot()["reports"], loop.job)
+        until(lambda: "revision 1" in text("data"))
+        until(lambda: "compare-1" in loop.snapshot()["reports"] and "diagnose-1" in loop.snapshot()["reports"])
         bars = browser.find_element("css selector", "#waterfall canvas").get_attribute("aria-label")
         values = [float(part.rsplit(" ", 1)[1]) for part in bars.partition("]")[2].partition(": ")[2].split(", ")]
         assert values[-1] < 0.5 * values[0], bars

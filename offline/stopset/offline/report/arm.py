@@ -12,6 +12,7 @@ from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
 SIZE = 320.0  # [px] of each view
+LEAST = 0.05  # [m] drawn across: an arm of one axis has no extent of its own
 POSES = 64  # looked at for one that tells most
 EDGE = 26.0  # [px] around what is drawn, with the words below
 WIDE = ("from the side", "from above")
@@ -31,7 +32,7 @@ def drawn_arm(
     bodies = _bodies(model, q)
     seen = [_seen(points, view) for view in views]
     spans = [_span(points @ p.T, np.zeros((0, 7)) if swept is None else swept, p, within) for p in seen]
-    scale = (SIZE - 2 * EDGE) / max(float((hi - lo).max()) for lo, hi in spans)
+    scale = (SIZE - 2 * EDGE) / max(LEAST, *(float((hi - lo).max()) for lo, hi in spans))
     parts = []
     for k, (view, p, (lo, hi)) in enumerate(zip(views, seen, spans, strict=True)):
         middle, shift = (lo + hi) / 2, np.array([SIZE * (k + 0.5), SIZE / 2 - 6])
