@@ -78,7 +78,7 @@ def test_what_travel_is_left_is_not_known_before_every_brake_holds() -> None:
     smooth = s.plant._replace(coulomb_lo=none)
     q, dq, r = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1]), np.full(6, 0.3), np.full(6, 1e-3)
     lasts = expected_stop(smooth, q, dq)
-    tube = march(smooth, q - r, q + r, dq - r, dq + r, lasts / KNOTS, 6 * KNOTS, ALL_PARTS, True)
+    tube = march(smooth, Box(q - r, q + r), Box(dq - r, dq + r), lasts / KNOTS, 6 * KNOTS, ALL_PARTS, energetic=True)
     free = tube.t < smooth.delay_hi.min()
     assert tube.end == OK and np.all(np.isinf(tube.travel_left[free])) and free.sum() > 3
     assert np.all(np.isfinite(tube.travel_left[-2])) and np.all(tube.travel_left[-2] > 0.0)
@@ -112,7 +112,7 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
     plant, _ = one_joint(6.0, 1.0)
     v, q = np.full(1, 1e200), np.zeros(1)
-    assert march(plant, q, q, v, v, 1e-3, 5, ALL_PARTS, True).end != OK
+    assert march(plant, Box(q, q), Box(v, v), 1e-3, 5, ALL_PARTS, energetic=True).end != OK
 
 
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:
