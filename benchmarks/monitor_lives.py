@@ -1,6 +1,7 @@
 """Many lives of the monitor in a world where things go wrong: ``python benchmarks/monitor_lives.py [--seeds N] [--first S]``.
 
-Prints every broken promise with its seed; ``World(seed)`` of tests/monitor_world.py lives that life again.
+Prints every broken promise with its seed; ``World(seed)`` of tests/monitor_world.py lives that life again. With ``--kept FILE`` it
+goes on where that file ends, for ``--seconds``, on so many ``--processes``: 100,000 lives take hours.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from monitor_world import World
 from stopset.artifact import load_model, save_model
 from stopset.monitor.layout import State
 
+EACH = 50  # lives of a job
+
 
 def lives(job: tuple[Path, range]) -> tuple[list[str], Counter[str]]:
     """What was broken in the lives of these seeds, and how often which state was said."""
@@ -40,28 +43,31 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100_000)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kept", type=Path, help="go on with what this file holds, and keep there what is added")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--processes", type=int)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     path = Path(tempfile.mkdtemp()) / "arm.model.json"
     save_model(known_model(horizon=0.1), path)
-    last = args.first + args.seeds
-    jobs = [(path, range(k, min(k + 50, last))) for k in range(args.first, last, 50)]
-    found: list[str] = []
-    states: Counter[str] = Counter()
+    out = {"first": args.first, "lives": 0, "states": {}, "broken": []}
+    if args.kept and args.kept.exists():
+        out = json.loads(args.kept.read_text())
+    found, states, last = list(out["broken"]), Counter(out["states"]), out["first"] + args.seeds
+    jobs = [(path, range(k, min(k + EACH, last))) for k in range(out["first"] + out["lives"], last, EACH)]
     begin = time.monotonic()
-    with multiprocessing.get_context("spawn").Pool() as pool:
-        for words, counted in pool.imap_unordered(lives, jobs):
+    with multiprocessing.get_context("spawn").Pool(args.processes) as pool:
+        for (_, seeds), (words, counted) in zip(jobs, pool.imap(lives, jobs), strict=True):
             found += words
             states += counted
             for line in words:
                 print(line, flush=True)
-    print(
-        f"{args.seeds} lives in {time.monotonic() - begin:.0f} s, {sum(states.values())} messages {dict(states)}, {len(found)} broken promises"
-    )
-    if args.json:
-        args.json.write_text(
-            json.dumps({"lives": args.seeds, "messages": sum(states.values()), "states": states, "broken": found})
-        )
+            out = {"first": out["first"], "lives": out["lives"] + len(seeds), "states": states, "broken": found}
+            for file in filter(None, (args.kept, args.json)):
+                file.write_text(json.dumps(out) + "\n")
+            if time.monotonic() - begin > args.seconds:
+                break
+    print(f"{out['lives']} lives, {sum(states.values())} messages {dict(states)}, {len(found)} broken promises")
     return int(bool(found))
 
 

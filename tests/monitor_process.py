@@ -98,7 +98,7 @@ class Reading:
         return {*before[-1:], *(s for at, s, _ in self.said if at >= t)}
 
     def faults(self, t: float) -> set[Fault]:
-        """Doubts told after ``t``."""
+        """Faults told after ``t``."""
         return {Fault(d) for at, _, d in self.said if at >= t and d}
 
     def close(self) -> None:
@@ -221,7 +221,7 @@ class Ear:
     def states(self) -> list[State]:
         return [State(unpack(d)["state"]) for d in list(self.raw)]
 
-    def wait(self, what: Any, seconds: float = 60.0) -> bool:
+    def wait(self, what: Any, seconds: float = 60.0) -> Any:
         return wait(what, seconds)
 
     def __enter__(self) -> Ear:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from read_anew import from_scratch
@@ -332,6 +334,22 @@ def test_new_files_of_an_old_name_are_told_apart(nine: Campaign) -> None:
     path = save_trials(folder / "old.parquet", recordings(J, v, 1, seed=41), JOINTS)
     data = check(nine, [path]).model.provenance["data"]
     assert set(data) == {"old.parquet", "old.parquet (2)"} and len(set(data.values())) == 2
+
+
+def test_recordings_that_widen_the_sets_or_are_of_another_condition_are_refused(nine: Campaign) -> None:
+    """A load told or not told: neither ends in the torque sets of the arm without it."""
+    loaded = nine.write("loaded.parquet", recordings(J, v, 3, bias=6.0, spread=0.5, seed=21))
+    with pytest.raises(RecordingError, match=r"would grow from .* to .* N m in sum.*--accept-wide"):
+        update(nine.model, nine.retained(), [loaded])
+    assert (
+        update(nine.model, nine.retained(), [loaded], wide=True).model.powered.U.width.sum()
+        > 4 * nine.model.powered.U.width.sum()
+    )
+    table = pq.read_table(loaded)
+    told = nine.folder / "condition.parquet"
+    pq.write_table(table.append_column("condition", pa.array(["payload=2.8"] * table.num_rows)), told)
+    with pytest.raises(RecordingError, match=r"2 conditions \(none stated; payload=2.8\)"):
+        update(nine.model, nine.retained(), [told])
 
 
 def test_recordings_without_powered_motion_or_of_another_torque_are_refused(nine: Campaign) -> None:

@@ -37,7 +37,7 @@ def stopset(
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "stopset.cli.main", *map(str, arguments)],
-        cwd=cwd, capture_output=True, text=True, timeout=120, preexec_fn=before, check=False,
+        cwd=cwd, capture_output=True, text=True, timeout=600, preexec_fn=before, check=False,
     )  # fmt: skip
 
 

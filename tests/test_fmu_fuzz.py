@@ -49,14 +49,14 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, mod
     sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
     command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *sanitize, "-I", str(tmp_path / "sources")]
     source = str(Path(__file__).with_name("fmu_fuzz.c"))
-    subprocess.run([*command, source, *units, "-lm", "-o", str(tmp_path / "fuzz")], check=True, timeout=170)
+    subprocess.run([*command, source, *units, "-lm", "-o", str(tmp_path / "fuzz")], check=True, timeout=600)
     v = variables(model)
     sizes = [len(v.of(kind)) for kind in KINDS]
     first = [v.reference(f"{stem}_axis_1") for stem in ("q_lo", "q_hi")]
     places = [*sizes, *first, model.n, v.reference("stop_time_axis_1"), v.reference("tcp_stop_speed"), v.reference("covered")]
     places += [v.reference("stop_certified"), v.reference("measured"), len(v.arrays)]
     arguments = [token, "1", str(CALLS), *map(str, places)]
-    done = subprocess.run([str(tmp_path / "fuzz"), *arguments], capture_output=True, text=True, timeout=170, check=False)
+    done = subprocess.run([str(tmp_path / "fuzz"), *arguments], capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     words = done.stdout.split()
     assert words[0] == "ok"

@@ -91,7 +91,7 @@ def test_a_c_program_uses_the_library(everywhere: dict[int, Path], tmp_path: Pat
     arguments = [token, str(STEPS), str(DT), "6", str(v.reference("tau_axis_1")), str(v.reference("q_axis_1"))]
     environment = {**os.environ, "WINEDEBUG": "-all"}
     done = subprocess.run(
-        [*runner, str(program), library, *arguments], capture_output=True, text=True, env=environment, timeout=120, check=False
+        [*runner, str(program), library, *arguments], capture_output=True, text=True, env=environment, timeout=600, check=False
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     *numbers, ok = done.stdout.split()
@@ -203,7 +203,7 @@ def test_sources_alone_become_the_same_unit_by_another_compiler(tmp_path: Path, 
     options = re.findall(r'compilerOptions="([^"]+)"', xml)
     assert bool(options) == (fmi == 3)
     command = [gcc, "-shared", "-fPIC", "-O2", *(options[0].split() if options else []), *units, "-lm", "-o", "unit.so"]
-    subprocess.run(command, cwd=folder, check=True, timeout=120)
+    subprocess.run(command, cwd=folder, check=True, timeout=600)
     place = "x86_64-linux" if fmi == 3 else "linux64"
     with zipfile.ZipFile(plain) as old, zipfile.ZipFile(built, "w") as new:
         for name in names:

@@ -401,7 +401,7 @@ def test_a_full_disk_does_not_stop_the_heartbeat(tmp_path: Path) -> None:
         assert not list((tmp_path / "monitor.record").glob("violation-*.mcap")), "no half file is left under its name"
     finally:
         daemon.terminate()
-        daemon.wait(timeout=20)
+        daemon.wait(timeout=600)
 
 
 @pytest.mark.slow

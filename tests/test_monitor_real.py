@@ -84,7 +84,7 @@ def test_replay_to_monitor_with_stop_bounds(model_path: Path, tmp_path: Path) ->
     write_recordings(tmp_path / "two.parquet", replace(read_recordings(REAL).meta, warnings=()), trials[:2])
     with running("monitor", "--config", str(config)), Ear(port) as ear:
         replay = stopset("replay", str(tmp_path / "two.parquet"), "--to", f"hub:{bus}", "--wait", "1")
-        _, err = replay.communicate(timeout=60)
+        _, err = replay.communicate(timeout=600)
         assert replay.returncode == 0, err
         assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] == sum(len(r.t) for r in trials[:2]))
         moving = [t for t in ear.twins if t["samples"] and t["stops"].get("0", {}).get("certified")]

@@ -23,7 +23,7 @@ print(c.said, [os.sched_getscheduler(0) & 0xFF, *found], os.sched_getaffinity(0)
 
 def asked(limited: bool, core: int) -> tuple[dict[str, str], list[int], set[int]]:
     code = ASK.format(limited=limited, core=core)
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30).stdout
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600).stdout
     said, policies, cores = map(eval, out.strip().split("|"))
     return said, policies, cores
 

@@ -15,7 +15,7 @@ import pytest
 
 from stopset.artifact import save_model
 from stopset.monitor.ahead import LONG, NARROW, WIDE, Heading
-from stopset.monitor.asking import FULL
+from stopset.monitor.asking import FULL, Budget, Counter
 from stopset.monitor.certificates import Certificate, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
@@ -116,7 +116,7 @@ class Beside(StopDesk):
             self._inbox.append(self.due.popleft()[1])
         self.offer(now, q, dq)
         numbers, fresh = self.now(q, dq)
-        return fresh and numbers["0"].proven
+        return fresh and all(x.proven for x in numbers.values())
 
 
 class Still(Hand):
@@ -170,6 +170,29 @@ def test_a_share_that_is_used_up_is_no_bound_and_is_said() -> None:
     assert desk.see(moved, 0.0 * moved) and desk.spending["cpu_s"] > asked, "what is earned is spent again"
 
 
+def test_what_a_wide_box_takes_says_nothing_of_near_ones() -> None:
+    """Proofs that fail take a hundred times as long; near boxes asked for as far ahead as that were as wide, and failed too."""
+    box, good = np.ones(2 * N), Numbers(np.ones(N), np.ones(N), np.ones(N), 0.1, np.ones(N, bool))
+    c, motion = Counter.of(N, Budget(0.1), 3), Heading(SEEN)
+    motion.see(0.0, np.zeros(N), np.zeros(N))
+    for size, numbers, took in ((NARROW, good, 0.002), (WIDE, Numbers.none(N, "not proved"), 0.2), (NARROW, good, 0.002)):
+        c.waiting = size
+        c.take(Certificate("0", box, 2 * box, numbers, took, took))
+    wanted = c.lacks(motion, np.zeros(2 * N), 0.01)
+    assert wanted is not None and wanted[1] is NARROW and wanted[0] < 0.1, wanted
+    c.budget.saved = 0.3  # dear by now: longer ones, and shorter again where one could not be proved
+    c.cost = 0.05
+    ahead = []
+    for proven in (True, False, False, True):
+        c.waiting = LONG
+        c.take(Certificate("0", box, 2 * box, good if proven else Numbers.none(N, "not proved"), 0.002, 0.0))
+        c.cost, c.only_narrow = 0.05, 1
+        (reaches, size) = c.lacks(motion, np.zeros(2 * N), 0.01) or (0.0, None)
+        ahead.append(reaches)
+        assert size is LONG
+    assert ahead[0] > ahead[1] > ahead[2] < ahead[3], ahead
+
+
 @pytest.fixture
 def desk(tmp_path: Path) -> StopDesk:
     save_model(prbt_like(), tmp_path / "m.model.json")
@@ -212,7 +235,8 @@ def test_an_arm_that_comes_by_again_asks_for_nothing_and_a_lost_process_takes_no
             desk.offer(0.0, np.zeros(N), np.zeros(N))
             time.sleep(0.01)
         assert desk.restarts == 1 and all(passed(desk)), "the model is the same: so are its certificates"
-        numbers, fresh = desk.now(np.full(N, 0.9), np.full(N, 1.9))
+        # no box reaches there, however far ahead a slow machine has to ask
+        numbers, fresh = desk.now(SEEN.hi[:N] + 0.5, SEEN.hi[N:])
         assert not fresh and numbers["0"].why == LEFT and not numbers["0"].provable.any()
     finally:
         desk.close()

@@ -28,9 +28,9 @@ from monitor_process import (
     free_port,
     running,
     stopset,
-    wait,
     write_config,
 )
+from patience import Granted, wait
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
 from stopset.monitor.consumer import Fault
@@ -129,7 +129,7 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
 
     with cell.daemon() as monitor, Ear(cell.port) as ear:
         with cell.replay("altered", "--wait", "1") as replay:
-            replay.wait(timeout=60)
+            replay.wait(timeout=600)
         assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 150), ear.twins[-1]
         assert ear.wait(lambda: ear.twins[-1]["violation_latched"])
         time.sleep(1.5)  # the count is saved every second
@@ -154,7 +154,7 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
 def test_a_second_daemon_does_not_get_the_journal(cell: Cell) -> None:
     with cell.daemon(), Ear(cell.port):
         second = stopset("monitor", "--config", str(cell.config))
-        _, err = second.communicate(timeout=30)
+        _, err = second.communicate(timeout=600)
     assert second.returncode == 2 and "another monitor holds the journal" in err and "Traceback" not in err
 
 
@@ -182,7 +182,7 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
     port = free_port()
     source = f'[joint_states]\nkey = "ros/joint_states"\ncycle_s = 0.004\n{STOPS}'
     config = write_config(tmp_path, tmp_path / "arm.model.json", source, port, publish=PUBLISH)
-    with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear:
+    with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear, Granted() as granted:
         arrivals: list[float] = []
         ear.link.subscribe("state", lambda _, d: arrivals.append(time.monotonic()))
         send = ear.link.fast("/ros/joint_states")
@@ -203,15 +203,21 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
             send(joint_state(k, start + 20_000_000_000 + 4_000_000 * k))
         time.sleep(0.5)
         assert monitor.poll() is None, "it lives"
-        gaps = [b - a for a, b in itertools.pairwise(arrivals) if a > begin]
+        gaps = [granted.between(a, b) for a, b in itertools.pairwise(arrivals) if a > begin]
         assert max(gaps) < 0.5, f"silent for {max(gaps):.2f} s"
         assert not GOOD & set(ear.states), "nothing of this is OK"
         assert any("in the future" in t["why"] for t in ear.twins), {t["why"] for t in ear.twins}
-        start = time.time_ns() - 4_000_000
-        for k in range(500):
-            time.sleep(max(0.0, (start + 4_000_000 * k - time.time_ns()) * 1e-9))
-            send(joint_state(k, start + 4_000_000 * k))
-        assert ear.wait(lambda: GOOD & set(ear.states[-500:]), 2.0), {t["why"] for t in ear.twins}
+        begun = len(ear.raw)
+
+        def healthy() -> bool:
+            """Two seconds of it, as of now: a machine that keeps the sender back makes its stamps old."""
+            start = time.time_ns() - 4_000_000
+            for k in range(500):
+                time.sleep(max(0.0, (start + 4_000_000 * k - time.time_ns()) * 1e-9))
+                send(joint_state(k, start + 4_000_000 * k))
+            return bool(GOOD & set(ear.states[begun:]))
+
+        assert ear.wait(healthy), {t["why"] for t in ear.twins}
         (health,) = [json.loads(d) for d in [hear_once(ear, "health")]]
         assert health["orders_dropped"] > 1000 and health["send_errors"] == 0
 
@@ -219,13 +225,13 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
 def hear_once(ear: Ear, name: str) -> bytes:
     got: list[bytes] = []
     ear.link.subscribe(name, lambda _, d: got.append(d))
-    assert ear.wait(lambda: got, 5.0)
+    assert ear.wait(lambda: got)
     return got[0]
 
 
 def test_a_flooded_bus_and_stamps_that_are_no_numbers_are_no_ok_and_no_silence(cell: Cell) -> None:
     hub = Hub("127.0.0.1", cell.bus)
-    with cell.daemon() as monitor, Ear(cell.port) as ear:
+    with cell.daemon() as monitor, Ear(cell.port) as ear, Granted() as granted:
         assert wait(lambda: hub.clients == 1)
         flooding = True
 
@@ -242,8 +248,9 @@ def test_a_flooded_bus_and_stamps_that_are_no_numbers_are_no_ok_and_no_silence(c
         assert wait(lambda: len(ear.raw) > before + 60, 20.0), "messages go out at their own pace"
         flooding = False
         thread.join()
-        made = [unpack(d)["t_pub_ns"] for d in ear.raw[before:]]
-        assert max(b - a for a, b in itertools.pairwise(made)) < 1e9
+        apart = time.time() - time.monotonic()
+        made = [unpack(d)["t_pub_ns"] * 1e-9 - apart for d in ear.raw[before:]]
+        assert max(granted.between(a, b) for a, b in itertools.pairwise(made)) < 1.0
         assert monitor.poll() is None and not GOOD & set(ear.states)
     hub.close()
 
@@ -265,28 +272,30 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
     cell.config.write_text(text.replace("listen = [", f'mode = "client"\nconnect = ["tcp/127.0.0.1:{relay}"]\nlisten = ['))
     heard: list[tuple[int, dict[str, Any]]] = []
     router.subscribe("state", lambda _, d: heard.append((time.time_ns(), unpack(d))))
-    with cell.replay(), consumers(cell, reader, router) as both:
+    with contextlib.closing(router), cell.replay(), consumers(cell, reader, router) as both, Granted() as granted:
         with cell.daemon(**preload) as monitor:
             assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
             monitor.send_signal(signal.SIGSTOP)
+            assert wait(all_in(both, {State.FAULT}), 1.0)
             at = time.monotonic()
-            assert wait(all_in(both, {State.FAULT}), 3.0)
             time.sleep(1.0)
             on = time.monotonic()
-            assert not any(c.since(at + 0.7) & GOOD for c in both)
+            assert not any(c.since(at) & GOOD for c in both)
             woken = time.time_ns()
             monitor.send_signal(signal.SIGCONT)
             time.sleep(0.1)
             early = [s for c in both for t, s, _ in c.said if on <= t < on + RECOVER]
             assert not GOOD & set(early), "two seconds old data are not OK when it goes on"
             assert wait(all_in(both, GOOD), 10.0), [c.said[-3:] for c in both]
-            good = [(at, m) for at, m in list(heard) if at >= woken and State(m["state"]) in GOOD]
-            assert good and min(at for at, _ in good) >= woken + RECOVER * 1e9
+            # what was on its way when it was stopped may be heard now, by a machine that has much to do
+            good = [(at, m) for at, m in list(heard) if m["t_pub_ns"] >= woken and State(m["state"]) in GOOD]
+            assert good and min(m["t_pub_ns"] for _, m in good) >= woken + RECOVER * 1e9
             for at, m in good:
                 # the drives' side stamps the SYNC when it sends it: so old the data truly are
                 assert m["t_meas_ns"] >= woken, "nothing of what waited while it stood is OK"
                 assert m["t_pub_ns"] - m["t_meas_ns"] <= VALID_MS * 1e6
-                assert at - m["t_meas_ns"] <= (VALID_MS + WATCHDOG) * 1e6
+                apart = time.time() - time.monotonic()
+                assert granted.between(m["t_pub_ns"] * 1e-9 - apart, at * 1e-9 - apart) <= WATCHDOG * 1e-3
             for jump in (3_600_000, 0):
                 at = time.monotonic()
                 order.write_text(str(jump))  # its clock is an hour ahead of its samples, and back
@@ -305,7 +314,6 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             monitor.kill()
             assert wait(all_in(both, {State.FAULT}), 3.0)
             assert wait(lambda: all(Fault.SILENT in c.faults(at) for c in both), 3.0)
-    router.close()
 
 
 def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, reader: Path) -> None:
@@ -361,10 +369,14 @@ def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, read
     with consumers(cell, reader, listener, "spoilt") as both:
         time.sleep(0.3)
         send = speaker.fast("spoilt")
-        for data in store[-600:]:
-            send(data)
-            time.sleep(0.002)
-        assert wait(lambda: both[0].refused > 300, 5.0)
+
+        def refused() -> bool:
+            for data in store[-600:]:
+                send(data)
+                time.sleep(0.002)
+            return both[0].refused > 300
+
+        assert wait(refused)
         assert not any(c.since(0.0) & GOOD for c in both), "recorded messages say nothing of now"
     speaker.close()
     listener.close()
@@ -373,7 +385,7 @@ def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, read
 def test_the_health_check_is_green_for_a_fresh_valid_message_only(cell: Cell) -> None:
     def green(seconds: int) -> bool:
         p = stopset("watch", "--config", str(cell.config), "--check", "--seconds", str(seconds))
-        _out, err = p.communicate(timeout=60)
+        _out, err = p.communicate(timeout=600)
         assert "Traceback" not in err
         return p.returncode == 0
 

@@ -17,6 +17,7 @@ import pytest
 from rich.console import Console
 
 from monitor_arm import known_model
+from patience import Granted, wait
 from stopset.artifact.store import model_text
 from stopset.cli.main import main
 from stopset.monitor.layout import State
@@ -84,10 +85,8 @@ def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
     page.start()
     try:
         browser.get(page.url)
-        end = time.monotonic() + 10
-        while browser.find_element("id", "word").text != word or not browser.find_element("id", "joints").text:
-            assert time.monotonic() < end, browser.find_element("tag name", "body").text
-            time.sleep(0.02)
+        there = wait(lambda: browser.find_element("id", "word").text == word and browser.find_element("id", "joints").text)
+        assert there, browser.find_element("tag name", "body").text
         yield page
     finally:
         browser.get("about:blank")
@@ -173,16 +172,10 @@ def test_a_dead_monitor_greys_the_page_in_time(browser: Any) -> None:
         " + (document.getElementById('stops').innerText.match(/ mm/g) || []).length"
     )
     with shown(view, browser, "OK"):
-        end = time.monotonic() + 5
-        while browser.execute_script(left) < 7:
-            assert time.monotonic() < end, "six bars and a distance while it lives"
-            time.sleep(0.02)
+        assert wait(lambda: browser.execute_script(left) >= 7), "six bars and a distance while it lives"
         view.ask = None
         living.set()
-        begin = time.monotonic()
-        while browser.execute_script(left) or browser.find_element("id", "word").text != "NO DATA":
-            assert time.monotonic() - begin < 1.5
-            time.sleep(0.02)
+        assert wait(lambda: not browser.execute_script(left) and browser.find_element("id", "word").text == "NO DATA", 1.5)
         assert "grayscale" in browser.execute_script("return getComputedStyle(document.querySelector('main')).filter")
 
 
@@ -194,16 +187,15 @@ def test_a_violation_is_on_the_page_within_a_fifth_of_a_second(browser: Any) -> 
         ".observe(word, {childList: true, characterData: true, subtree: true})"
     )
     took = []
-    with shown(daemon.view, browser, "OK"):
+    with shown(daemon.view, browser, "OK"), Granted() as granted:
         for state in (State.VIOLATION, State.OK, State.VIOLATION, State.OK, State.VIOLATION):
             browser.execute_script(watch)
             daemon.state = state
-            begin = time.time()
+            begin, apart = time.monotonic(), time.time() - time.monotonic()
             daemon.speak()
-            while not (at := browser.execute_script("return window.seen[arguments[0]]", state.name)):
-                assert time.time() < begin + 5
-                time.sleep(0.01)
-            took.append(at / 1e3 - begin)
+            at = "return window.seen[arguments[0]]"
+            assert wait(lambda at=at, name=state.name: browser.execute_script(at, name))
+            took.append(granted.between(begin, browser.execute_script(at, state.name) / 1e3 - apart))
     assert sorted(took)[2] < 0.2, took
 
 
@@ -238,10 +230,7 @@ def test_the_workbench_is_for_everybody(planar: Any, browser: Any, axe: str, tmp
     try:
         s.loop.start("compare")
         browser.get(s.url)
-        end = time.monotonic() + 60
-        while not browser.find_elements("css selector", ".heat button") or s.loop.busy:
-            assert time.monotonic() < end
-            time.sleep(0.1)
+        assert wait(lambda: browser.find_elements("css selector", ".heat button") and not s.loop.busy, 120.0)
         time.sleep(0.7)  # until its buttons know that nothing runs
         assert serious(browser, axe) == []
     finally:

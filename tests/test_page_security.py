@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import io
 import itertools
@@ -14,6 +15,7 @@ from typing import Any
 
 import pytest
 
+import patience
 from stopset.monitor.layout import State
 from stopset.monitor.packer import pack
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -217,33 +219,33 @@ def test_a_crowd_does_not_take_the_machine(watch: ViewerPage) -> None:
     from stopset.serving import CONNECTIONS
 
     crowd = [socket.create_connection(("127.0.0.1", watch.server_address[1])) for _ in range(CONNECTIONS + 20)]
-    time.sleep(0.3)
-    closed = 0
-    for s in crowd:
-        s.settimeout(0.02)
-        try:
-            closed += s.recv(1) == b""
-        except (TimeoutError, ConnectionResetError) as e:
-            closed += isinstance(e, ConnectionResetError)
-    assert closed >= 15
+    closed = set()
+
+    def refused() -> bool:
+        for s in crowd:
+            s.settimeout(0.02)
+            try:
+                if s.recv(1) == b"":
+                    closed.add(s)
+            except (TimeoutError, ConnectionResetError) as e:
+                if isinstance(e, ConnectionResetError):
+                    closed.add(s)
+        return len(closed) >= 15
+
+    assert patience.wait(refused, 5.0)
     for s in crowd:
         s.close()
-    end = time.monotonic() + 5
-    while time.monotonic() < end:
-        try:
-            if b" 200 " in ask(watch, "/now", Host=own(watch)):
-                break
-        except OSError:
-            time.sleep(0.05)
-    else:
-        pytest.fail("never answered again")
+
+    def answers() -> bool:
+        with contextlib.suppress(OSError):
+            return b" 200 " in ask(watch, "/now", Host=own(watch))
+        return False
+
+    assert patience.wait(answers), "never answered again"
 
 
 def wait(browser: Any, holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + 10
-    while not holds():
-        assert time.monotonic() < end, browser.execute_script("return document.body.innerText")[:400]
-        time.sleep(0.05)
+    assert patience.wait(holds), browser.execute_script("return document.body.innerText")[:400]
 
 
 def test_what_came_over_a_bus_runs_nothing_in_the_live_page(watch: ViewerPage, browser: Any) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from patience import rest
 from stopset.cli import steps
 from stopset.cli.common import listed, say
 from stopset.cli.main import main
@@ -33,7 +34,7 @@ def stamps(text: str) -> list[str]:
 def test_a_silent_step_is_told_again_and_a_counted_one_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     with steps.steps("odd") as progress:
         progress("thinking")
-        time.sleep(0.4)
+        rest(0.4)
         for _ in counted(range(8), 8, "counting", progress):
             time.sleep(0.15)
     said = stamps(capsys.readouterr().err)

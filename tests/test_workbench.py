@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import patience
 from stopset.artifact import load_model
 from stopset.errors import BusError, OutputError, RecordingError
 from stopset.offline.workbench import Loop, Server
@@ -43,10 +43,7 @@ def do(s: Server, action: str, **options: Any) -> tuple[int, str]:
 
 
 def wait(s: Server) -> dict[str, Any]:
-    end = time.monotonic() + 120
-    while s.loop.busy:
-        assert time.monotonic() < end, "the job never ended"
-        time.sleep(0.05)
+    assert patience.wait(lambda: not s.loop.busy, 120.0), "the job never ended"
     return dict(json.loads(call(s, "state")[1]))
 
 
@@ -196,20 +193,17 @@ def test_a_port_that_cannot_be_had_is_said_in_a_sentence(server: Server) -> None
 def test_the_page_in_a_browser(server: Server, browser: Any) -> None:
     browser.get(server.url)
     browser.find_element("css selector", "[data-do=compare]").click()
-    end = time.monotonic() + 60
-    while "recordings leave the sets" not in browser.find_element("id", "compare").text:
-        assert time.monotonic() < end, browser.find_element("id", "jobtext").text
-        time.sleep(0.1)
+    compared = patience.wait(lambda: "recordings leave the sets" in browser.find_element("id", "compare").text, 120.0)
+    assert compared, browser.find_element("id", "jobtext").text
     text = browser.execute_script("return document.body.innerText")
     assert "Monitoring aid. Not a safety function" in text
     assert browser.find_element("id", "stage").is_displayed()
     before = browser.find_element("id", "now").text
     browser.execute_script("const t = document.getElementById('time'); t.value = 50; t.dispatchEvent(new Event('input'))")
     assert browser.find_element("id", "now").text != before, "the arm goes through the recording"
+    assert patience.wait(lambda: browser.find_elements("css selector", ".heat tbody button")), "what it depends on comes later"
     browser.find_element("css selector", ".heat tbody button").click()
-    while not browser.find_element("id", "cloudsays").text:
-        assert time.monotonic() < end
-        time.sleep(0.1)
+    assert patience.wait(lambda: browser.find_element("id", "cloudsays").text)
     for width in (390, 1250):
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)

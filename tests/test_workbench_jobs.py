@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from patience import wait
 from stopset.artifact import Model, load_model
 from stopset.errors import RecordingError
 from stopset.fmu import Contents
@@ -39,10 +40,8 @@ def loop(altered: Path, tmp_path: Path) -> Iterator[Loop]:
 
 
 def until(holds: Callable[[], Any], seconds: float = 90.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (found := holds()):
-        assert time.monotonic() < end, "never"
-        time.sleep(0.05)
+    found = wait(holds, seconds)
+    assert found, "never"
     return found
 
 
@@ -220,5 +219,5 @@ def refused(browser: Any) -> str:
     if not fields:
         return ""
     browser.execute_script("arguments[0].value = 'payload'; document.getElementById('choose').click()", fields[0])
-    time.sleep(0.2)
+    wait(lambda: browser.find_element("id", "choosesays").text, 0.5)
     return str(browser.find_element("id", "choosesays").text)

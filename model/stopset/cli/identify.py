@@ -214,7 +214,7 @@ def _updated(args: argparse.Namespace, progress: Progress) -> Identification:
             f"--update needs the sums behind {args.update}; expected --state FILE.state: identify once with --keep FILE.state"
         )
     model = load_model(args.update)
-    return update(model, load_state(args.state, model), args.data, progress, args.scheduler)
+    return update(model, load_state(args.state, model), args.data, progress, args.scheduler, wide=args.accept_wide)
 
 
 def summary(found: Identification) -> str:

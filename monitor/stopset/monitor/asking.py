@@ -54,6 +54,11 @@ class Budget:
         return min(max(NARROW.ahead, short * cost / self.share), FARTHEST)
 
 
+def _part(part: float, *, proven: bool) -> float:
+    """What part of a box is asked for after an answer."""
+    return min(1.0, GROWS * part) if proven else max(SHRINKS * part, LEAST)
+
+
 @dataclass(slots=True)
 class Counter:
     """What one category has asked for and got; ``rivals``: so many categories live on the same budget."""
@@ -68,8 +73,12 @@ class Counter:
     waiting: Size | None = None  # asked for
     only_narrow: int = 0  # so many answers, as a wide box could not be proved
     reach: float = 1.0  # part of a wide box's time ahead that is asked for: less where more could not be proved
-    took: float = FIRST
-    cost: float = 0.0  # [s] of processor time a box of late
+    stretch: float = 1.0  # likewise of what a long box reaches beyond a narrow one
+    took: float = (
+        FIRST  # [s] narrow and long boxes of late; a wide one may take a hundred times as much and says nothing of theirs
+    )
+    took_wide: float = FIRST
+    cost: float = 0.0  # [s] of processor time a narrow or long box of late
 
     @classmethod
     def of(cls, n: int, budget: Budget, rivals: int) -> Counter:
@@ -93,16 +102,22 @@ class Counter:
     def take(self, answer: Certificate) -> None:
         """An answer has come."""
         size, self.waiting = self.waiting, None
-        self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
         self.budget.spend(answer.cpu)
-        self.cost += RECENT * (answer.cpu - self.cost) if self.cost else answer.cpu
-        if answer.numbers.proven:
-            (self.narrow if size is NARROW else self.long if size is LONG else self.wide).put(answer)
-            self.reach = min(1.0, self.reach * (GROWS if size is WIDE else 1.0))
-            return
-        self.refused = answer
         if size is WIDE:
-            self.only_narrow, self.reach = PATIENCE, max(SHRINKS * self.reach, LEAST)
+            self.took_wide = min(max(answer.took, 0.7 * self.took_wide), LONGEST)
+        else:
+            self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
+            self.took_wide = max(0.7 * self.took_wide, self.took)  # where one failed a smaller one, which takes less, is next
+            self.cost += RECENT * (answer.cpu - self.cost) if self.cost else answer.cpu
+        proven = answer.numbers.proven
+        if proven:
+            (self.narrow if size is NARROW else self.long if size is LONG else self.wide).put(answer)
+        else:
+            self.refused = answer
+        if size is WIDE:
+            self.reach, self.only_narrow = _part(self.reach, proven=proven), self.only_narrow if proven else PATIENCE
+        elif size is LONG:
+            self.stretch = _part(self.stretch, proven=proven)
 
     def lacks(self, motion: Heading, slack: Array, period: float) -> tuple[float, Size] | None:
         """What to ask for next, if anything: how far ahead [s] and which size, with ``period`` [s] until it is asked again.
@@ -110,14 +125,14 @@ class Counter:
         A wide box where none holds the state now or will when an answer could be there; a narrow one likewise, or a long one where
         narrow ones cost more than is earned.
         """
-        lead = SLOWER * self.took + period
-        here, soon, later = motion.at(0.0), motion.at(lead), motion.at(2.0 * lead)
+        lead, lead_wide = SLOWER * self.took + period, SLOWER * self.took_wide + period
+        here, soon, later = motion.at(0.0), motion.at(lead), motion.at(2.0 * lead_wide)
         self.answer = self.best(here, slack)  # a tighter one may have come
         if self.budget.spent:
             return None
         if not self.only_narrow and (self.wide.best(here, slack) is None or self.wide.best(later, slack) is None):
-            return lead + self.reach * (lead + WIDE.ahead), WIDE
-        ahead = self.budget.ahead(self.rivals * self.cost)
+            return lead_wide + self.reach * (lead_wide + WIDE.ahead), WIDE
+        ahead = NARROW.ahead + self.stretch * (self.budget.ahead(self.rivals * self.cost) - NARROW.ahead)
         size = NARROW if ahead <= NARROW.ahead else LONG
         if self.narrow.best(soon, slack) or (size is LONG and self.long.best(soon, slack)):
             return None

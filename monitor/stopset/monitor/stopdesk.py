@@ -85,7 +85,7 @@ class StopDesk:
     @property
     def slowest(self) -> float | None:
         """[s] the category that takes longest lately takes; None before the first answer."""
-        return max((c.took for c in self.counters.values()), default=0.0) if self._ready else None
+        return max((max(c.took, c.took_wide) for c in self.counters.values()), default=0.0) if self._ready else None
 
     @property
     def spending(self) -> dict[str, Any]:

@@ -66,6 +66,12 @@ def needed_factors(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: b
 
     Joints of a coupled model, or of a zonotope, reach into each other's tubes: they share one factor.
     """
+    along = np.maximum(1.0, reached(fit, R, env))
+    return np.asarray(along if decoupled and fit.template is None else np.full(fit.X0.dim // 2, along.max()))
+
+
+def reached(fit: FittedSets, R: Responses, env: Envelope) -> Array:
+    """(n,) the largest share of its tube's half width, about the centre, that ``env`` reaches at each joint (or direction)."""
     last = min(env.steps, len(R.E1) - 1)
     rows = slice(1, last + 1)
     c_lo, c_hi = (x[rows] for x in R.tube(*(Box.point(b.centre) for b in (fit.X0, fit.inputs, fit.V))))
@@ -76,8 +82,7 @@ def needed_factors(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: b
         below = np.where(seen_lo < c_lo, (c_lo - seen_lo) / (c_lo - lo), 0.0)
     worst = np.maximum(above.max(axis=0), below.max(axis=0))
     k = len(worst) // 2
-    along = np.maximum(1.0, worst[:k] if fit.conform == "position" else np.maximum(worst[:k], worst[k:]))
-    return np.asarray(along if decoupled and fit.template is None else np.full(fit.X0.dim // 2, along.max()))
+    return np.asarray(worst[:k] if fit.conform == "position" else np.maximum(worst[:k], worst[k:]))
 
 
 def union(parts: Sequence[Envelope]) -> Envelope:
@@ -105,10 +110,11 @@ def split(motions: Sequence[int]) -> Split:
     return Split(tuple(m for m in ordered if m not in held), held)
 
 
-GIVEN, OTHER_MOTIONS, REPETITIONS, NO_REPETITION = (
+GIVEN, OTHER_MOTIONS, REPETITIONS, SAME_MOTION, NO_REPETITION = (
     "as given",
     "calibrated on motions left out in turn",
     "calibrated on repetitions of the same motions only",
+    "calibrated on parts of the same motions left out in turn",
     "not calibrated, for nothing is repeated",
 )
 
@@ -116,7 +122,7 @@ GIVEN, OTHER_MOTIONS, REPETITIONS, NO_REPETITION = (
 def words(g: Guarantee, trials: int, motions: int, margin: float, how: str, scope: str) -> str:
     """The guarantee in words that are true for two motions and for three hundred.
 
-    ``how`` the margin came about: `GIVEN`, `OTHER_MOTIONS`, `REPETITIONS` or `NO_REPETITION`; ``scope``: what is predicted
+    ``how`` the margin came about: `GIVEN`, `OTHER_MOTIONS`, `REPETITIONS`, `SAME_MOTION` or `NO_REPETITION`; ``scope``: what is predicted
     from where.
     """
     plural = "s" if motions != 1 else ""

@@ -119,11 +119,13 @@ def gather(
     return out.mapped(lambda env: env)
 
 
-def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collection[int] = ()) -> ConformedSets:
+def conform(
+    found: Gathered, problem: SetProblem, trials: int, learnt: Collection[int] = (), unseen: float | None = None
+) -> ConformedSets:
     """Identify ``X0``, ``U``, ``V`` of a linear abstraction from what was gathered up to the horizon.
 
     ``trials``: how many were; ``learnt``: motions that cannot be held out, because a nominal model that was given was fitted
-    to them.
+    to them; ``unseen``: the factor that parts of a motion asked for when they were left out, where nothing else tells it.
     """
     options, alone = problem.options, problem.abstraction.decoupled
     R = problem.responses()
@@ -142,7 +144,7 @@ def conform(found: Gathered, problem: SetProblem, trials: int, learnt: Collectio
         return fit if problem.template is None else enclosing(fit, R, env, decoupled=alone)  # its program sees some of the ages
 
     fit = fitted(list(used.values()))
-    factors, how, notes = _margin(found.halves, problem, used, fitted, R)
+    factors, how, notes = _margin(found.halves, problem, used, fitted, R, unseen)
     chosen = np.full(len(problem.joints), options.margin) if options.margin is not None else factors
     grown = fit.inflated(chosen)
     violated = sum(bool(np.any(g.needed_factors(grown, R, parts[m], decoupled=alone) > 1.0)) for m in division.held)
@@ -208,7 +210,7 @@ def enclosing(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: bool) 
 
 def _margin(
     halves: tuple[Envelope, Envelope], problem: SetProblem, used: dict[int, Envelope],
-    fitted: Callable[[Sequence[Envelope]], FittedSets], R: Responses,
+    fitted: Callable[[Sequence[Envelope]], FittedSets], R: Responses, unseen: float | None,
 ) -> tuple[Array, str, list[str]]:  # fmt: skip
     """The factor of each joint that sets fitted without a part of the data need to enclose that part, worst over all parts.
 
@@ -223,10 +225,12 @@ def _margin(
         factors = np.ones(n)
         for fold in folds:
             rest = [used[m] for m in keys if m not in fold]
-            unseen = g.union([used[m] for m in fold])
-            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, unseen, decoupled=alone))
+            left = g.union([used[m] for m in fold])
+            factors = np.maximum(factors, g.needed_factors(fitted(rest), R, left, decoupled=alone))
         return factors, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(keys)} motions: {_range(factors)}"]
     if not all(h.labels for h in halves):
+        if unseen is not None:
+            return np.full(n, unseen), g.SAME_MOTION, []
         return (
             np.ones(n),
             g.NO_REPETITION,

@@ -84,10 +84,12 @@ class Algorithm:
         return self.remembered[key]
 
 
-def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, progress: Progress = silent) -> ConformedSets:
+def conform_nonlinear(
+    pairs: Pairs, problem: SetProblem, trials: int, progress: Progress = silent, unseen: float | None = None
+) -> ConformedSets:
     """Identify ``X0``, ``U``, ``V`` of any abstraction from the so many trials of ``pairs``; ``progress`` is given how long it takes.
 
-    The sets' grid may be coarser than the problem's.  Raises `NotConformant`.
+    The sets' grid may be coarser than the problem's; ``unseen`` as in `stopset.offline.conform.linear_sets.conform`.  Raises `NotConformant`.
     """
     begun = time.monotonic()
     abstraction, options, dt = problem.abstraction, problem.options, problem.dt
@@ -105,7 +107,7 @@ def conform_nonlinear(pairs: Pairs, problem: SetProblem, trials: int, progress: 
     fit, second = algorithm.fit(used, options.conform), algorithm.fit(used, other)
     rest = (time.monotonic() - begun) * (g.FOLDS + len(division.held) + 1)  # as many windows each
     progress(f"sets of {len(division.used)} motions found; margin and check, about {rest:.0f} s to go")
-    margin, how, notes = _margin(algorithm, data, division.used, options)
+    margin, how, notes = _margin(algorithm, data, division.used, options, unseen)
     chosen = options.margin if options.margin is not None else margin
     grown, companion = fit.inflated(chosen), second.inflated(chosen)
     seen, stride = len(lengths), along.stride_of(sum((N - 1) // every for N in lengths), along.WINDOWS)
@@ -199,7 +201,7 @@ def _retained(pairs: Pairs, trials: int) -> tuple[dict[int, list[tuple[Trial, st
 
 
 def _margin(
-    algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[int], options: Options
+    algorithm: Algorithm, data: dict[int, list[Trial]], used: Sequence[int], options: Options, unseen: float | None
 ) -> tuple[float, str, list[str]]:
     """The factor that sets fitted without a part of the data need to enclose that part, worst over all parts."""
     if options.margin is not None:
@@ -215,6 +217,8 @@ def _margin(
         return factor, g.OTHER_MOTIONS, [f"margin from {len(folds)} folds over {len(used)} motions: {factor:.2f}"]
     halves = [[t for m in used for t in data[m][k::2]] for k in (0, 1)]
     if not all(halves):
+        if unseen is not None:
+            return unseen, g.SAME_MOTION, []
         return 1.0, g.NO_REPETITION, ["no repetition to calibrate a margin on: the sets are those of these trials alone"]
     factor = worst(halves, lambda k: halves[1 - k])
     return (

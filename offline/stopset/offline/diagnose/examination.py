@@ -49,7 +49,7 @@ class Examination:
 
     def steps(self, claims: Sequence[int]) -> list[Step]:
         """Held-out errors before and after each of ``claims`` in turn, the others left out."""
-        return _steps(self.found, self.already, [self.found.claims[k] for k in claims], judge=False)
+        return _steps(self.found, self.already, [self.found.claims[k] for k in claims])
 
 
 def examine(
@@ -93,14 +93,11 @@ def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
     return now
 
 
-def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim], *, judge: bool) -> list[Step]:
-    """Each of ``claims`` beside those before it; ``judge``: those that take too little away are no cause for the next ones."""
+def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[Step]:
+    """Each of ``claims`` beside those before it."""
     out, before, earlier = list[Step](), found.before, list[Candidate]()
-    for claim in claims:
-        c = claim.scored.candidate
+    for c in (claim.scored.candidate for claim in claims):
         out.append(step(already, c, before, found.hyper, earlier))
-        if judge and out[-1].why:
-            continue
         already, before, earlier = already.plus(c), out[-1].after, [*earlier, c]
     return out
 
@@ -117,14 +114,12 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
     sound = [k for k, why in enumerate(objections) if not why]
     sound = [k for place, k in enumerate(sound) if place < limit.HANDFUL]
-    steps = dict(zip(sound, _steps(found, already, [found.claims[k] for k in sound], judge=True), strict=True))
+    steps = dict(zip(sound, _steps(found, already, [found.claims[k] for k in sound]), strict=True))
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
         c, taken = claim.scored.candidate, steps.get(k, Step(error, error, ""))
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
-        why = objections[k] or taken.why
-        if not why and k not in steps:
-            why = f"{limit.HANDFUL} effects are named already: the rest is told in sum"
+        why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),

@@ -42,7 +42,7 @@ from stopset.offline.diagnose.explain import uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
 from stopset.offline.diagnose.search import refine, wanted
-from stopset.offline.identify import absurd
+from stopset.offline.identify import absurd, unseen
 from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
@@ -121,6 +121,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
     ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
+    ("parts left out", unseen, "STRETCHES FEWEST SHORTEST RISK USUAL FREEDOM NOTHING"),
     ("linear program", linear_program, "AGES"),
     ("program", program, "SOLVER_SLACK ROUNDS FIRST MORE STOP_TIME CHARGE"),
     ("monotone sets", monotone_sets, "ROUNDS SETTLED LARGEST"),

@@ -51,7 +51,7 @@ def concluded(run: Run, nominal: NominalPart, form: SetForm, sums: Sums, tally: 
     problem = set_problem(run, nominal.abstraction, form.template)
     gathered = sums.gathered.mapped(lambda env: env.upto(problem.steps))
     learnt = found.learnt_motions
-    result = conform(gathered, problem, found.trials, learnt)
+    result = conform(gathered, problem, found.trials, learnt, nominal.unseen)
     by_band = {}
     if form.bands is not None and found.temp is not None:
         by_band = band_sets(gathered, form.bands, found.temp, result.margins, problem, learnt)

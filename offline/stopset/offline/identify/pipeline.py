@@ -26,7 +26,8 @@ from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
-from stopset.offline.conform.linear_sets import ConformedSets
+from stopset.offline.conform.guarantee import split
+from stopset.offline.conform.linear_sets import ConformedSets, few_motions
 from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.description.agreement import held_to_pinocchio
@@ -34,6 +35,7 @@ from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.ladder import climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.settings import Settings
+from stopset.offline.identify.unseen import unseen
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
@@ -101,6 +103,9 @@ def identified(
     shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))
     nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
     plain = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
+    if chosen.margin is None and found.session.repeats < 2 and few_motions(len(split(sorted(set(found.motion.values()))).used)):
+        factor, note = unseen(fitting, nominal, numbers, progress)
+        plain = replace(plain, unseen=factor, notes=(*plain.notes, *filter(None, [note])))
 
     def formed(asked: Settings) -> NominalPart:
         return swift(abstracted(replace(fitting, settings=asked), numbers, plain), learnt, meta.effort)
@@ -160,7 +165,9 @@ def _with_sets(run: Run, nominal: NominalPart, progress: Progress, scheduler: st
     problem = set_problem(run, nominal.abstraction)
 
     def sets_of(some: Pairs, margin: float | None) -> ConformedSets:
-        return conform_nonlinear(some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, progress)
+        return conform_nonlinear(
+            some, replace(problem, options=replace(problem.options, margin=margin)), found.trials, progress, nominal.unseen
+        )
 
     while True:
         try:

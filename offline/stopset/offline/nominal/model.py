@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
 from stopset.offline.nominal.friction_choice import Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
+from stopset.offline.nominal.nominal import Nominal, identify_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
@@ -39,6 +40,7 @@ class NominalPart:
     """Everything that must be known before the sets; ``data``: the sums it was regressed from, where it was.
 
     ``uncertain_torque`` (n,) [N m]: torque that the recordings leave open, see `stopset.offline.nominal.parameter_uncertainty`.
+    ``unseen``: factor by which sets must be larger than the recordings, where nothing else tells it (`stopset.offline.identify.unseen`).
     """
 
     robot: Robot
@@ -51,6 +53,7 @@ class NominalPart:
     chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
     limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
+    unseen: float | None = None
 
 
 def fit_nominal(
@@ -103,9 +106,7 @@ def _compensated(robot: Robot, found: Survey, settings: Settings) -> NominalPart
 
 
 def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
-    """Motor torque: rigid body, rotors and friction by regression; model 1 with the mean inertia of the poses seen."""
-    from stopset.offline.nominal import identify_nominal
-
+    """Motor torque: rigid body, rotors and friction by regression, laws of friction by evidence."""
     cad = described(robot, known)
     asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
 
@@ -123,6 +124,26 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")
+    notes = (*strange, *(g.says for g in chosen))
+    return replace(_regressed(robot, cad, nominal, found, known, notes), chosen=chosen)
+
+
+def refitted(
+    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...], like: NominalPart
+) -> NominalPart:  # fmt: skip
+    """The laws of ``like``, their numbers from other trials; those of the ``known`` effects are kept."""
+    if like.data is None:
+        return _compensated(robot, found, settings)
+    cad = described(robot, known)
+    trials = [plain(r, cad, known, found.warm(r)) for r in source()]
+    nominal = identify_nominal(cad, lambda: trials, like.data.layout.effects, effort=meta.effort, settings=like.data.settings)
+    return _regressed(robot, cad, nominal, found, known, ())
+
+
+def _regressed(
+    robot: Robot, cad: Robot, nominal: Nominal, found: Survey, known: tuple[Fitted, ...], notes: tuple[str, ...]
+) -> NominalPart:
+    """Model 1 with the mean inertia of the poses seen; ``cad``: the arm as described, with what is known of it."""
     arm = nominal.robot(cad)
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
@@ -133,11 +154,10 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
-    notes = (*strange, *(g.says for g in chosen), *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
-    uncertain_torque = of_regression(cad, nominal, found.sample)
+    notes = (*notes, *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     return NominalPart(
-        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, uncertain_torque, chosen, nominal.limited,
-        nominal.taken_out(),
+        arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
+        limited=nominal.limited, taken_out=nominal.taken_out(),
     )  # fmt: skip
 
 

@@ -57,6 +57,7 @@ def save_sums(path: str | Path, retained: RetainedSums, model: Model) -> None:
         "meta": asdict(retained.meta),
         "notes": list(retained.nominal.notes),
         "doubt": retained.nominal.uncertain_torque.tolist(),
+        "unseen": retained.nominal.unseen,
         "learnt": sorted(retained.learnt),
         "fitted_files": retained.fitted_files,
         "session": asdict(retained.session),
@@ -119,8 +120,9 @@ def load_sums(path: str | Path, model: Model) -> RetainedSums:
 def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> RetainedSums:
     data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
-        model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float)
-    )
+        model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float),
+        unseen=head["unseen"],
+    )  # fmt: skip
     meta = meta_of(head["meta"])
     dt = float(head["dt"])
     steps = round(settings_of(model).horizon / dt)
@@ -192,6 +194,7 @@ def _pack_tally(tally: Tally, arrays: Arrays) -> dict[str, Any]:
         "samples": tally.samples,
         "longest": tally.longest,
         "irregular": tally.irregular,
+        "conditions": sorted(tally.conditions),
     }
 
 
@@ -217,6 +220,7 @@ def _tally(head: Mapping[str, Any], arrays: Arrays) -> Tally:
             )
         ),
         places=head["places"], samples=head["samples"], longest=head["longest"], irregular=head["irregular"],
+        conditions=set(head["conditions"]),
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from stopset.artifact import Model, Revision
 from stopset.errors import ModelFileError, RecordingError
+from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.map_reduce import TrialCounter
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
@@ -38,6 +39,8 @@ from stopset.progress import Progress, silent
 from stopset.recording import Recording, suite_label
 
 __all__ = ["load_state", "save_state", "update"]
+
+WIDEST = 4.0  # times: other motions of the same arm widen its torque sets up to 2.5 times; a load of 2.8 kg did 15 times
 
 
 def save_state(path: str | Path, retained: RetainedSums | RetainedSignals, model: Model) -> None:
@@ -69,15 +72,34 @@ def update(
     paths: Sequence[str | Path],
     progress: Progress = silent,
     scheduler: str | None = None,
+    *,
+    wide: bool = False,
 ) -> Identification:
     """``model`` with the recordings of ``paths`` added to those it was made from, of which ``retained`` is left.
 
     From signals the result is that of all recordings, history aside; from sums that of all recordings with this nominal model.
-    Raises `RecordingError` for recordings that are part of it already or hold another kind of torque.
+    ``wide``: torque sets that grow beyond `WIDEST` are accepted.
+    Raises `RecordingError` for recordings that are part of it already, hold another kind of torque, are of another condition, or make the
+    torque sets that much wider.
     """
-    if isinstance(retained, RetainedSignals):
-        return _again(model, retained, paths, progress, scheduler)
-    return _folded(model, retained, paths, progress, scheduler)
+    updated = _again if isinstance(retained, RetainedSignals) else _folded
+    fresh = updated(model, retained, paths, progress, scheduler)  # type: ignore[arg-type]
+    if not wide:
+        _of_one_arm(model, fresh.model)
+    return fresh
+
+
+def _of_one_arm(before: Model, after: Model) -> None:
+    """Refuse recordings that widen the torque sets as no other motion of the same arm does, margin aside."""
+    key = "sum_U_width_without_margin"
+    old, new = (dict(m.revisions[-1].after).get(key) if m.revisions else None for m in (before, after))
+    if old is None or new is None or new <= WIDEST * old:
+        return
+    raise RecordingError(
+        f"with these recordings the widths of U would grow from {old:.3g} to {new:.3g} N m in sum; expected at most {WIDEST:g} times as "
+        "much of one arm in one condition: look for what differs (payload, tool, day; `stopset inspect --robot` with all files), and "
+        "identify them apart, or take them all the same with --accept-wide"
+    )
 
 
 def _again(
@@ -114,6 +136,8 @@ def _folded(
         tally.add(r)
         if r.phase in STOPS:
             stops.append(r)
+    if not settings.mixed:
+        one_condition(tally.conditions)
     _check_phases(phases, tally, retained)
     found = tally.survey(retained.learnt, retained.session, retained.dt)
     check_signals(robot, meta, found.sample)
