@@ -103,7 +103,7 @@ def _overview(page: Page, rows: Sequence[StopRow]) -> None:
     """Distance and time over speed: one line per payload and category, the worst axis, full extension."""
     from plotly.subplots import make_subplots
 
-    figure = make_subplots(1, 2, subplot_titles=("way of the flange [m]", "time to rest [s]"))
+    figure = make_subplots(1, 2, subplot_titles=("distance of the flange [m]", "time to rest [s]"))
     drawn = False
     for k, category in enumerate(dict.fromkeys(r.category for r in rows)):
         for m, what in enumerate(("tcp_m", "time_s"), 1):
@@ -130,7 +130,7 @@ def _beyond(rows: Sequence[StopRow]) -> str:
 
 
 def _worst_pose(page: Page, model: Model, rows: Sequence[StopRow]) -> None:
-    """The pose of the longest way of the flange, and what the links sweep from there."""
+    """The pose of the longest travel of the flange, and what the links sweep from there."""
     r = farthest(rows)
     if r is None:
         return
