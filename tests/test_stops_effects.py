@@ -35,6 +35,7 @@ from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.friction import acted, torques_of
 from stopset.reach.stops.laws import acting_law
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import fastest, tubes_of
 from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
@@ -356,7 +357,7 @@ def test_a_stop_that_leaves_every_region_it_is_tried_in_is_not_provable(others: 
     q, dq, r = np.array([0.3, 0.4, -0.4]), np.full(3, 0.01), np.full(3, 1e-4)
     for drives, provable in ((50.0, True), (170.0, False)):
         bounds = bounds_of(braked(8.0, 3, effort="motor_torque", effects=[friction("driving", "axis_3", k0=-drives)]))
-        tube = tubes_of(bounds.setting, q, dq, r, r, 1, last_resort=False, fast=True)[-1]
+        tube = tubes_of(bounds.setting, Start(q, dq, r, r), 1, last_resort=False, fast=True)[-1]
         assert (tube.end == OK) == provable == (core_stop(bounds)(q, dq, "0", r, r) is not None)
         assert np.all(np.isfinite(tube.d_hi))  # the tube itself comes to an end, in too small a region
 
