@@ -205,11 +205,17 @@ Level stopset_tick(Instance *c, unsigned clock, int active) {
     return LEVEL_OK;
 }
 
+static const double LONGEST_STEP = 3600.0; /* [s] */
+
 Level stopset_do_step(Instance *c, double t, double h) {
     StopsetState *s = &c->now.s;
     char what[160];
     if (stopset_expect(c, "doStep", IN(PHASE_STEP))) return LEVEL_ERROR;
     if (!(h > 0.0) || !stopset_finite(h)) return stopset_fail(c, "doStep", "the step size is not positive; expected a finite number > 0 [s]");
+    if (h > LONGEST_STEP) {
+        snprintf(what, sizeof what, "a step of %.9g s; expected at most %g s, as an arm is integrated cycle by cycle: divide it", h, LONGEST_STEP);
+        return stopset_fail(c, "doStep", what);
+    }
     /* masters add up their step sizes: rounding of some 1e6 steps is no reason to refuse */
     if (!(fabs(t - s->r[VR_TIME]) <= 1e-9 * (1.0 + fabs(t)) + 1e-6 * h)) {
         snprintf(what, sizeof what, "the communication point %.9g s is not where the FMU stands, %.9g s; continue there or set a state",

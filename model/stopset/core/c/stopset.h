@@ -474,14 +474,15 @@ typedef struct {
     int64_t *oldest;        /* (1,) the greatest age looked at */
 } StopsetHeld;
 
+/* How many doubles [1] `work` of StopsetAlong holds, for predictions of up to `oldest` steps; (n,) joints as in `dynamics`. */
 STOPSET_API int64_t stopset_along_room(const StopsetDynamics *dynamics, int64_t oldest);
 /* Whether predictions along paths are looked at at an age [steps]. */
 STOPSET_API int stopset_looked_at(int64_t age, int64_t oldest);
 /* The next sample belongs to no earlier one. */
 STOPSET_API void stopset_along_forget(const StopsetAlong *along);
-/* Between which bounds (2n,) a reading may be now, by the prediction that began `age` steps ago. */
+/* Between which bounds (2n,) [rad, rad/s] a reading may be now, by the prediction that began `age` steps ago. */
 STOPSET_API void stopset_along_bounds(const StopsetAlong *along, int64_t age, double *lo, double *hi);
-/* A sample x (2n,) with its input u, known to within du (n,); `every`: samples per step. At a step it is held against all predictions
+/* A sample x (2n,) [rad, rad/s] with its input u, known to within du (n,) [N m]; `every`: samples per step. At a step it is held against all predictions
  * that are due, and kept for later ones: returns how many these were; between two steps -1, and `held` is not touched. */
 STOPSET_API int64_t stopset_along_sample(const StopsetAlong *along, int64_t every, const double *x, const double *u, const double *du,
                                          int outside, const StopsetHeld *held);

@@ -165,7 +165,7 @@ static void looseness(const Expansion *E, const Local *at, const Inverse *invers
 static void exchange(const StopsetPlant *plant, const Expansion *E, const Local *at, const Inverse *inverse, const StopsetParts *parts, const Span *v,
                      const Span *p, Span *out, Span *rest) {
     const int n = at->n;
-    double fast[SN], push[SN];
+    double fast[SN] = {0.0}, push[SN];
     Exchange x = {.at = at, .v = v, .p = p, .out = out, .rest = rest, .shared = parts->shared};
     for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
     stops_slopes(plant, E, at, fast, x.start, push, x.beyond);
