@@ -149,6 +149,8 @@ def test_what_has_no_number_somewhere_in_its_intervals_has_no_bound() -> None:
     assert acted(one(q, (t.SQRT, 0, 0))) is None  # a root of less than zero
     assert acted(one((t.SIGNAL, SIGNALS.index("tau"), 0))) is None  # a signal that nobody bounds
     assert acted(one(number, number, (t.MUL, 0, 1), numbers=((1e308, 1e308),))) is None  # beyond double precision
+    lower = (number, (t.CONSTANT, 1, 0), (t.MUL, 0, 1))  # beyond it on the other side
+    assert acted(one(*lower, numbers=((1e308, 1e308), (-1e308, -1e308)))) is None
     assert acted(one(number, (t.EXP, 0, 0), numbers=((800.0, 801.0),))) is None
     assert acted(one((t.SIGNAL, DQ, 0), (t.DIV, 0, 0))) is None  # at rest, or at once
     assert acted(one(q, numbers=((0.0, 0.0),)), q=(math.nan, math.nan)) is None
@@ -220,6 +222,27 @@ def test_a_law_of_the_sign_of_what_never_is_zero_is_a_constant() -> None:
     for off, want in ((2.0, -1.0), (-2.0, 1.0)):
         got = acted(one((t.SIGNAL, DQ, 0), (t.CONSTANT, 0, 0), (t.SUB, 0, 1), (SIGN, 2, 0), numbers=((off, off),)))
         assert got is not None and np.allclose(got, [[0.0, 0.0], [0.0, 0.0], [want, want]], rtol=0.0, atol=1e-12)
+
+
+def test_what_is_made_of_constants_alone_is_one() -> None:
+    """A sign that never changes, times itself, is the number one; times the speed it is the speed, or its opposite."""
+    speed, off = (t.SIGNAL, DQ, 0), (t.CONSTANT, 0, 0)
+    sign = (speed, off, (t.SUB, 0, 1), (SIGN, 2, 0))
+    squared = acted(one(*sign, (t.MUL, 3, 3), numbers=((2.0, 2.0),)))
+    assert squared is not None and np.allclose(squared, [[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]], rtol=0.0, atol=1e-12)
+    for off_at, other in ((2.0, -1.0), (-2.0, 1.0)):
+        got = acted(one(*sign, (t.MUL, 3, 0), numbers=((off_at, off_at),)))
+        want = acted(one(speed, off, (t.MUL, 1, 0), numbers=((other, other),)))
+        assert got is not None and want is not None and np.allclose(got, want, rtol=0.0, atol=1e-12)
+
+
+def test_a_product_is_the_same_in_either_order_where_a_factor_jumps() -> None:
+    speed, off = (t.SIGNAL, DQ, 0), (t.CONSTANT, 0, 0)
+    jumps = (speed, off, (t.SUB, 0, 1), (SIGN, 2, 0))  # at a speed that the joint has
+    one_way, other = (acted(one(*jumps, (t.MUL, *at), numbers=((0.5, 0.5),))) for at in ((3, 0), (0, 3)))
+    assert one_way is not None and other is not None and np.allclose(one_way, other, rtol=0.0, atol=1e-12)
+    far = np.abs(one_way).max(axis=1) @ [1.0, SPEED, 1.0]
+    assert far >= SPEED, "sign(v - 0.5) v at the largest speed"
 
 
 def truth(plant: Any, q: Array, dq: Array, name: str) -> Array:
