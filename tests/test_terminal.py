@@ -43,6 +43,14 @@ def test_a_silent_step_is_told_again_and_a_counted_one_with_what_is_left(capsys:
 
 
 @pytest.mark.usefixtures("brisk")
+def test_a_slow_start_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a busy machine takes to begin: an error after it is read among few lines."""
+    with steps.steps("odd"):
+        time.sleep(0.6)
+    assert stamps(capsys.readouterr().err) == ["begins ... goes on"]
+
+
+@pytest.mark.usefixtures("brisk")
 def test_the_last_time_tells_how_long_the_next_takes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data = tmp_path / "rec"
     data.write_bytes(b"x" * 1000)

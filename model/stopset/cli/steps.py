@@ -21,6 +21,7 @@ from stopset.progress import Progress, left, silent
 
 OFTEN = 2.5  # [s] between two lines of the same step
 LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
+BEGINS = "begins"  # until there is a step
 BLINK = 0.5  # [s] on a terminal
 
 
@@ -30,7 +31,7 @@ class Steps:
     def __init__(self, expected: float | None) -> None:
         self._expected = expected
         self._start = self._begun = self._written = time.monotonic()
-        self._text, self._share = "begins", cast("float | None", None)  # what it does, and the share of that which is done
+        self._text, self._share = BEGINS, cast("float | None", None)  # what it does, and the share of that which is done
         self._tenth = 0  # of the step that were told
         self._live, self._lock, self._over = sys.stderr.isatty(), threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True, name="steps")
@@ -53,7 +54,9 @@ class Steps:
         while not self._over.wait(BLINK):
             with self._lock:
                 now = time.monotonic()
-                pause = BLINK if self._live else OFTEN if now - self._start < LATER else SELDOM
+                # before the first step there is nothing new to say twice: a slow start is not a flood of lines
+                again = self._text == BEGINS and self._written > self._start
+                pause = BLINK if self._live else SELDOM if again or now - self._start > LATER else OFTEN
                 if now - self._written >= pause:
                     self._write(self._text + self._rest(now), whole=False)
 
