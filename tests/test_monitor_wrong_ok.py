@@ -30,7 +30,7 @@ from monitor_process import (
     stopset,
     write_config,
 )
-from patience import Granted, wait
+from patience import Granted, rest, wait
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
 from stopset.monitor.consumer import Fault
@@ -132,7 +132,7 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
             replay.wait(timeout=600)
         assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 150), ear.twins[-1]
         assert ear.wait(lambda: ear.twins[-1]["violation_latched"])
-        time.sleep(1.5)  # the count is saved every second
+        rest(2.0)  # the count is saved every second
         first = ear.twins[-1]
         monitor.kill()
     for damage in ("", "hangup"):

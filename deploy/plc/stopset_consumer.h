@@ -201,4 +201,7 @@ static uint8_t stopset_now(stopset_consumer *c, int64_t now) {
   c->why = stopset_fault(c, now);
   return c->why ? STOPSET_STATE_FAULT : c->last.state;
 }
+/* as it was called before */
+#define stopset_doubt stopset_fault
+
 #endif

@@ -46,19 +46,33 @@
 #define STOPSET_CLASS_DRIFT 7u
 #define STOPSET_CLASS_MISSING_EFFECT 8u
 #define STOPSET_CLASS_ENCODER_JUMP 9u
-#define STOPSET_DOUBT_NONE 0 /* none */
-#define STOPSET_DOUBT_NO_MESSAGE 1 /* no message yet */
-#define STOPSET_DOUBT_UNREADABLE 2 /* a message was damaged or of another version */
-#define STOPSET_DOUBT_FOREIGN 3 /* a message of another data id */
-#define STOPSET_DOUBT_FORGED 4 /* a message whose authentication code is not of a key held here */
-#define STOPSET_DOUBT_OTHER_MODEL 5 /* a message of another model */
-#define STOPSET_DOUBT_OTHER_CONFIG 6 /* a message of another configuration */
-#define STOPSET_DOUBT_REPEATED 7 /* a message repeated or out of order */
-#define STOPSET_DOUBT_UNPROVEN 8 /* no answer to my challenge by this daemon */
-#define STOPSET_DOUBT_SILENT 9 /* silent */
-#define STOPSET_DOUBT_STALE 10 /* the data may be older than they are valid for */
-#define STOPSET_DOUBT_AHEAD 11 /* the data are stamped later than now */
-#define STOPSET_DOUBT_NO_SUCH_STATE 12 /* unknown state code */
+#define STOPSET_FAULT_NONE 0 /* none */
+#define STOPSET_FAULT_NO_MESSAGE 1 /* no message yet */
+#define STOPSET_FAULT_UNREADABLE 2 /* a message was damaged or of another version */
+#define STOPSET_FAULT_FOREIGN 3 /* a message of another data id */
+#define STOPSET_FAULT_FORGED 4 /* a message whose authentication code is not of a key held here */
+#define STOPSET_FAULT_OTHER_MODEL 5 /* a message of another model */
+#define STOPSET_FAULT_OTHER_CONFIG 6 /* a message of another configuration */
+#define STOPSET_FAULT_REPEATED 7 /* a message repeated or out of order */
+#define STOPSET_FAULT_UNPROVEN 8 /* no answer to my challenge by this daemon */
+#define STOPSET_FAULT_SILENT 9 /* silent */
+#define STOPSET_FAULT_STALE 10 /* the data may be older than they are valid for */
+#define STOPSET_FAULT_AHEAD 11 /* the data are stamped later than now */
+#define STOPSET_FAULT_NO_SUCH_STATE 12 /* unknown state code */
+/* as they were called before */
+#define STOPSET_DOUBT_NONE STOPSET_FAULT_NONE
+#define STOPSET_DOUBT_NO_MESSAGE STOPSET_FAULT_NO_MESSAGE
+#define STOPSET_DOUBT_UNREADABLE STOPSET_FAULT_UNREADABLE
+#define STOPSET_DOUBT_FOREIGN STOPSET_FAULT_FOREIGN
+#define STOPSET_DOUBT_FORGED STOPSET_FAULT_FORGED
+#define STOPSET_DOUBT_OTHER_MODEL STOPSET_FAULT_OTHER_MODEL
+#define STOPSET_DOUBT_OTHER_CONFIG STOPSET_FAULT_OTHER_CONFIG
+#define STOPSET_DOUBT_REPEATED STOPSET_FAULT_REPEATED
+#define STOPSET_DOUBT_UNPROVEN STOPSET_FAULT_UNPROVEN
+#define STOPSET_DOUBT_SILENT STOPSET_FAULT_SILENT
+#define STOPSET_DOUBT_STALE STOPSET_FAULT_STALE
+#define STOPSET_DOUBT_AHEAD STOPSET_FAULT_AHEAD
+#define STOPSET_DOUBT_NO_SUCH_STATE STOPSET_FAULT_NO_SUCH_STATE
 
 typedef struct {
   uint32_t magic; /* @0 0x53505453 */

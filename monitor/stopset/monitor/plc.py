@@ -25,7 +25,10 @@ def c_header() -> str:
     states = "\n".join(f"#define STOPSET_STATE_{s.name} 0x{s.value:02X}u" for s in State)
     flags = "\n".join(f"#define STOPSET_FLAG_{f.name} {f.value}u" for f in Flag)
     classes = "\n".join(f"#define STOPSET_CLASS_{k.name} {k.code}u" for k in Kind)
-    faults = "\n".join(f"#define STOPSET_DOUBT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Fault)
+    faults = "\n".join(f"#define STOPSET_FAULT_{d.name} {d.value} /* {SAYS[d] or 'none'} */" for d in Fault)
+    older = "\n".join(
+        f"#define STOPSET_DOUBT_{d.name} STOPSET_FAULT_{d.name}" for d in Fault
+    )  # programs that were written with these names
     return f"""/* {_NOTE} Little-endian hosts. */
 #ifndef STOPSET_STATE_H
 #define STOPSET_STATE_H
@@ -47,6 +50,8 @@ def c_header() -> str:
 {flags}
 {classes}
 {faults}
+/* as they were called before */
+{older}
 
 typedef struct {{
 {rows}
