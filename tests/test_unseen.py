@@ -16,7 +16,7 @@ from stopset.offline.compare.compare import compare
 from stopset.offline.conform import guarantee as g
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
-from stopset.offline.identify.unseen import FEWEST, RISK, STRETCHES, foretold, stretches
+from stopset.offline.identify.unseen import FEWEST, RISK, STRETCHES, factor_expected, stretches
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot import Robot
 from synthetic import arm as planar
@@ -90,11 +90,11 @@ def test_what_is_left_out_is_apart_from_what_is_fitted() -> None:
 
 def test_what_is_foretold_of_another_block() -> None:
     rng = np.random.default_rng(0)
-    assert foretold(np.full(8, 0.5)) == 1.0, "sets never shrink"
-    assert foretold(np.array([1.0, 1.1, 0.9, 3.0])) >= 3.0, "no less than what was seen, where that is little"
-    assert foretold(np.exp(rng.normal(0, 0.6, 8))) > foretold(np.exp(rng.normal(0, 0.1, 8)))
+    assert factor_expected(np.full(8, 0.5)) == 1.0, "sets never shrink"
+    assert factor_expected(np.array([1.0, 1.1, 0.9, 3.0])) >= 3.0, "no less than what was seen, where that is little"
+    assert factor_expected(np.exp(rng.normal(0, 0.6, 8))) > factor_expected(np.exp(rng.normal(0, 0.1, 8)))
     for count in (5, 8, 12, 30):
-        held = [x[-1] <= foretold(x[:-1]) for x in np.exp(rng.normal(0.2, 0.3, (2000, count + 1)))]
+        held = [x[-1] <= factor_expected(x[:-1]) for x in np.exp(rng.normal(0.2, 0.3, (2000, count + 1)))]
         assert np.mean(held) >= 1 - RISK - 0.02, count
 
 

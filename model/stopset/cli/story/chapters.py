@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import load_model
-from stopset.cli.story.cell import MonitoredCell, Subscriber, sig
+from stopset.cli.story.cell import ARM, MonitoredCell, Subscriber, sig
 from stopset.cli.story.telling import Asides, Story, hold, process, show, until
 from stopset.monitor.layout import State
 from stopset.recording import Recording, read_meta, read_recordings, write_recordings
@@ -240,8 +240,8 @@ def cleared(story: Story, cell: MonitoredCell, ear: Subscriber, models: tuple[Pa
         # a machine that is busy with everything else makes gaps of its own
         hold(gap < max(SILENT, 3.0 * usual), f"the messages go on while a model is rolled out, the longest gap was {gap:.2f} s")
         story.step(f"rolled out without a gap (longest {1000 * gap:.0f} ms), still not OK")
-        who = ("--name", "A. Smith", "--reason", f"the {models[1].name} knows what changed")
-        story.do("reset", *who, "--connect", cell.endpoint, "--arm", "demo/cell/arm")
+        who = ("--name", "A. Smith", "--reason", f"{models[1].name} knows what changed")
+        story.do("reset", *who, "--connect", cell.endpoint, "--arm", ARM)
         seq = until(lambda: ear.event("reset"), "the reset is published")["seq"]
         hold(State.OK not in ear.said(ear.life, -1, seq), "nothing is OK before a person has looked")
         until(lambda: ear.says("OK"), "the arm with its new model is OK")

@@ -3,7 +3,7 @@
 The trials are cut into blocks of time.  Stretches of neighbouring blocks are left out in turn, of the nominal model and of the sets alike,
 with a guard interval, and every block left out says by which factor the sets would have had to be larger: model error outside of
 the fit, and extremes that a short recording has not seen yet.  Another block, if it is as these were, asks for no more than their quantile;
-where there are too few for one, it is Student's t of the factors' logarithms that foretells it, with a usual scatter beside
+where there are too few for one, it is Student's t of the factors' logarithms that predicts it, with a usual scatter beside
 the seen one, which a few blocks know badly.  Blocks of one motion say nothing of other motions.
 
 Source: Barber, Candes, Ramdas & Tibshirani (2021), Predictive inference with the jackknife+; Smyth (2004), Linear models and empirical
@@ -64,7 +64,7 @@ def unseen(run: Run, nominal: NominalPart, known: tuple[Fitted, ...], progress: 
             continue  # what is left shows too little of the arm
     if len(reach) < FEWEST // 2:
         return None, ""
-    factor = foretold(np.array(reach))
+    factor = factor_expected(np.array(reach))
     long = float(np.median([b.t[-1] - b.t[0] for s in parts for b in s.out]))
     return factor, (
         f"margin {factor:.2f} from {len(reach)} blocks of {long:.1f} s that were left out in turn of fit and sets and asked for {max(reach):.2f} "
@@ -73,7 +73,7 @@ def unseen(run: Run, nominal: NominalPart, known: tuple[Fitted, ...], progress: 
     )
 
 
-def foretold(reach: Array) -> float:
+def factor_expected(reach: Array) -> float:
     """The factor, at least 1, that another block stays below with a probability of `RISK` to be wrong; ``reach`` (blocks,)."""
     count, x = len(reach), np.log(np.maximum(reach, NOTHING))
     rank = int(np.ceil((count + 1) * (1.0 - RISK)))
