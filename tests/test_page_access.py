@@ -247,7 +247,8 @@ def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path
         "inspect": [str(folder / "rec.parquet")], "compare": [model, *data], "diagnose": [model, *data], "history": [model], "stops": [model],
     }  # fmt: skip
     for command, words in asked.items():
-        assert main([command, *words, "--quiet", "--report", str(tmp_path / f"{command}.html")]) == (command == "stops"), command  # no brakes are known: refusals
+        done = main([command, *words, "--quiet", "--report", str(tmp_path / f"{command}.html")])
+        assert done == (command == "stops"), command  # no brakes are known: refusals
     page = Report("All of it")
     for kind in ("", "good", "bad"):
         page.verdict("A sentence", kind)
