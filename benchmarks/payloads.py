@@ -14,7 +14,6 @@ every third free recording, and halves of the loaded ones.  Parts of one recordi
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
