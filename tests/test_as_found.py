@@ -170,7 +170,9 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     campaign = campaign_of(arm(), paths[:2])
     assert check_files(arm(), campaign.meta, campaign.trials(), mixed=False) == ()
     campaign = campaign_of(arm(), paths)
-    with pytest.raises(RecordingError, match=rf"loaded.parquet, .*as if about {found[1]} kg more .*--condition payload=KG@FILE.*--mixed"):
+    with pytest.raises(
+        RecordingError, match=rf"loaded.parquet, .*as if about {found[1]} kg more .*--condition payload=KG@FILE.*--mixed"
+    ):
         identified(arm(), campaign, Settings())
     assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
 

@@ -70,7 +70,15 @@ def test_a_loaded_recording_among_free_ones_makes_no_model(shared_data, tmp_path
     """Together they made one whose torque sets held the load: 502 N m wide in sum, and 107 N m without it."""
     folder: Path = shared_data("ur10e")
     out = tmp_path / "m.model.json"
-    words = ["identify", "--robot", str(folder / "robot.urdf"), "--out", str(out), "--data", str(folder / "identification.parquet")]
+    words = [
+        "identify",
+        "--robot",
+        str(folder / "robot.urdf"),
+        "--out",
+        str(out),
+        "--data",
+        str(folder / "identification.parquet"),
+    ]
     assert main([*words, str(folder / "payload_a.parquet")]) == 2
     said = capsys.readouterr().err
     assert "payload_a.parquet" in said and "kg more hung at the flange" in said and "--condition payload=KG@FILE" in said
