@@ -19,7 +19,7 @@ from stopset.fmu.stops import bounds_of
 from stopset.offline.stops.table import Question, along_path
 from stopset.reach.stops.path import Path, path_stop
 from stopset.types import Array
-from test_fmu_stops import braked, braking, effects_of_pose, equals, ramped, silent
+from test_fmu_stops import braking, effects_of_pose, equals, ramped, silent
 
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -95,7 +95,14 @@ def test_an_arm_that_is_elsewhere_has_no_stop_along_the_path(made: dict[str, tup
         assert silent(u, model, "path_stop"), "no path is followed yet"
         follow(u, model, path, 0.7, 0.8)
         assert u.get("path_stop_certified") == 1
-        for row, rate, off in ((0.7, 0.8, 0.1), (0.7, 30.0, 0.0), (4.999, 1.0, 0.0), (0.7, 0.0, 0.0), (-1.0, 0.8, 0.0), (9.0, 0.8, 0.0)):
+        for row, rate, off in (
+            (0.7, 0.8, 0.1),
+            (0.7, 30.0, 0.0),
+            (4.999, 1.0, 0.0),
+            (0.7, 0.0, 0.0),
+            (-1.0, 0.8, 0.0),
+            (9.0, 0.8, 0.0),
+        ):
             follow(u, model, path, row, rate, off)
             assert silent(u, model, "path_stop"), (row, rate, off)
         follow(u, model, path, 0.7, 0.8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_output_options, check_outputs, path_rows, say, write_json
 from stopset.cli.steps import steps
 
 HELP = "write the model as an FMU (FMI 2.0 or 3.0) that runs without Python"
@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export; exit code 0."""
-    from stopset.cli.path_rows import path_rows
     from stopset.errors import OutputError
     from stopset.fmu import Contents, export
     from stopset.fmu.build import chosen

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-
 HELP = "stop-time and stop-distance tables: STOP 0, 1 (nominal and guaranteed) and 2; or one pose with --at"
 
 
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
-    from stopset.cli.path_rows import path_rows
+    from stopset.cli.common import path_rows
     from stopset.cli.steps import steps
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed

@@ -804,7 +804,7 @@ typedef struct {
  * leads through states not seen; nothing says when the arm rests; brakes do not surely hold it. */
 enum {
     STOPSET_PATH_ENDS = 10, STOPSET_PATH_BEYOND, STOPSET_PATH_SPEED, STOPSET_PATH_WEAK, STOPSET_PATH_FAST, STOPSET_PATH_SHORT,
-    STOPSET_PATH_UNSEEN, STOPSET_PATH_RESTLESS, STOPSET_PATH_FALLS
+    STOPSET_PATH_UNSEEN, STOPSET_PATH_UNSETTLED, STOPSET_PATH_FALLS
 };
 
 /* What a stop passes; s in rows of the path [1]. */

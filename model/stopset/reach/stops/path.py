@@ -166,8 +166,8 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
         raise NotCovered(_refusal(code, bounds.model, path, passed, ds))
     poses, most = passed.poses, work.size // (1 + 2 * n)
     s, q, dq = work[:poses], work[most:][: poses * n].reshape(-1, n), work[most * (1 + n) :][: poses * n].reshape(-1, n)
-    told = Passed(s, q, dq, passed.rate, *path.steepest(s0, s0 + passed.length))
-    return PathStop(passed.length, passed.time, q, passed.room, _judged(bounds, setting, ramp, told, out))
+    taken = Passed(s, q, dq, passed.rate, *path.steepest(s0, s0 + passed.length))
+    return PathStop(passed.length, passed.time, q, passed.room, _judged(bounds, setting, ramp, taken, out))
 
 
 def path_fields(setting: Setting, path: Path) -> dict[str, Array]:

@@ -367,7 +367,7 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     bound(&t, s, passed, out);
     for (int i = 0; i < t.n; i++) out->time[i] = passed->time + after;
     if (!seen(&t, passed)) return STOPSET_PATH_UNSEEN;
-    if (!(after >= 0.0)) return STOPSET_PATH_RESTLESS;
+    if (!(after >= 0.0)) return STOPSET_PATH_UNSETTLED;
     const double *last = passed->q + (passed->poses - 1) * t.n;
     return stops_held(stops, passed->q, t.off) && stops_held(stops, last, t.off) ? STOPSET_OK : STOPSET_PATH_FALLS;
 }
