@@ -51,3 +51,14 @@ def test_friction_grows_with_the_load_at_shoulder_and_elbow(model: Model) -> Non
     found = {f.label: f for f in model.effects}
     for joint in (SHOULDER, ELBOW):
         assert found[f"load_coulomb:{joint}"].values["k_lift"] > 0
+
+
+@pytest.mark.shared
+def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Without free recordings the description is all it is held against; what is usual of loads drew it to 0.9 +- 0.9 kg."""
+    folder: Path = shared_data("ur10e")
+    model = identify(load_robot(folder / "robot.urdf"), [folder / "payload_b.parquet"]).model
+    found = diagnose_model(model, read_recordings(folder / "payload_b.parquet"), ["payload"])[0]
+    m = next(r for r in found.ranked if r.effect == "payload").parameters["m"]
+    assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std
+    assert m.value > 1.96 * m.std  # it is known to hang there
