@@ -178,7 +178,7 @@ def test_outside_the_domain_is_named_and_not_conformant() -> None:
 
 
 def test_payload_beyond_the_identified_one_is_unknown() -> None:
-    assert "payload" in Watch(known_model(), payload=2.0).step(samples(motion(0, 2))[0]).why
+    assert "payload" in Watch(known_model(), payload=(2.0, 2.0)).step(samples(motion(0, 2))[0]).why
 
 
 def test_an_error_inside_is_fault_and_nothing_survives_it() -> None:

@@ -127,7 +127,7 @@ class Still(Hand):
 
 
 def beside(cost: float) -> Beside:
-    desk = Beside("", seen_by(prbt_like()), Stops(("0",)), 0.0, Quantum.none(N), clock=Still())
+    desk = Beside("", seen_by(prbt_like()), Stops(("0",)), None, Quantum.none(N), clock=Still())
     desk.cost = cost
     return desk
 
@@ -196,7 +196,7 @@ def test_what_a_wide_box_takes_says_nothing_of_near_ones() -> None:
 @pytest.fixture
 def desk(tmp_path: Path) -> StopDesk:
     save_model(prbt_like(), tmp_path / "m.model.json")
-    return StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",), rate_hz=1000.0), 0.0, Quantum.none(N), clock=Hand())
+    return StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",), rate_hz=1000.0), None, Quantum.none(N), clock=Hand())
 
 
 def passed(desk: StopDesk, period: float = 1.0) -> list[bool]:
