@@ -54,6 +54,7 @@ LEFT_OUT = (
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
+    ("stopset.offline.identify.signals_file", "*", FORMAT),
     ("stopset.offline.identify.pipeline", "FITTING", WORDS),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
