@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import can
 import numpy as np
+from mcap.writer import CompressionType, Writer
 
 from monitor_arm import known_model, motion
 from stopset.artifact import load_model, save_model
@@ -48,11 +49,13 @@ from stopset.monitor.replay import signal_rows
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
+from stopset.recording.seen import open_seen
 
 PROFILE = load_profile("lwa4p/monitor")
 SPICE = [
-    b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"[" * 2000, b"{" * 2000, b'"', b"null", b"inf",
-    b"\n", b"=", b"0x", b"\xc3", b"{}", b"[]", b"true", b"-0", b"\x80" * 8, b"1_000", b"'''", b"\\u0000",
+    b"\0", b"\xff", b"\xff\xff\xff\xff",
+    b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"9" * 5000, b"[" * 2000, b"{" * 2000, b'"', b"null",
+    b"inf", b"\n", b"=", b"0x", b"\xc3", b"{}", b"[]", b"true", b"-0", b"\x80" * 8, b"1_000", b"'''", b"\\u0000",
 ]  # fmt: skip
 
 
@@ -154,6 +157,22 @@ def viewer(data: bytes) -> None:
     view.snapshot()
 
 
+def record(compression: CompressionType) -> bytes:
+    """A monitor's own, of 20 cycles; not compressed, changes reach what reads the JSON in it."""
+    out, r = io.BytesIO(), motion(0, 20)
+    w = Writer(out, compression=compression)
+    w.start()
+    w.add_metadata(
+        "stopset", {"joints": ",".join(known_model().joints), "cycle_s": "0.004", "robot": "a", "effort": "motor_torque"}
+    )
+    channel = w.register_channel("stopset/joint_states", "json", w.register_schema("stopset.JointStates", "jsonschema", b"{}"))
+    for k in range(20):
+        row = {"k": k, "position": r.q[k].tolist(), "velocity": r.dq[k].tolist(), "effort": r.tau[k].tolist()}
+        w.add_message(channel, k, json.dumps(row).encode(), k)
+    w.finish()
+    return out.getvalue()
+
+
 def good_inputs(folder: Path) -> dict[str, list[bytes]]:
     """What each parser is made for."""
     names = known_model().joints
@@ -183,8 +202,6 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
             "insert into messages (topic_id, timestamp, data) values (1, ?, ?)", [(k, to_cdr(states[k % 3])) for k in range(20)]
         )
         x.commit()
-    from mcap.writer import Writer
-
     out = io.BytesIO()
     w = Writer(out)
     w.start()
@@ -206,7 +223,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
         "configuration": [config], "profile": [PROFILE.dcf.with_name("monitor.toml").read_bytes()], "keys": [f"1 {'11' * 32}\n".encode()],
         "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
-        "MCAP": [out.getvalue()], "db3": [db.read_bytes()],
+        "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
     }  # fmt: skip
 
@@ -223,6 +240,9 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     def bag(path: Path) -> object:
         return list(trials_of_bag(path, "/joint_states", None, None, 0))
 
+    def seen(path: Path) -> object:
+        return list(open_seen(path)[1])
+
     def log(path: Path) -> object:
         return list(trials_of_log(path, PROFILE, PROFILE.cycle_s))
 
@@ -232,7 +252,8 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     files: dict[str, tuple[str, Callable[[Path], object], Path]] = {
         "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
         "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda _: profile(beside / "p.toml"), beside),
-        "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder), "db3": (".db3", bag, folder),
+        "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
+        "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
     }  # fmt: skip
     memory: dict[str, Callable[[bytes], object]] = {
