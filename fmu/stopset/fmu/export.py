@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import tempfile
 import zipfile
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.artifact.signature import ORIGIN, revision_of
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
@@ -91,6 +93,8 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         files["terminalsAndIcons/icon.png"] = icon()
         files["sources/buildDescription.xml"] = build_description(name, units).encode()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
+    said = {"robot": model.robot.name, "model_sha256": model.sha256, "revision": revision_of(model)}
+    files[ORIGIN] = (json.dumps(said, indent=1) + "\n").encode()
     files["documentation/index.html"] = _documentation(model).encode()
     if contents.reference:
         files |= {f"documentation/{file}": content.encode() for file, content in reference_texts(model).files(name).items()}

@@ -241,17 +241,28 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
 
 
 def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
-    from stopset.offline.stops.shown import axis_name, extrapolations, up
+    """The answer; every row, with what it says of itself as a number; each such remark once; what the numbers rest on."""
+    from stopset.offline.stops.shown import answered, axis_name, extrapolations, refusals, remarks, up
     from stopset.offline.stops.table import holding
 
     wide = max(len(axis_name(r.joint)) for r in rows) + 2
+    number = refusals(rows)
+    say(answered(rows))
     say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
-    for r in rows:
-        head = f"{r.category:<13}{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
-        if r.answered:
-            say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}{'  ' + r.why if r.why else ''}")
-        else:
-            say(f"{head}  {r.why}")
+    for category in dict.fromkeys(r.category for r in rows):
+        mine = [r for r in rows if r.category == category]
+        refused = len({r.why for r in mine}) == 1 and not any(r.answered for r in mine)  # all of them, and for one reason
+        for r in mine[:1] if refused else mine:
+            at = f"{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
+            shown = (
+                [up(x, d) for x, d in ((1e3 * r.time_s, 1), (r.angle_rad, 4), (1e3 * r.tcp_m, 1))] if r.answered else ["-"] * 3
+            )
+            numbers = "".join(f"{x:>{width}}" for x, width in zip(shown, (9, 11, 9), strict=True))
+            marks = " ".join(f"[{number[part]}]" for part in remarks(r))
+            beyond = "EXTRAPOLATED " if r.extrapolated else ""
+            say(f"{category:<13}{'every row' if refused else at:<{wide + 23}}{numbers}  {beyond}{marks}".rstrip())
+    for part, k in number.items():
+        say(f"[{k}] {part}")
     if beyond := extrapolations(rows):
         say(beyond)
     for s in separations:
