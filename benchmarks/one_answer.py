@@ -21,7 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,17 +123,17 @@ def simulated(arm: str, name: str, seed: int) -> dict[str, Any]:
     return contradictions(robot, model, data, own=not pair)
 
 
-def real(folder: Path) -> dict[str, dict[str, Any]]:
-    """A robot's own recording, then every other one against its model."""
-    robot = load_robot(folder / "robot.urdf")
-    first = folder / "identification.parquet"
+def real(folder: Path, shipped: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A robot's own recording, then every other one against its model; ``shipped``: the arm where the folder has no description."""
+    urdf, paths = folder / "robot.urdf", sorted(folder.glob("*.parquet"))
+    robot = load_robot(urdf if urdf.exists() else shipped)
+    first = next((p for p in paths if p.stem == "identification"), paths[0])
     own = read_recordings(first, robot)
     model = identified(robot, campaign(own), Settings()).model
-    out = {"own": contradictions(robot, model, own, own=True)}
-    for path in sorted(folder.glob("*.parquet")):
+    yield "own", contradictions(robot, model, own, own=True)
+    for path in paths:
         if path != first:
-            out[path.stem] = contradictions(robot, model, read_recordings(path, robot), own=False)
-    return out
+            yield path.stem, contradictions(robot, model, read_recordings(path, robot), own=False)
 
 
 def count(out: Path) -> None:
@@ -154,6 +154,7 @@ def main() -> None:
     parser.add_argument("command", choices=("simulated", "real", "count"))
     parser.add_argument("where", nargs="*")
     parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--arm", default="lwa4p", help="shipped arm of a real folder without robot.urdf")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
@@ -175,7 +176,7 @@ def main() -> None:
             print(file.stem, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     elif args.command == "real":
         for folder in map(Path, args.where):
-            for name, answer in real(folder).items():
+            for name, answer in real(folder, args.arm):
                 (args.out / f"{folder.name}_{name}.json").write_text(json.dumps(answer, default=str))
                 print(folder.name, name, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     count(args.out)

@@ -173,7 +173,7 @@ def workbench(camera: Camera, demo: Path) -> None:
         camera.take(
             server.url,
             "workbench",
-            "document.querySelectorAll('.heat button').length && !document.getElementById('stage').hidden",
+            "document.querySelectorAll('.heat button').length && !document.getElementById('stage').hidden && scene",
         )
         server.shutdown()
         server.server_close()

@@ -129,7 +129,7 @@ def test_every_sample_s_verdict_is_the_monitor_s(exported: Any, name: str, push:
     q, dq = q + 0.3 * rng.uniform(V.lo[:n], V.hi[:n], q.shape), dq + 0.3 * rng.uniform(V.lo[n:], V.hi[n:], q.shape)
     temp = np.full((rows, n), TEMP)
     temp[20, 1] = 60.0
-    watch, seen = watch_for(model, Quantum.none(n), 0.0, (0.0, 1.0), h), set()
+    watch, seen = watch_for(model, Quantum.none(n), None, (0.0, 1.0), h), set()
     with unit(exported(model, name)) as u:
         # the unit's own prediction is not what is compared here: it begins where the arm never is refuted
         u.set(dict(zip([f"{s}_start_{j}" for s in ("q", "dq") for j in model.joints], [*q[0], *dq[0]], strict=True)))

@@ -127,7 +127,7 @@ def test_every_sample_s_verdict_is_the_monitor_s(exported: Any, name: str, push:
     q, dq = q + 0.3 * rng.uniform(V.lo[:n], V.hi[:n], q.shape), dq + 0.3 * rng.uniform(V.lo[n:], V.hi[n:], q.shape)
     temp = np.full((rows, n), TEMP)
     temp[20, 1] = 60.0
-    watch = Watch(model, Quantum.none(n), 0.0, (0.0, 0.0))
+    watch = Watch(model, Quantum.none(n), None, (0.0, 0.0))
     said = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2}
     seen = set()
     with unit(exported(model, name)) as u:

@@ -178,7 +178,7 @@ def test_outside_the_domain_is_named_and_not_conformant() -> None:
 
 
 def test_payload_beyond_the_identified_one_is_unknown() -> None:
-    assert "payload" in Watch(known_model(), payload=2.0).step(samples(motion(0, 2))[0]).why
+    assert "payload" in Watch(known_model(), payload=(2.0, 2.0)).step(samples(motion(0, 2))[0]).why
 
 
 def test_an_error_inside_is_fault_and_nothing_survives_it() -> None:
@@ -497,6 +497,7 @@ GOOD = 'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n'
         (GOOD + "[publish]\nvalid_for_ms = 0", "valid_for_ms is 0"),
         (GOOD + "[publish]\nrecover_s = nan", "recover_s is nan"),
         ("payload_kg = nan\n" + GOOD, "payload_kg is nan"),
+        (f"payload_kg = {'9' * 5000}\n" + GOOD, "TOML"),
     ],
 )
 def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Path) -> None:

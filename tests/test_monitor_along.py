@@ -83,7 +83,7 @@ def read(model: Model, seed: int, samples: int = 300, push: Box = U) -> tuple[Ar
 
 
 def verdicts(model: Model, x: Array, tau: Array, quantum: Quantum = NONE) -> tuple[Counter[Conformance], WatchAlong]:
-    watch = watch_for(model, quantum, 0.0, (0.0, 1.0), DT)
+    watch = watch_for(model, quantum, None, (0.0, 1.0), DT)
     assert isinstance(watch, WatchAlong)
     said = Counter(watch.step(Sample(k, DT * k, x[k, :6], x[k, 6:], tau[k])).conformance for k in range(len(x)))
     return said, watch
@@ -126,7 +126,7 @@ def test_the_tube_is_that_of_the_comparison(which: str) -> None:
     """What `predicted_tube` gives, which identification and compare use, from the states and mean torques of its grid."""
     model = MODELS[which]()
     x, tau = read(model, 3, 201)
-    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    watch = watch_for(model, NONE, None, (0.0, 1.0), DT)
     assert isinstance(watch, WatchAlong)
     every = watch.every
     for k in range(len(x)):
@@ -152,7 +152,7 @@ def test_rounding_of_the_bus_never_flags_a_conformant_arm() -> None:
 def test_a_gap_a_bad_number_and_another_domain_give_no_verdict() -> None:
     model = curved()
     x, tau = read(model, 0, 60)
-    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    watch = watch_for(model, NONE, None, (0.0, 1.0), DT)
     for k in (*range(30), 32):
         v = watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k]))
     assert v.conformance is Conformance.UNKNOWN and v.why.startswith("gap")
@@ -166,7 +166,7 @@ def test_a_gap_a_bad_number_and_another_domain_give_no_verdict() -> None:
 def test_sets_that_conform_from_the_start_are_used_from_the_start_only() -> None:
     model = curved(horizon=0.2, windows="start")
     x, tau = read(model, 0, 120)
-    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    watch = watch_for(model, NONE, None, (0.0, 1.0), DT)
     said = [watch.step(Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k])) for k in range(120)]
     assert [k for k, v in enumerate(said) if v.conformance is Conformance.CONFORMANT] == list(range(1, 51))
 
@@ -215,7 +215,7 @@ def test_a_sample_is_held_against_what_is_due(which: str) -> None:
     sets, paths = model.powered, not model.abstraction.decoupled
     x, tau = read(model, 4, 200)
     tau[110:, 1] += 60.0  # from here on refuted
-    watch = watch_for(model, NONE, 0.0, (0.0, 1.0), DT)
+    watch = watch_for(model, NONE, None, (0.0, 1.0), DT)
     assert isinstance(watch, WatchAlong)
     every, steps, sliding = watch.every, len(watch.ages) - 1, sets.windows == "sliding"
     looks = [a for a in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64) if a < steps] + [steps]
@@ -283,7 +283,7 @@ def test_ages_reach_the_horizon() -> None:
 def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
     save_model(curved(), tmp_path / "m.model.json")
     model = load_model(tmp_path / "m.model.json")
-    assert isinstance(watch_for(model, NONE, 0.0, (0.0, 1.0), DT), WatchAlong)
+    assert isinstance(watch_for(model, NONE, None, (0.0, 1.0), DT), WatchAlong)
 
 
 @pytest.mark.parametrize("which", MODELS)

@@ -66,7 +66,7 @@ def test_the_override_is_proven_for_all_slower_speeds(tmp_path: Path) -> None:
     """By the stop bounds themselves, on an arm that moves; a speed just above the answer's next stretch is not kept."""
     path = tmp_path / "arm.model.json"
     save_model(known_model(), path)
-    prepared, why = prepare(str(path), 0.0, Stops(("0",)))
+    prepared, why = prepare(str(path), None, Stops(("0",)))
     assert prepared is not None, why
 
     def bound(lo: Array, hi: Array) -> Numbers:

@@ -164,7 +164,7 @@ def test_a_law_of_time_is_refused_and_never_taken_at_time_zero(own_effect: Effec
         Watch(lasting(own_effect.name, values))
     with pytest.raises(NotCovered, match="time since its recording began"):
         watch_for(
-            replace(lasting(own_effect.name, values), abstraction=curved().abstraction), Quantum.none(6), 0.0, (0.0, 1.0), DT
+            replace(lasting(own_effect.name, values), abstraction=curved().abstraction), Quantum.none(6), None, (0.0, 1.0), DT
         )
 
 

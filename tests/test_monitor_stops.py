@@ -82,7 +82,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
     assert layers.count("energy") >= 4, "these states need the kinetic energy"
     assert np.median(spent[True]) < 0.5 * np.median(spent[False])
     save_model(ur5_like(), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), 0.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), None, Quantum.none(6))
     try:
         until, busy, reported = time.monotonic() + 60.0, [], 0
         while reported < 20 and time.monotonic() < until:
@@ -99,7 +99,7 @@ def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: 
 
 def test_a_payload_the_model_does_not_cover_has_no_bound_and_one_sentence(tmp_path: Path) -> None:
     save_model(prbt_like((0.0, 0.25)), tmp_path / "m.model.json")
-    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), 3.0, Quantum.none(6))
+    desk = StopDesk(str(tmp_path / "m.model.json"), SEEN, Stops(("0",)), (3.0, 3.0), Quantum.none(6))
     try:
         until, numbers, fresh = time.monotonic() + 60.0, {}, False
         while not fresh and time.monotonic() < until:

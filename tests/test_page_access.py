@@ -118,12 +118,19 @@ def test_bad_states_are_told_apart_without_colour(browser: Any) -> None:
     assert len(set(marks.values())) == len(marks)
 
 
-def test_every_number_is_in_sight_on_a_telephone(browser: Any) -> None:
-    """No table is wider than what holds it: the flange's distance was cut off once."""
-    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+@pytest.mark.parametrize("size", [(390, 844), (1250, 900), (1920, 1080)])
+def test_every_number_is_in_sight(browser: Any, size: tuple[int, int]) -> None:
+    """No table is wider than what holds it: the flange's distance was cut off once on a telephone, and once on a desk."""
+    daemon = moving(State.VIOLATION)
+    reported = json.loads(daemon.words)
+    reported["stops"]["1 guaranteed"] = {"time_s": 1.843, "tcp_m": 1.478, "why": "", "joints": {}}
+    daemon.words = json.dumps(reported).encode()
+    daemon.speak()
+    seen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", seen)
     try:
-        with shown(moving(State.VIOLATION).view, browser, "VIOLATION"):
+        with shown(daemon.view, browser, "VIOLATION"):
+            assert wait(lambda: "1478 mm" in browser.find_element("id", "stops").text)
             wide = browser.execute_script(
                 "return [...document.querySelectorAll('.wide')]"
                 ".map(d => [d.firstElementChild.id, d.scrollWidth - d.clientWidth]).filter(x => x[1] > 0)"
@@ -235,12 +242,13 @@ def test_a_violation_is_on_the_page_within_a_fifth_of_a_second(browser: Any) -> 
 
 def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path: Path) -> None:
     folder = planar[0]
-    assert (
-        main(
-            ["compare", str(folder / "m.model.json"), "--data", str(folder / "rec.parquet"), "--report", str(tmp_path / "c.html")]
-        )
-        == 0
-    )
+    model, data = str(folder / "m.model.json"), ["--data", str(folder / "rec.parquet")]
+    asked = {
+        "inspect": [str(folder / "rec.parquet")], "compare": [model, *data], "diagnose": [model, *data], "history": [model], "stops": [model],
+    }  # fmt: skip
+    for command, words in asked.items():
+        done = main([command, *words, "--quiet", "--report", str(tmp_path / f"{command}.html")])
+        assert done == (command == "stops"), command  # no brakes are known: refusals
     page = Report("All of it")
     for kind in ("", "good", "bad"):
         page.verdict("A sentence", kind)
@@ -249,7 +257,7 @@ def test_reports_are_for_everybody(planar: Any, browser: Any, axe: str, tmp_path
     with page.fold("More"):
         page.table(("joint", "n"), [("a", 1.0)], "A table")
     page.save(tmp_path / "all.html")
-    for name in ("c.html", "all.html"):
+    for name in (*(f"{command}.html" for command in asked), "all.html"):
         browser.get((tmp_path / name).as_uri())
         browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
         assert wait(lambda: browser.execute_script("return [...document.querySelectorAll('.plot')].every(d => d._fullLayout)"))

@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from stopset.artifact import load_model
+from monitor_arm import known_model
+from stopset.artifact import Revision, load_model
 from stopset.cli.main import main
+from stopset.offline.revise.page import waterfalls
+from stopset.offline.revise.revise import stop_figures
 from stopset.offline.update.sums_file import load_sums
+from stopset.sets import Box
 from synthetic import names, recordings, save_trials, urdf
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"
@@ -181,3 +185,25 @@ def test_what_counts_as_help(torque: tuple[float, float], position: tuple[float,
     before = {k: 1.0 for key in keys for k in (key, f"{key}:a")}
     after = {k: x for key, (all_, own) in zip(keys, (torque, position), strict=True) for k, x in ((key, all_), (f"{key}:a", own))}
     assert _helps(before, after, ["a"], shift=False) is helps
+
+
+def test_sets_of_other_recordings_are_compared_with_what_these_have_without_the_effect() -> None:
+    """First 34 from a healthy arm; the changed arm has 43 without the effect, 34 with it: the effect took 9 away, not nothing."""
+    first = Revision(0, "", {}, {"sum_U_width": 34.4, "stop0_angle": 0.1}, "")
+    added = Revision(
+        1, "spring:arm_4_joint", {"sum_U_width": 43.4, "stop0_angle": 0.101}, {"sum_U_width": 34.4, "stop0_angle": 0.09}, ""
+    )
+    figure = waterfalls(dataclasses.replace(known_model(), revisions=(first, added)))
+    assert figure is not None
+    bars = [(list(bar.hovertext), list(bar.y)) for bar in figure.data]
+    assert bars[0] == (["first identification", "without", "spring:arm_4_joint"], [34.4, 43.4, 34.4])
+    assert bars[1] == (["first identification", "spring:arm_4_joint"], [0.1, 0.09]), "what differs by a hundredth is drawn once"
+
+
+def test_stops_of_two_revisions_are_compared_where_both_have_been() -> None:
+    """The largest speed of the first alone was outside what the second saw, and no stop was compared at all."""
+    model = known_model()
+    dq = model.domain.dq
+    slower = dataclasses.replace(model, domain=dataclasses.replace(model.domain, dq=Box(0.99 * dq.lo, 0.99 * dq.hi)))
+    here, there = stop_figures(model, slower), stop_figures(slower, model)
+    assert here and here == there

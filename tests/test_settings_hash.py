@@ -39,7 +39,7 @@ LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
-    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM", FORMAT),
+    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM MOST_STEPS", FORMAT),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),

@@ -116,6 +116,33 @@ def test_point_motion_holds_every_pose_of_the_tube() -> None:
             assert any(_distance(skin, c[link]) <= c[link][6] + 1e-9 for c in swept)
 
 
+@pytest.mark.parametrize("wide", [(5,), (3, 4, 5), (0, 1, 2, 3, 4, 5), (0, 5)])
+def test_where_angles_are_wide_capsules_are_no_larger_than_what_the_links_reach(wide: tuple[int, ...]) -> None:
+    """A wrist of which nothing is known stays about the wrist; an arm of which nothing is known, about its first joint."""
+    s, rng = setting(), np.random.default_rng(7)
+    narrow = tube_of(s, Q, DQ, s.noise.radius[:6], s.noise.radius[6:])
+    anywhere = np.isin(np.arange(6), wide) * 4.0 * np.linspace(0.0, 1.0, len(narrow.t))[:, None]
+    tube = narrow._replace(d_lo=narrow.d_lo - anywhere, d_hi=narrow.d_hi + anywhere)
+    robot = s.model.robot
+    bodies = np.column_stack([rng.uniform(-0.2, 0.2, (6, 6)), rng.uniform(0.0, 0.1, 6)])
+    swept = swept_capsules(robot.chain, Q, s.noise.radius[:6], tube, bodies)
+    for _ in range(3000):
+        k = rng.integers(len(tube.t))
+        q0 = Q + s.noise.radius[:6] * rng.choice([-1.0, 1.0], 6)
+        q = q0 + tube.d_lo[k] + (tube.d_hi[k] - tube.d_lo[k]) * rng.random(6)
+        R, o = link_frames(robot.chain, q)
+        for link in range(6):
+            a, b, out = bodies[link, :3], bodies[link, 3:6], rng.normal(size=3)
+            skin = o[link] + R[link] @ (a + rng.random() * (b - a) + bodies[link, 6] * out / np.linalg.norm(out))
+            assert any(_distance(skin, c[link]) <= c[link][6] + 1e-9 for c in swept)
+    lengths = np.linalg.norm(robot.chain.p, axis=1)
+    own = np.linalg.norm(bodies[:, :6].reshape(6, 2, 3), axis=2).max(axis=1)
+    for link in range(min(wide), 6):
+        beyond = lengths[min(wide) + 1 : link + 1].sum() + own[link] + bodies[link, 6]
+        before = swept_capsules(robot.chain, Q, s.noise.radius[:6], narrow, bodies)[:, max(min(wide) - 1, 0), 6].max()
+        assert swept[:, link, 6].max() <= beyond + (before + lengths[min(wide)] if min(wide) else 0.0) + 1e-9
+
+
 def _distance(p: np.ndarray, capsule: np.ndarray) -> float:
     a, b = capsule[:3], capsule[3:6]
     t = np.clip((p - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-15), 0.0, 1.0)

@@ -271,7 +271,7 @@ def test_the_refusal_reaches_who_runs_an_fmu_a_command_or_a_monitor(tmp_path: Pa
     save_model(model, path)
     assert main(["stops", str(path)]) == 2
     assert "no stop is bounded with elasticity:arm_2_joint" in capsys.readouterr().err
-    desk = StopDesk(str(path), SEEN, Stops(("0",)), 0.0, Quantum.none(6))
+    desk = StopDesk(str(path), SEEN, Stops(("0",)), None, Quantum.none(6))
     try:
         until, numbers, fresh = time.monotonic() + 120.0, {}, False
         while not fresh and time.monotonic() < until:

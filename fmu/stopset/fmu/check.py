@@ -109,7 +109,7 @@ def _table(z: zipfile.ZipFile, names: list[str], end: str) -> dict[str, Array]:
     return dict(zip(head, np.array(rows, float).T, strict=True))
 
 
-class _Unit:
+class Instance:
     """A co-simulation instance, FMI 2 or 3, by names."""
 
     def __init__(self, description: Any, folder: str) -> None:
@@ -143,7 +143,7 @@ class _Unit:
 
 def _run(description: Any, folder: str, given: dict[str, Array], wanted: dict[str, Array]) -> tuple[int, dict[str, float], float]:
     """Rows compared, largest difference by quantity, CPU time of a step."""
-    u, t = _Unit(description, folder), wanted["time"]
+    u, t = Instance(description, folder), wanted["time"]
     names = [n for n in wanted if n != "time"]
     worst, took = np.zeros(len(names)), 0.0
     inputs = [n for n in given if n != "time"]
@@ -173,7 +173,7 @@ def _run(description: Any, folder: str, given: dict[str, Array], wanted: dict[st
 
 def _stops(description: Any, folder: str, table: dict[str, Array]) -> tuple[int, int]:
     """States, and those whose bounds have the same bits."""
-    u = _Unit(description, folder)
+    u = Instance(description, folder)
     u.slave.exitInitializationMode()
     u.set("measured", 1)
     states = [n for n in table if n.startswith(("q_measured_", "dq_measured_"))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import tempfile
 import zipfile
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.artifact.signature import ORIGIN, revision_of
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
@@ -23,6 +25,7 @@ from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.terminals import icon, terminals
 from stopset.fmu.variables import variables
+from stopset.reach.stops.path import Path as StopPath
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model gives the same bytes
 
@@ -46,13 +49,15 @@ def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]
 @dataclass(frozen=True, slots=True)
 class Contents:
     """What a unit holds: FMI ``fmi`` (2 or 3), libraries for ``platforms`` (all where empty; none with ``source_only``), reference
-    results, and of FMI 3 the ``clocks`` that ask for a stop: some importers end when they read of any."""
+    results, of FMI 3 the ``clocks`` that ask for a stop: some importers end when they read of any, and the ``path`` along which stops
+    are bounded."""
 
     fmi: int = 3
     platforms: Sequence[str] = ()
     source_only: bool = False
     reference: bool = True
     clocks: bool = False
+    path: StopPath | None = None
 
 
 ALL = Contents()
@@ -79,7 +84,7 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     name = identifier(model)
     if contents.clocks and fmi != 3:
         raise OutputError("clocks in FMI 2; expected FMI 3, which has them: leave clocks or the version out")
-    v = variables(model, clocks=contents.clocks)
+    v = variables(model, clocks=contents.clocks, path=contents.path)
     text, token = sources(model, v)
     units = [*UNITS, "model_data.c"]
     made = binaries(text, units, targets, name, say)
@@ -91,6 +96,8 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
         files["terminalsAndIcons/icon.png"] = icon()
         files["sources/buildDescription.xml"] = build_description(name, units).encode()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
+    said = {"robot": model.robot.name, "model_sha256": model.sha256, "revision": revision_of(model)}
+    files[ORIGIN] = (json.dumps(said, indent=1) + "\n").encode()
     files["documentation/index.html"] = _documentation(model).encode()
     if contents.reference:
         files |= {f"documentation/{file}": content.encode() for file, content in reference_texts(model).files(name).items()}

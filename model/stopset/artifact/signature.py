@@ -1,7 +1,8 @@
-"""Signed models: whose model this is, and which revision, proved by Ed25519; the self-hash in the file only tells damage.
+"""Signed models and units: whose it is, and which revision, proved by Ed25519; the self-hash in the file only tells damage.
 
-A signature stands beside the file it is about (``M.model.json.sig``) and covers its bytes, name of the robot and revision. Who relies
-on a model says which public keys it accepts and the least revision, so that an old model, however well signed, does not come back.
+A signature stands beside the file it is about (``M.model.json.sig``, ``F.fmu.sig``) and covers its bytes, name of the robot and revision.
+Who relies on a model says which public keys it accepts and the least revision, so that an old model, however well signed, does not come
+back. A unit (FMU) says in `ORIGIN` which model it was exported from.
 """
 
 from __future__ import annotations
@@ -9,7 +10,10 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import io
 import json
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,7 +29,12 @@ if TYPE_CHECKING:
 
 FORMAT = "stopset signature"
 SCHEMA = 1
-CONTEXT = b"stopset model signature, schema 1\n"  # no signature of anything else is one of a model
+CONTEXT = {  # no signature of anything else is one of a model, or of a unit
+    "model": b"stopset model signature, schema 1\n",
+    "unit": b"stopset unit signature, schema 1\n",
+}
+UNIT = ".fmu"  # how the name of a unit ends
+ORIGIN = "documentation/model.json"  # in a unit: which model it was exported from
 SUFFIX = ".sig"
 LARGEST = 1 << 16  # [byte] of a key or signature file
 
@@ -51,9 +60,22 @@ class Statement:
     def of(cls, data: bytes, model: Model) -> Statement:
         return cls(hashlib.sha256(data).hexdigest(), model.sha256, model.robot.name, revision_of(model))
 
-    def bytes(self) -> bytes:
-        """What the signature is over: the same for the same statement."""
-        return CONTEXT + json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()
+    @classmethod
+    def of_unit(cls, data: bytes, path: str | Path) -> Statement:
+        """Of a unit's bytes. Raises `ModelFileError` where they are none of `stopset export-fmu`."""
+        try:
+            with zipfile.ZipFile(io.BytesIO(data)) as z:
+                said = json.loads(z.read(ORIGIN))
+            return cls(hashlib.sha256(data).hexdigest(), str(said["model_sha256"]), str(said["robot"]), int(said["revision"]))
+        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, NotImplementedError, RuntimeError) as e:
+            raise ModelFileError(
+                f"{path} is no unit that says which model it is of ({type(e).__name__}); expected one of `stopset export-fmu`: export it "
+                "again"
+            ) from e
+
+    def bytes(self, kind: str = "model") -> bytes:
+        """What the signature of a file of this ``kind`` is over: the same for the same statement."""
+        return CONTEXT[kind] + json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,17 +127,26 @@ def new_key(path: str | Path, passphrase: str = "") -> str:
     return key_id(secret.public_key())
 
 
-def sign(model: str | Path, key: str | Path, passphrase: str = "") -> tuple[Statement, str]:
-    """Write the signature of a model file beside it; what was signed, and the key's id. Raises `ModelFileError`, `SigningKeyError`."""
-    data = read_model_text(model)
-    statement = Statement.of(data, model_of(data, model))
+def kind_of(path: str | Path) -> str:
+    """Whether a file is a model or a unit, by its name."""
+    return "unit" if Path(path).suffix == UNIT else "model"
+
+
+def _stated(data: bytes, path: str | Path) -> Statement:
+    return Statement.of_unit(data, path) if kind_of(path) == "unit" else Statement.of(data, model_of(data, path))
+
+
+def sign(path: str | Path, key: str | Path, passphrase: str = "") -> tuple[Statement, str]:
+    """Write the signature of a model file or unit beside it; what was signed, and the key's id. Raises `ModelFileError`,
+    `SigningKeyError`."""
+    statement = _stated(read_model_text(path), path)
     secret = secret_key(key, passphrase)
     public = secret.public_key()
     body = {
         "format": FORMAT, "schema": SCHEMA, **asdict(statement), "key": key_id(public),
-        "signature": base64.b64encode(secret.sign(statement.bytes())).decode(),
+        "signature": base64.b64encode(secret.sign(statement.bytes(kind_of(path)))).decode(),
     }  # fmt: skip
-    write_text(signature_path(model), json.dumps(body, indent=1) + "\n")
+    write_text(signature_path(path), json.dumps(body, indent=1) + "\n")
     return statement, key_id(public)
 
 
@@ -128,13 +159,31 @@ def load_trusted(path: str | Path, accepted: Accepted) -> Model:
     if accepted.keys:
         _check(data, path, accepted)
     model = model_of(data, path)
-    revision = revision_of(model)
+    _new_enough(revision_of(model), path, accepted)
+    return model
+
+
+def verified(path: str | Path, accepted: Accepted) -> Statement:
+    """What is vouched for in a model file or unit that is trusted. Raises as `load_trusted` does."""
+    data = read_model_text(path)
+    if accepted.keys:
+        _check(data, path, accepted)
+    statement = _stated(data, path)
+    _new_enough(statement.revision, path, accepted)
+    return statement
+
+
+def signer(path: str | Path) -> str | None:
+    """Id of the key that a file's signature names, None where it has none; proves nothing, see `verified`. Raises `NotTrusted`."""
+    return _signature(path)[1] if signature_path(path).exists() else None
+
+
+def _new_enough(revision: int, path: str | Path, accepted: Accepted) -> None:
     if revision < accepted.least_revision:
         raise NotTrusted(
-            f"{path} is revision {revision}; expected at least {accepted.least_revision}: an older model is not taken back, roll out a "
-            "newer one"
+            f"{path} is revision {revision}; expected at least {accepted.least_revision}: an older {kind_of(path)} is not taken back, "
+            "roll out a newer one"
         )
-    return model
 
 
 def _check(data: bytes, path: str | Path, accepted: Accepted) -> None:
@@ -148,10 +197,10 @@ def _check(data: bytes, path: str | Path, accepted: Accepted) -> None:
             "accept this one"
         )
     try:
-        accepted.keys[key].verify(signature, statement.bytes())
+        accepted.keys[key].verify(signature, statement.bytes(kind_of(path)))
     except InvalidSignature as e:
         raise NotTrusted(
-            f"{signature_path(path)} does not hold what the key {key} signed; expected its signature unchanged: sign the model again"
+            f"{signature_path(path)} does not hold what the key {key} signed; expected its signature unchanged: sign the {kind_of(path)} again"
         ) from e
     if statement.file_sha256 != hashlib.sha256(data).hexdigest():
         raise NotTrusted(

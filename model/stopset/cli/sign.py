@@ -1,4 +1,4 @@
-"""``stopset sign``: vouch for a model."""
+"""``stopset sign``: vouch for a model or a unit."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 
-HELP = "sign a model with an Ed25519 key, or make such a key"
+HELP = "sign a model or an FMU with an Ed25519 key, or make such a key"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("model", nargs="?", metavar="M", help="model file; its signature is written beside it, as M.sig")
+    parser.add_argument("model", nargs="?", metavar="M", help="model file or FMU; its signature is written beside it, as M.sig")
     parser.add_argument("--key", type=Path, metavar="FILE", help="secret key to sign with")
     parser.add_argument(
         "--new-key", type=Path, metavar="FILE", help="make a key: FILE (keep it secret) and FILE.pub (give it away)"
@@ -45,13 +45,17 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"key": key, **asdict(statement)})
     if args.report:
+        from stopset.artifact.signature import kind_of
         from stopset.offline.description.older import load_model
         from stopset.offline.report.page import Page
 
-        page = Page(f"{statement.robot}: signed model", load_model(args.model))
+        kind = kind_of(args.model)
+        page = Page(f"{statement.robot}: signed {kind}", load_model(args.model) if kind == "model" else None)
         page.verdict(f"Revision {statement.revision} is signed by the key {key}.", "good")
         page.next(
             "give the model, its .sig file and the public key to the monitor; `signed.keys` of its configuration names the key."
+            if kind == "model"
+            else "give the unit, its .sig file and the public key to whoever imports it; `stopset verify F.fmu --key FILE.pub` tells."
         )
         page.save(args.report)
     return 0

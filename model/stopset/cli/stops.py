@@ -92,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
+    from stopset.cli.common import path_rows
     from stopset.cli.steps import steps
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
@@ -123,7 +124,7 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
             raise NotCovered(
                 f"--path with --category {args.category[0]}; expected 1, the stop that keeps to the path: leave it out"
             )
-        rows, bounds = along_path(model, _rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
+        rows, bounds = along_path(model, path_rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
         return rows, bounds["1"].assumptions, question
     if args.path_rate is not None or args.path_start is not None:
         raise NotCovered("--path-rate and --path-start belong to a path; give --path FILE.csv too")
@@ -149,39 +150,6 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     rows, bounds = at_pose(model, q, dq, question)
     assumptions = next((b.assumptions for b in bounds.values() if b.assumptions), ())
     return rows, assumptions, question
-
-
-def _rows(path: Path, n: int) -> Any:
-    """Rows of angles from a CSV file; a first line that is no numbers is a head."""
-    import csv
-
-    import numpy as np
-
-    from stopset.errors import NotCovered
-
-    try:
-        lines = [r for r in csv.reader(path.read_text().splitlines()) if r]
-    except (OSError, UnicodeDecodeError) as e:
-        raise NotCovered(f"{path} cannot be read ({e}); expected a CSV file with {n} angles a row") from e
-    try:
-        head = 0 if lines and all(_is_number(x) for x in lines[0]) else 1
-        values = [[float(x) for x in r] for r in lines[head:]]
-    except ValueError as e:
-        raise NotCovered(
-            f"{path} holds rows that are not {n} numbers ({e}); expected {n} angles [rad] a row: give only these"
-        ) from e
-    wrong = next((r for r in values if len(r) != n), None)
-    if wrong is not None:
-        raise NotCovered(f"{path} holds a row of {len(wrong)} numbers; expected {n} angles [rad] a row: give one for every joint")
-    return np.array(values).reshape(-1, n)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _numbers(text: str, count: int, option: str) -> Any:
@@ -241,17 +209,28 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
 
 
 def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
-    from stopset.offline.stops.shown import axis_name, extrapolations, up
+    """The answer; every row, with what it says of itself as a number; each such remark once; what the numbers rest on."""
+    from stopset.offline.stops.shown import answered, axis_name, extrapolations, refusals, remarks, up
     from stopset.offline.stops.table import holding
 
     wide = max(len(axis_name(r.joint)) for r in rows) + 2
+    number = refusals(rows)
+    say(answered(rows))
     say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
-    for r in rows:
-        head = f"{r.category:<13}{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
-        if r.answered:
-            say(f"{head}{1e3 * r.time_s:>9.1f}{r.angle_rad:>11.4f}{1e3 * r.tcp_m:>9.1f}{'  ' + r.why if r.why else ''}")
-        else:
-            say(f"{head}  {r.why}")
+    for category in dict.fromkeys(r.category for r in rows):
+        mine = [r for r in rows if r.category == category]
+        refused = len({r.why for r in mine}) == 1 and not any(r.answered for r in mine)  # all of them, and for one reason
+        for r in mine[:1] if refused else mine:
+            at = f"{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
+            shown = (
+                [up(x, d) for x, d in ((1e3 * r.time_s, 1), (r.angle_rad, 4), (1e3 * r.tcp_m, 1))] if r.answered else ["-"] * 3
+            )
+            numbers = "".join(f"{x:>{width}}" for x, width in zip(shown, (9, 11, 9), strict=True))
+            marks = " ".join(f"[{number[part]}]" for part in remarks(r))
+            beyond = "EXTRAPOLATED " if r.extrapolated else ""
+            say(f"{category:<13}{'every row' if refused else at:<{wide + 23}}{numbers}  {beyond}{marks}".rstrip())
+    for part, k in number.items():
+        say(f"[{k}] {part}")
     if beyond := extrapolations(rows):
         say(beyond)
     for s in separations:

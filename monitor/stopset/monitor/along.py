@@ -13,8 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
+from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside
+from stopset.monitor.config import Masses
 from stopset.monitor.inputs import Inputs
+from stopset.monitor.payload import unidentified_payload
 from stopset.monitor.predictions import Predictions
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
@@ -23,7 +25,9 @@ from stopset.reach.nonlinear import FAR
 from stopset.types import Array
 
 
-def watch_for(model: Model, quantum: Quantum, payload: float, warm: tuple[float, float], cycle_s: float) -> Watch | WatchAlong:
+def watch_for(
+    model: Model, quantum: Quantum, payload: Masses | None, warm: tuple[float, float], cycle_s: float
+) -> Watch | WatchAlong:
     """The check that belongs to the model. Raises `NotCovered` for one whose tube cannot be computed here."""
     if model.abstraction.linear:
         return Watch(model, quantum, payload, warm)
@@ -39,7 +43,7 @@ class WatchAlong(Check):
 
     model: Model
     quantum: Quantum
-    payload: float = 0.0
+    payload: Masses | None = None
     warm: tuple[float, float] = (0.0, 1.0)
     every: int = 1
     ages: Array = field(init=False)

@@ -44,12 +44,6 @@ def not_checked(s: Sample) -> str:
     return "no torque in the signals" if s.tau is None else ""
 
 
-def unidentified_payload(model: Model, payload: float) -> str:
-    """Why no verdict is possible with ``payload`` [kg]; empty if one is."""
-    lo, hi = model.domain.payload
-    return "" if lo <= payload <= hi else f"payload {payload} kg is outside the identified [{lo}, {hi}] kg"
-
-
 def outside(model: Model, quantum: Quantum, s: Sample, u: Array, du: Array) -> tuple[str, ...]:
     """Signals beyond the domain of validity, by name (trap P25); bus rounding is given the benefit."""
     d, q = model.domain, quantum

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_origin
 
 from stopset.errors import StopsetError
 
+Masses = tuple[float, float]  # [kg] least and most; in the file a number alone stands for both
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
 
 
@@ -176,7 +177,8 @@ class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
     ``data_id``: this arm's, told to its consumers; ``keys``: key file of the authentication code, "" = no code; ``journal``:
-    where a violation is remembered, "" = beside the configuration, or in systemd's state directory.
+    where a violation is remembered, "" = beside the configuration, or in systemd's state directory. ``payload_kg``: surely on the
+    flange, beyond the model's own; 0 = surely nothing, None = not declared.
     """
 
     model: str
@@ -189,7 +191,7 @@ class Config:
     arm: str = "arm"
     keys: str = ""
     journal: str = ""
-    payload_kg: float = 0.0
+    payload_kg: Masses | None = None
     warm: tuple[float, ...] = (0.0, 1.0)  # place in the session, if known better: only for models with a warm-up
     realtime: bool = False  # lock memory; needs the limits of deploy/systemd, as the next two do
     priority: int = 0  # of the loop's thread, FIFO; 0 = as it is started
@@ -228,6 +230,10 @@ def _build(kind: Any, x: Any, where: str) -> Any:
             raise ConfigError(f"{where or 'the configuration'} lacks {', '.join(sorted(missing))}; add it")
         return kind(**{k: _build(hints[k], v, f"{where}.{k}".lstrip(".")) for k, v in x.items()})  # type: ignore[operator]
     if origin is tuple:
+        if kind == Masses:
+            x = [x, x] if isinstance(x, int | float) else x
+            if not (isinstance(x, list) and len(x) == 2):
+                raise ConfigError(f"{where} is {x!r}; expected a number, or a list [least, most]")
         if not isinstance(x, list):
             raise ConfigError(f"{where} is {x!r}; expected a list")
         return tuple(_build(get_args(kind)[0], v, where) for v in x)
@@ -263,7 +269,7 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
         ("the greatest of cores", max(config.cores, default=0), 0, 4095),
         ("bus.cycle_s", config.bus.cycle_s if config.bus else 0.0, 0.0, 1.0),
         ("bus.wait_s", config.bus.wait_s if config.bus else 0.0, 0.0, 86400.0),
-        ("payload_kg", config.payload_kg, 0.0, 1e4),
+        *(("payload_kg", x, 0.0, 1e4) for x in config.payload_kg or ()),
         ("signed.least_revision", config.signed.least_revision, 0, 10**6),
         ("record.before_s", config.record.before_s, 0.1, 10.0),
         ("record.file_s", config.record.file_s, 1.0, 86400.0),
@@ -300,7 +306,7 @@ def load_config(path: str | Path) -> Config:
         raw = tomllib.loads(text)
     except FileNotFoundError as e:
         raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
+    except (OSError, ValueError, RecursionError) as e:
         raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
     config: Config = _build(Config, raw, "")
     if sum(x is not None for x in (config.bus, config.joint_states, config.rtde)) != 1:
@@ -312,6 +318,8 @@ def load_config(path: str | Path) -> Config:
             raise ConfigError(f"{p}: {name} is {value}; expected {lo:g} to {hi:g}: mend it")
     if not (len(config.warm) == 2 and 0.0 <= config.warm[0] <= config.warm[1] <= 1.0):
         raise ConfigError(f"{p}: warm is {list(config.warm)}; expected [lo, hi] between 0 (cold) and 1 (as warm as identified)")
+    if config.payload_kg is not None and config.payload_kg[0] > config.payload_kg[1]:
+        raise ConfigError(f"{p}: payload_kg is {list(config.payload_kg)}; expected [least, most]: turn them round")
     if config.stops.ramp_time_s and config.stops.ramp_deceleration:
         raise ConfigError(f"{p}: stops.ramp_time_s and stops.ramp_deceleration are both given; expected one of them")
     if bad := [c for c in config.stops.categories if c not in ("0", "1", "2")]:

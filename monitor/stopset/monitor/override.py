@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stopset.monitor.certificates import Numbers
-from stopset.monitor.config import StopLimits, Stops
+from stopset.monitor.config import Masses, StopLimits, Stops
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -45,7 +45,9 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: StopLimits) -> f
     return 1.0
 
 
-def _advise(model_path: str, sha256: str, payload: float, stops: Stops, limits: StopLimits, pipe: Connection) -> None:
+def _advise(
+    model_path: str, sha256: str, payload: Masses | None, stops: Stops, limits: StopLimits, pipe: Connection
+) -> None:  # fmt: skip
     """The other process: takes a state, gives its override."""
     from stopset.monitor.stopworker import answer_for, asked, prepare
 

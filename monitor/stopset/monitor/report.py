@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import resource
@@ -19,6 +20,7 @@ from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import Flag, State
 from stopset.monitor.orders import Orders
+from stopset.monitor.payload import assumed, published
 from stopset.monitor.publisher import Publisher
 from stopset.monitor.realtime import Granted
 from stopset.monitor.sample import Sample
@@ -130,7 +132,7 @@ def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
         "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
-        "margins": d.margins, "override": d.override,
+        "margins": d.margins, "override": d.override, "payload_kg": published(d.model, d.config.payload_kg),
         "joints": list(joints), "stops": _stops(turn, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,
@@ -165,5 +167,6 @@ def about(d: Monitored) -> dict[str, str]:
     return {
         "schema": "1", "key": c.prefix, "data_id": str(c.data_id), "boot_id": f"{d.publisher.boot:016x}",
         "model_sha256": m.sha256, "config_sha256": c.sha256, "joints": ",".join(m.joints), "effort": m.effort,
-        "robot": m.robot.name, "cycle_s": repr(d.cycle_s), "payload_kg": repr(c.payload_kg), "notice": NOTICE,
+        "robot": m.robot.name, "cycle_s": repr(d.cycle_s), "payload_kg": json.dumps(assumed(m, c.payload_kg)),
+        "payload_declared": json.dumps(c.payload_kg is not None), "notice": NOTICE,
     }  # fmt: skip

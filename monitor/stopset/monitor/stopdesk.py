@@ -23,7 +23,7 @@ from stopset.monitor.ahead import Heading
 from stopset.monitor.asking import Budget, Counter
 from stopset.monitor.certificates import Certificate, Numbers, holds
 from stopset.monitor.clock import Clock, SystemClock
-from stopset.monitor.config import EXPANDED, Stops
+from stopset.monitor.config import EXPANDED, Masses, Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopworker import work
 from stopset.sets import Box
@@ -42,7 +42,7 @@ class StopDesk:
     model_path: str
     seen: Box  # (2n,) [rad, rad/s] angles and speeds of identification, see `seen_by`
     stops: Stops
-    payload: float
+    payload: Masses | None
     quantum: Quantum
     why: str = "the first stop bound is being computed"
     restarts: int = 0

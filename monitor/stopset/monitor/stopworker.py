@@ -21,7 +21,7 @@ import numpy as np
 from stopset.artifact import load_model
 from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Certificate, Numbers
-from stopset.monitor.config import Stops
+from stopset.monitor.config import Masses, Stops
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
 def work(
-    model_path: str, sha256: str, payload: float, stops: Stops, categories: tuple[str, ...], pipe: Connection
+    model_path: str, sha256: str, payload: Masses | None, stops: Stops, categories: tuple[str, ...], pipe: Connection
 ) -> None:  # fmt: skip
     """Answer requests ``(category, lo, hi)`` until None comes or the daemon is gone; the first word says that it is ready.
 
@@ -78,7 +78,7 @@ def asked(pipe: Connection) -> Iterator[Any]:
         yield request
 
 
-def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
+def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
     """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
     from stopset.reach.stops import StopBounds
     from stopset.reach.stops.ramp import Ramp
@@ -95,7 +95,7 @@ def prepare(model_path: str, payload: float, stops: Stops, sha256: str = "") -> 
                 f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
                 "have the monitor read it anew (SIGHUP), or restore it"
             )
-        return StopBounds.of(model, (payload, payload) if payload else None, ramp=ramp, fast=True), ""
+        return StopBounds.of(model, payload, ramp=ramp, fast=True), ""
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         return None, str(e)
 

@@ -17,10 +17,12 @@ from stopset.artifact import Model
 from stopset.artifact.taped import Pinned
 from stopset.core.library import check, ffi, lib, view
 from stopset.errors import NotCovered
-from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside, unidentified_payload
+from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside
+from stopset.monitor.config import Masses
 from stopset.monitor.grid import GridMotion
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.linear_tubes import LinearTubes
+from stopset.monitor.payload import unidentified_payload
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.types import Array
@@ -32,14 +34,14 @@ UNREADABLE = {lib.STOPSET_NOT_A_NUMBER: NOT_A_NUMBER, lib.STOPSET_ALL_ZERO: ALL_
 class Watch(Check):
     """Holds an arm's samples against its model; give them one by one to `step`.
 
-    ``quantum``: rounding of the bus, by which the tube is widened (a measured set of its own); ``payload`` [kg] declared;
+    ``quantum``: rounding of the bus, by which the tube is widened (a measured set of its own); ``payload`` [kg] if declared;
     ``warm``: between which places of the session the arm is, for models with a warm-up.
     Raises `NotCovered` at once for a model whose tube cannot be computed here.
     """
 
     model: Model
     quantum: Quantum | None = None
-    payload: float = 0.0
+    payload: Masses | None = None
     warm: tuple[float, float] = (0.0, 1.0)
     tubes: LinearTubes = field(init=False)
     _inputs: Inputs = field(init=False)

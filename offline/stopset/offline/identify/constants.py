@@ -177,11 +177,12 @@ def constants() -> dict[str, Any]:
     """``group.NAME`` -> value, as written in the code of this version; the name is the one that is hashed."""
     named = {f"{group}.{name}": getattr(module, name) for group, module, names in TABLE for name in names.split()}
     out = {HASHED_AS.get(name, name): value for name, value in named.items()}
+    known = priors.Known(np.zeros((0, 2)))
     return out | {
         "preprocessing defaults": preprocess.Preprocessing(),
         "description tolerance": prior.Tolerance(),
         "laws tried": {"always": selection.base(), "joints": selection.usual(), "pairs": selection.usual("pair")},
-        "changes since": {f: priors.Known.__dataclass_fields__[f].default for f in ("gain", "spread", "scales")},
+        "changes since": {f: getattr(known, f) for f in ("gain", "spread", "scales")},
     }
 
 

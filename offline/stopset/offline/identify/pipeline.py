@@ -39,7 +39,7 @@ from stopset.offline.identify.ladder import climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.identify.unseen import unseen
-from stopset.offline.inspect.gate import check_signals
+from stopset.offline.inspect.gate import check_files, check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.pair_choice import coupled
@@ -82,7 +82,7 @@ def identified(
     if not chosen.mixed:
         one_condition(tally.conditions)
     found = tally.survey()
-    warnings = check_signals(robot, meta, found.sample)
+    warnings = (*check_signals(robot, meta, found.sample), *check_files(robot, meta, source(), mixed=chosen.mixed))
     for text in warnings:
         progress(text)
     meta = replace(meta, warnings=(*meta.warnings, *warnings))

@@ -21,6 +21,7 @@ FIGURES = (
     ("sum_U_width_without_margin", "sum of U widths without margin [N m]"),
     ("stop0_angle", "STOP 0 angle bound at full speed [rad]"),
 )
+SAME = 0.02  # of a figure: what differs by less is drawn once
 # the scatter between repetitions that is under each figure
 FLOORS = {"held_out_torque_rmse": "torque_rmse_floor", "held_out_position_rmse": "position_rmse_floor"}
 
@@ -80,8 +81,8 @@ def _history(out: Page, model: Model) -> None:
     if (figure := waterfalls(model)) is not None:
         out.figure(
             figure,
-            "Each figure after each revision, from zero; dotted: what repetitions of the same torques differ by, below which no model "
-            "without a new variable gets. Of sets and stops they tell none.",
+            "Each figure after each revision, from zero; 'without': the same recordings without what was added then; dotted: what "
+            "repetitions of the same torques differ by, below which no model without a new variable gets. Of sets and stops they tell none.",
             950,
         )
     keys = [k for k, _ in FIGURES]
@@ -122,11 +123,12 @@ def _change(r: Revision, key: str) -> str | None:
 
 
 def _chain(model: Model, key: str) -> tuple[list[str], list[float]]:
+    """The bars of a figure: after each revision, and before it where these recordings are others than its predecessor was shown."""
     names: list[str] = []
     values: list[float] = []
     for r in model.revisions:
-        if not values and key in r.before:
-            names.append("before")
+        if key in r.before and not (values and np.isclose(r.before[key], values[-1], rtol=SAME)):
+            names.append("without" if values else "before")
             values.append(r.before[key])
         if key in r.after:
             names.append(r.added or "first identification")

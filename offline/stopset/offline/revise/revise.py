@@ -82,7 +82,7 @@ def add(
     found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
-    before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, model)
+    before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, fresh)
     if not own(model, campaign.meta):
         progress("identifying these recordings without it")
         before |= _widths_without(model, campaign, settings)
@@ -155,16 +155,19 @@ def _note(taken: Sequence[Judged], judged_on: str) -> str:
     return "; ".join([*parts, f"judged on {judged_on}"])
 
 
-def stop_figures(model: Model, seen: Model) -> dict[str, float]:
-    """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that ``seen`` saw: ``stop0_angle``
+def stop_figures(model: Model, other: Model) -> dict[str, float]:
+    """STOP 0 angle bound [rad] of single-axis stops from the largest speed and mid pose that both models saw: ``stop0_angle``
     the mean, ``stop0_angle:<joint>`` each; empty where not every one of them can be proved, as with an effect that no stop
     is bounded with."""
     angles = {}
+    seen = [m.domain for m in (model, other)]
+    middle = (np.maximum(*(d.q.lo for d in seen)) + np.minimum(*(d.q.hi for d in seen))) / 2
+    slowest, fastest = np.maximum(*(d.dq.lo for d in seen)), np.minimum(*(d.dq.hi for d in seen))
     for joint, name in enumerate(model.joints):
         speed = np.zeros(model.n)
-        speed[joint] = max(seen.domain.dq.lo[joint], seen.domain.dq.hi[joint], key=abs)
+        speed[joint] = max(slowest[joint], fastest[joint], key=abs)
         try:
-            bound = stop(model, seen.domain.q.centre, speed, "0").angle
+            bound = stop(model, middle, speed, "0").angle
         except NotCovered:
             return {}
         if bound is None:

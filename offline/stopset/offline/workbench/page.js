@@ -178,7 +178,7 @@ function waterfall(f, revisions, floor) {
   const chain = []; let joint = '';
   revisions.forEach(r => { const own = (r.added.split(':')[1] || '').split('+')[0]; if (own && r.after[`${f.key}:${own}`] != null) joint = own; });
   const of = x => joint && x[`${f.key}:${joint}`] != null ? x[`${f.key}:${joint}`] : joint ? null : x[f.key];
-  revisions.forEach(r => { if (!chain.length && of(r.before) != null) chain.push(['before', of(r.before)]); if (of(r.after) != null) chain.push([r.added || 'first', of(r.after)]); });
+  revisions.forEach(r => { const b = of(r.before); if (b != null && !(chain.length && Math.abs(b - chain[chain.length - 1][1]) <= 0.02 * b)) chain.push([chain.length ? 'without' : 'before', b]); if (of(r.after) != null) chain.push([r.added || 'first', of(r.after)]); });
   const caption = el('figcaption', null, f.title + (joint ? `, at ${joint}` : ''));
   const stands = revisions.length > 0 && of(revisions[revisions.length - 1].after) != null;
   if (!chain.length) return el('figure', null, caption, small('nothing added yet, so nothing to compare'));

@@ -159,12 +159,26 @@ void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const doub
     for (int x = 0; x < 6; x++) box[x] = least(most(box[x], -2.0 * reach), 2.0 * reach);
 }
 
+/* How far [m] both ends (6,) of a link's axis can get from where they are at angles `at`, and those places (6,). */
+static double ends_move(const StopsetArm *arm, const double *at, const double *r, int link, const double *ends, double *places) {
+    const double none[3] = {0, 0, 0};
+    double radius = 0.0, reach[SN];
+    Point here;
+    for (int e = 0; e < 6; e += 3) {
+        locate(arm, at, link, ends + e, &here);
+        memcpy(places + e, here.p, sizeof here.p);
+        reach_of(arm, here.distance, r, link, ends + e, reach);
+        radius = most(radius, longest(none, here.J, arm->n, r, link) + 0.5 * curved(reach, r, r, link));
+    }
+    return radius;
+}
+
+/* However far joints turn, a link stays in a ball about the origin of each joint before it: as wide as that origin moves and the links
+ * from there are long. Where angles are wide the best of these balls is smaller than what the slopes tell. */
 int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
                            const double *capsules, double *out) {
     const int n = arm->n;
-    const double none[3] = {0, 0, 0};
-    double at[SN], r[SN], reach[SN];
-    Point here;
+    double at[SN], r[SN], pivot[6 * SN], pivot_moves[SN];
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     for (int64_t s = 0; s < S; s++) {
         for (int i = 0; i < n; i++) {
@@ -172,14 +186,19 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
             r[i] = 0.5 * (d_hi[s * n + i] - d_lo[s * n + i]) + q_radius[i];
         }
         for (int link = 0; link < n; link++, out += 7) {
-            double radius = 0.0;
-            for (int e = 0; e < 2; e++) {
-                locate(arm, at, link, capsules + 7 * link + 3 * e, &here);
-                memcpy(out + 3 * e, here.p, sizeof here.p);
-                reach_of(arm, here.distance, r, link, capsules + 7 * link + 3 * e, reach);
-                radius = most(radius, longest(none, here.J, n, r, link) + 0.5 * curved(reach, r, r, link));
+            const double *own = capsules + 7 * link, origin[6] = {0};
+            double length = sqrt(most(dot(own, own), dot(own + 3, own + 3))) * (1.0 + 1e-12);
+            pivot_moves[link] = ends_move(arm, at, r, link, origin, pivot + 6 * link);
+            double radius = ends_move(arm, at, r, link, own, out);
+            for (int k = link; k >= 0; k--) {
+                if (pivot_moves[k] + length < radius) {
+                    radius = pivot_moves[k] + length;
+                    memcpy(out, pivot + 6 * k, 3 * sizeof *out);
+                    memcpy(out + 3, pivot + 6 * k, 3 * sizeof *out);
+                }
+                length += sqrt(dot(arm->p + 3 * k, arm->p + 3 * k)) * (1.0 + 1e-12);
             }
-            out[6] = radius + capsules[7 * link + 6];
+            out[6] = radius + own[6];
         }
     }
     return STOPSET_OK;

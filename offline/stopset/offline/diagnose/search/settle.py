@@ -60,8 +60,16 @@ def added(now: Hypothesis, candidate: Candidate) -> Candidate:
     return c
 
 
+def _roomy(now: Hypothesis, c: Candidate, hyper: Hyper) -> Candidate:
+    """A law of many terms with its prior as wide as evidence wants it: the usual one draws a heavy load towards none at all."""
+    if len(c.effect.terms) < limit.MANY:
+        return c
+    wide = [replace(c, sd=size * c.sd) for size in limit.SIZES if size >= 1.0]
+    return max(wide, key=lambda x: now.plus(x).evidence(hyper))
+
+
 def _refitted(now: Hypothesis, s: Scored, hyper: Hyper) -> Settled:
-    with_it = now.plus(added(now, sharpened(now, s, hyper)))
+    with_it = now.plus(_roomy(now, added(now, sharpened(now, s, hyper)), hyper))
     h, p = with_it.fit(hyper)
     loose = with_forms(with_it, with_it.active[-1:], p.theta)
     evidence = with_it.evidence(h)
