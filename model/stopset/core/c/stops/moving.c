@@ -33,8 +33,9 @@ void stops_pivot(int n, double *A, int k, int into) {
 
 /* Least of x / (1 + e) over |e| <= d. */
 static double least_over(double x, double d) {
-    if (x >= 0.0) return x / (1.0 + d);
-    return d < 1.0 ? x / (1.0 - d) : -STOPS_INF;
+    const int up = x >= 0.0;
+    if (!up && !(d < 1.0)) return -STOPS_INF;
+    return x / (up ? 1.0 + d : 1.0 - d);
 }
 
 /* Torque of each joint: any sign that is possible (r), forward (f), backward (b); `later`: dry friction beyond the least. */
@@ -67,9 +68,9 @@ static void visit(const Local *at, const Step *s, const Torque *t, const double 
         if (!inside[i] && (s->plus[i] || s->minus[i])) continue; /* visited with i moving instead: the same equation */
         for (int j = 0; j < n; j++) {
             if (j == i || !inside[j]) continue;
-            const double w = -A[i * n + j];
-            lo += w > 0.0 ? w * t->r_lo[j] : w * t->r_hi[j];
-            hi += w > 0.0 ? w * t->r_hi[j] : w * t->r_lo[j];
+            const double w = -A[i * n + j], least_of = w * t->r_lo[j], most_of = w * t->r_hi[j];
+            lo += w > 0.0 ? least_of : most_of;
+            hi += w > 0.0 ? most_of : least_of;
         }
         /* a resting joint would start with this acceleration, were it to start */
         const double w = inside[i] ? -A[i * n + i] : 1.0 / A[i * n + i];
