@@ -18,7 +18,7 @@ import pytest
 from mcap.reader import make_reader
 
 from monitor_arm import DT, known_model, meta, motion, with_torque_scaled
-from monitor_faults import KINDS, Fault
+from monitor_faults import KINDS, Fault, Spring
 from monitor_process import Ear, environment, free_port, running, write_config
 from monitor_world import EPOCH, World
 from patience import wait
@@ -76,6 +76,16 @@ def test_every_fault_gets_its_class(arm: tuple[Path, Model], kind: Kind) -> None
         onset = cause["t"] - EPOCH * 1e-9 - fault.at * DT
         assert abs(onset) < (0.8 if kind in (Kind.DRIFT, Kind.MISSING_EFFECT) else 0.03), onset
         assert world.published[-1].m["violation_class"] == kind.code
+
+
+@pytest.mark.parametrize("seed", [3, 15, 21])
+def test_a_spring_that_appears_is_no_contact_and_no_drift(arm: tuple[Path, Model], seed: int) -> None:
+    """It rests anywhere, where the arm was when it came, say; half a second of its pull looks steady or growing."""
+    rng = np.random.default_rng([seed, 77])
+    fault = Spring(Kind.MISSING_EFFECT, rng, int(rng.integers(80, 140)))
+    (cause, *_) = reported(lived(arm, fault, seed))
+    assert cause["kind"] == Kind.MISSING_EFFECT and cause["depends_on"] == "q", cause
+    assert cause["joint"] == arm[1].joints[fault.joint]
 
 
 @pytest.mark.parametrize(
