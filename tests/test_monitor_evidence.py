@@ -27,7 +27,8 @@ from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.monitor.config import Records
 from stopset.monitor.evidence.cause import Kind
-from stopset.monitor.evidence.classify import AFTER
+from stopset.monitor.evidence.classify import AFTER, CREDIBLE, Case, Pushes, classify, late_torque
+from stopset.monitor.evidence.dynamics import Readings
 from stopset.monitor.evidence.mcap_file import McapFile
 from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
@@ -86,6 +87,27 @@ def test_a_spring_that_appears_is_no_contact_and_no_drift(arm: tuple[Path, Model
     (cause, *_) = reported(lived(arm, fault, seed))
     assert cause["kind"] == Kind.MISSING_EFFECT and cause["depends_on"] == "q", cause
     assert cause["joint"] == arm[1].joints[fault.joint]
+
+
+def test_a_delay_is_not_believed_where_a_law_explains_far_more(arm: tuple[Path, Model], monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[tuple[Any, ...]] = []
+
+    def look(*words: Any) -> Any:
+        looked.append(words)
+        return classify(*words)
+
+    monkeypatch.setattr("stopset.monitor.evidence.recorder.classify", look)
+    lived(arm, Fault(Kind.LATE_TORQUE, np.random.default_rng([1, KINDS.index(Kind.LATE_TORQUE)]), 100), 1)
+    window, first, joint, signal, model = looked[-1][:5]
+    lo, hi = window.run(first)
+    w = window.part(lo, hi)
+    case = Case(w, first - lo, joint, signal, model, Readings.of(w), lambda: None)
+    pushes = Pushes.of(case)
+    assert pushes is not None
+    (found, law) = late_torque(case, pushes), pushes.law
+    assert found is not None and found.kind is Kind.LATE_TORQUE
+    assert late_torque(case, replace(pushes, law=replace(law, left=0.0))) is None
+    assert late_torque(case, replace(pushes, law=replace(law, left=CREDIBLE))) == found, "a poor law is none"
 
 
 @pytest.mark.parametrize(
