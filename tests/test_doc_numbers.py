@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from stopset.offline.campaign import session
+from stopset.offline.campaign import calibration, session
 from stopset.offline.conform import guarantee
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import FOLDS
@@ -48,7 +48,7 @@ IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "(of {} seconds, where", limit.PART),
     ("diagnosis", "it takes {} as much", prior.IDENTIFICATION),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
-    ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
+    ("uncertainty-sets", "With fewer than {} motions it is calibrated", calibration.FEWEST_MOTIONS),
     ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
 )
 
@@ -100,7 +100,7 @@ def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
 FINENESS = (
     ("changes", "RIDGE", "rounding"),
     ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
-    ("columns/ripple", "STEP RIPPLES", "grid of a search"),
+    ("search/ripple", "STEP RIPPLES", "grid of a search"),
     ("compensated", "STEP SCREENING FINALISTS", "how finely is simulated, and how many are simulated to the end"),
     ("evidence/baseline", "POSES", "how many poses an average is taken over"),
     ("evidence/candidate", "HELD", "infinite"),
@@ -122,7 +122,7 @@ FINENESS = (
 PLAIN = {0, 1, 2}  # none, one, either side: no threshold
 # comparisons with twice something that is no threshold
 TWICE = (
-    ("columns/ripple", "power[top] < 2 * np.log(len(RIPPLES))", "the logarithm of a likelihood, for its square"),
+    ("search/ripple", "power[top] < 2 * np.log(len(RIPPLES))", "the logarithm of a likelihood, for its square"),
     ("rows/prepare", "len(g.t) > 2 * kernel.half + step", "a kernel's two sides"),
     ("standing", "swing > 2 * friction + limit.PUSHED * most", "friction to either side"),
 )
