@@ -656,14 +656,13 @@ STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q,
 /* Largest sqrt(v' M v) [(kg m^2)^1/2 rad/s] for speeds in a box (n,) and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);
-/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, for the directions in which
- * speeds within [v_lo, v_hi] point. */
+/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, backward (w_lo) and forward (w_hi). */
 STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
-                                     const double *B_lo, const double *v_lo, const double *v_hi, double *w);
-/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w, speeds lie in [v_lo, v_hi] and no momentum is
- * larger than P, (n,) each. */
-STOPSET_API int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h,
-                                     double *out);
+                                     const double *B_lo, double *w_lo, double *w_hi);
+/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w_lo backward and w_hi forward, speeds lie in
+ * [v_lo, v_hi] and momenta in [p_lo, p_hi], (n,) each. */
+STOPSET_API int stopset_energy_after(int n, double y, const double *w_lo, const double *w_hi, const double *v_lo, const double *v_hi,
+                                     const double *p_lo, const double *p_hi, double h, double *out);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements
  * and speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows,
  * as in a tube. */
