@@ -119,13 +119,10 @@ NO_PATH = "const StopsetPath stopset_path = {0};\n"
 
 
 def _path_definition(setting: Setting, path: Path | None) -> str:
-    """``stopset_path`` and its arrays; every state on the way has to lie in the model's domain."""
+    """``stopset_path`` and its arrays."""
     if path is None:
         return NO_PATH
-    d = setting.model.domain
-    arrays = path_fields(setting, path) | {
-        "seen_lo": np.concatenate([d.q.lo, d.dq.lo]) - EDGE, "seen_hi": np.concatenate([d.q.hi, d.dq.hi]) + EDGE,
-    }  # fmt: skip
+    arrays = path_fields(setting, path)
     lines = [f"static const double path_{k}[] = {array(np.ravel(x))};" for k, x in arrays.items()]
     fields = [f".pieces = {len(path.coefficient)}", *(f".{k} = path_{k}" for k in arrays)]
     return "\n".join(lines) + f"\nconst StopsetPath stopset_path = {{{', '.join(fields)}}};\n"
