@@ -266,7 +266,7 @@ def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trial: Trial, 
 
 
 def thinned(r: Recording, u: Array, every: int) -> tuple[Recording, Array]:
-    """A trial and its input on the sets' grid, every so many samples of its own, as `nonlinear.coarser` does it."""
+    """A trial and its input on the sets' grid, every so many samples of its own, as `coarser` does it."""
     (x, mean) = coarser([(np.hstack([r.q, r.dq]), u)], every)[0]
     at, n = slice(0, (len(x) - 1) * every + 1, every), r.q.shape[1]
     temp = None if r.temp is None else r.temp[at]
