@@ -795,7 +795,7 @@ typedef struct {
     const double *coefficient;       /* (pieces, n, 4) [rad] of 1, x, x^2, x^3 with x = s - knots[k] */
     const double *noise;             /* (2n,) [rad], [rad/s] by which a reading of the state may be off */
     const double *q_lo, *q_hi, *fastest; /* (n,) [rad], [rad/s] limits of the arm */
-    const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie; 0: anywhere */
+    const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie */
 } StopsetPath;
 
 /* Why there is no stop on a path: the request comes too late on it; it leads beyond the arm's limits; it is too fast for the arm; a drive
