@@ -79,7 +79,7 @@ def test_what_travel_is_left_is_not_known_before_every_brake_holds() -> None:
     smooth = s.plant._replace(coulomb_lo=none)
     q, dq, r = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1]), np.full(6, 0.3), np.full(6, 1e-3)
     lasts = expected_stop(smooth, q, dq)
-    tube = march(smooth, Box(q - r, q + r), Box(dq - r, dq + r), lasts / KNOTS, 6 * KNOTS, ALL_PARTS, energetic=True)
+    tube = march(smooth, Box(q - r, q + r), Box(dq - r, dq + r), lasts / KNOTS.stop, 6 * KNOTS.stop, ALL_PARTS, energetic=True)
     free = tube.t < smooth.delay_hi.min()
     assert tube.end == OK and np.all(np.isinf(tube.travel_left[free])) and free.sum() > 3
     assert np.all(np.isfinite(tube.travel_left[-2])) and np.all(tube.travel_left[-2] > 0.0)

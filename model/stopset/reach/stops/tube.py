@@ -113,9 +113,12 @@ def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
     return struct, [arm, rows, bent]
 
 
-def march(plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, energetic: bool = False) -> Tube:
+def march(
+    plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, energetic: bool = False, brief: float = np.inf
+) -> Tube:
     """The tube from angles ``q`` and speeds ``dq`` (n,) at the cut, in steps of ``h`` seconds, at most ``steps``.
 
+    ``brief``: [s] the longest step from when the first brake may close until all have.
     ``energetic``: with the kinetic energy's caps, which end the tube whenever brakes and friction surely hold the arm.
     """
     n, made = len(plant.rotor), ffi.new("int64_t *")
@@ -128,7 +131,7 @@ def march(plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, 
     lines = [view(x) for x in (t, *knots[:4], *ends)]
     tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4])))
     end = lib.stopset_stop_tube(
-        struct, *(view(x) for x in box), h, steps, ffi.new("StopsetParts *", tuple(parts)), int(energetic), tube, made
+        struct, *(view(x) for x in box), h, brief, steps, ffi.new("StopsetParts *", tuple(parts)), int(energetic), tube, made
     )
     check(-min(end, 0))
     m = made[0]
