@@ -20,12 +20,15 @@ from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
+from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.explain.objection import objection
+from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
+from stopset.offline.inspect.gate import check_files
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
 from stopset.offline.nominal.pair_choice import coupled
@@ -163,6 +166,15 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     assert found_by_file[0] == found_by_file[1] == [] and len(found_by_file[2]) == 1
     found = re.search(r"as if about ([\d.]+) kg more", found_by_file[2][0].says)
     assert found and 1.5 < float(found[1]) < 4.0, found_by_file[2][0].says
+    # an identification takes free ones together, refuses the load among them, and says it where it is told to go on
+    campaign = campaign_of(arm(), paths[:2])
+    assert check_files(arm(), campaign.meta, campaign.trials(), mixed=False) == ()
+    campaign = campaign_of(arm(), paths)
+    with pytest.raises(
+        RecordingError, match=rf"loaded.parquet, .*as if about {found[1]} kg more .*--condition payload=KG@FILE.*--mixed"
+    ):
+        identified(arm(), campaign, Settings())
+    assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
 
 
 def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:

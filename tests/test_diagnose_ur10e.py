@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from stopset.artifact import Model
+from stopset.cli.main import main
 from stopset.effects import catalogue
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose_model
@@ -62,3 +63,23 @@ def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data) -> 
     m = next(r for r in found.ranked if r.effect == "payload").parameters["m"]
     assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std
     assert m.value > 1.96 * m.std  # it is known to hang there
+
+
+@pytest.mark.shared
+def test_a_loaded_recording_among_free_ones_makes_no_model(shared_data, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    """Together they made one whose torque sets held the load: 502 N m wide in sum, and 107 N m without it."""
+    folder: Path = shared_data("ur10e")
+    out = tmp_path / "m.model.json"
+    words = [
+        "identify",
+        "--robot",
+        str(folder / "robot.urdf"),
+        "--out",
+        str(out),
+        "--data",
+        str(folder / "identification.parquet"),
+    ]
+    assert main([*words, str(folder / "payload_a.parquet")]) == 2
+    said = capsys.readouterr().err
+    assert "payload_a.parquet" in said and "kg more hung at the flange" in said and "--condition payload=KG@FILE" in said
+    assert not out.exists()

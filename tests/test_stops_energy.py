@@ -24,6 +24,7 @@ from stopset.reach.stops.tube import OK, Plant, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
+from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like, ur5_like
@@ -108,6 +109,29 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
     # an arm that goes on for longer than is asked is bounded from the first moment on: by its energy, not by time
     brief = march(plant, Box(q, q), Box(1e3 * v, 1e3 * v), 1.0, 5, ALL_PARTS, energetic=True)
     assert max(brief.d_hi.max(), -brief.d_lo.min()) <= 1.01e6 * far
+
+
+def three_links(brake: Array) -> Plant:
+    """Three equal links in a vertical plane, all brakes closed at the cut."""
+    z, some = np.zeros(3), np.full(3, 1e-9)
+    offsets, axes = np.array([[0.0, 0, 0], [0.3, 0, 0], [0.3, 0, 0]]), np.tile([0.0, 1.0, 0.0], (3, 1))
+    chain = Chain(np.tile(np.eye(3), (3, 1, 1)), offsets, axes, np.array([0.0, 0.0, -9.81]))
+    pi = np.tile([2.0, 0.3, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1], (3, 1))
+    return Plant(
+        chain, pi, 0 * pi, np.full(3, 0.5), z, brake, brake, z, z, z, z, brake, brake, z, some, some, some, curvature(chain, pi)
+    )  # fmt: skip
+
+
+def test_travel_whose_claims_creep_is_given_up_and_asked_for_again() -> None:
+    """Between what brakes surely hold and what they may not, each claim of travel finds gravity a little heavier and asks for more."""
+    plant, q, r = three_links(np.array([16.0, 6.0, 4.0])), np.array([-1.7, -2.9, -2.9]), np.full(3, 1e-4)
+    known = {}
+    for speed in (1.95, 1.9585, 1.97):
+        v = np.array([speed, 0.0, 0.0])
+        tube = march(plant, Box(q - r, q + r), Box(v, v), 1e-3, 400, ALL_PARTS, energetic=True)
+        known[speed] = bool(np.isfinite(tube.travel_left[0]).all())
+        assert tube.end == OK and np.isfinite(tube.travel_left[5]).all()
+    assert known == {1.95: True, 1.9585: False, 1.97: False}
 
 
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:

@@ -66,42 +66,68 @@ class _File:
         return out
 
 
+@dataclass(frozen=True, slots=True)
+class Dissent:
+    """File ``file`` contradicts file ``first`` at ``joint``: by ``error`` [N m] where ``least`` would do and it leaves ``own`` of itself.
+
+    ``mass`` [kg]: what must hang at the flange besides to explain it; None where no load does.
+    """
+
+    file: int
+    first: int
+    joint: str
+    error: float
+    own: float
+    least: float
+    mass: float | None
+
+    def seen(self, names: Sequence[str]) -> str:
+        """What is wrong, in words; ``names`` of all files."""
+        load = "" if self.mass is None else f"about {abs(self.mass):.2g} kg {'more' if self.mass > 0 else 'less'}"
+        return (
+            f"what {names[self.first]} says of the torque is {self.error:.3g} N m off in {names[self.file]}, which by itself leaves "
+            f"{self.own:.3g} N m{f', as if {load} hung at the flange' if load else ''}"
+        )
+
+
 def contradictions(robot: Robot, names: Sequence[str], sums: Sequence[NormalEquations | None]) -> list[list[Finding]]:
     """Per file, what contradicts the one with the most samples; ``sums`` of motor torque, None where there are none."""
     out: list[list[Finding]] = [[] for _ in names]
+    for d in dissents(robot, sums):
+        out[d.file].append(
+            Finding(
+                "contradiction", "warning", d.joint, d.seen(names), f"files of one arm in one state, {d.least:.3g} N m off at most",
+                "identify them apart, or tell their conditions (--condition payload=..@FILE)", d.error,
+            )
+        )  # fmt: skip
+    return out
+
+
+def dissents(robot: Robot, sums: Sequence[NormalEquations | None]) -> list[Dissent]:
+    """Files that contradict the one with the most samples, each at its worst joint; ``sums`` as of `contradictions`."""
     some = {k: d for k, d in enumerate(sums) if d is not None and d.rows_moving.sum(axis=0).max() >= ROWS and not d.compensated}
     if len(some) < 2:
-        return out
+        return []
     files = {k: _File.of(robot, d) for k, d in some.items()}
     first = max(files, key=lambda k: float(files[k].rows.sum()))
-    base = files[first]
+    base, out = files[first], []
     for k, f in files.items():
         if k == first:
             continue
         error = f.error(base.nominal.theta)
         least = np.maximum(FAILS * np.maximum(f.own, base.own), NOTABLE * f.torque)
         over = np.where((f.rows > 0) & (base.rows > 0), error / np.maximum(least, 1e-12), 0.0)
-        if float(over.max()) <= 1.0:
-            continue
-        j = int(over.argmax())
-        out[k].append(
-            Finding(
-                "contradiction", "warning", robot.joints[j],
-                f"what {names[first]} says of the torque is {error[j]:.3g} N m off in {names[k]}, which by itself leaves "
-                f"{f.own[j]:.3g} N m{_as_if(f, base, j, error)}",
-                f"files of one arm in one state, {least[j]:.3g} N m off at most",
-                "identify them apart, or tell their conditions (--condition payload=..@FILE)", float(error[j]),
-            )
-        )  # fmt: skip
+        if float(over.max()) > 1.0:
+            j = int(over.argmax())
+            mass = _load(f, base, j, error)
+            out.append(Dissent(k, first, robot.joints[j], float(error[j]), float(f.own[j]), float(least[j]), mass))
     return out
 
 
-def _as_if(f: _File, base: _File, joint: int, error: Array) -> str:
-    """That a load explains it, where it does."""
+def _load(f: _File, base: _File, joint: int, error: Array) -> float | None:
+    """What load explains it, where one does."""
     theta = base.nominal.theta
     loaded = f.with_load(theta)
     if f.error(loaded)[joint] > LOAD * error[joint]:
-        return ""
-    n = len(f.rows)
-    mass = float((loaded - theta)[10 * n - 10])
-    return f", as if about {abs(mass):.2g} kg {'more' if mass > 0 else 'less'} hung at the flange"
+        return None
+    return float((loaded - theta)[10 * len(f.rows) - 10])

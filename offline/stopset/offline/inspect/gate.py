@@ -6,13 +6,16 @@ A model of torque in mN m, or with its sign turned, encloses its own recordings 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 
+from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
+from stopset.offline.inspect.contradiction import dissents
 from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, torque_limits, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import SignalSums
-from stopset.offline.nominal.normal_equations import NormalEquations
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
@@ -52,6 +55,29 @@ def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, 
     scale, std = torque_scales(robot, data)
     _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))
     return _in_words(against_model(robot, meta, scale, std, RIGHT))
+
+
+def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed: bool) -> tuple[str, ...]:
+    """Files against each other: of the same arm, but not in one state. Raises `RecordingError` where a load makes the difference.
+
+    A load that some recordings carry would end in the torque sets of all.  What else differs (``mixed``: that, too) is returned.
+    """
+    names = [name for name, _ in meta.sources]
+    if len(names) < 2 or meta.effort == "compensated_torque":
+        return ()
+    sums: list[NormalEquations | None] = [None] * len(names)
+    for k, some in groupby(trials, key=lambda r: r.file):
+        if k < len(sums):
+            sums[k] = accumulate(robot, some, usual_friction())
+    found = dissents(robot, sums)
+    loaded = next((d for d in found if d.mass is not None), None)
+    if loaded is not None and not mixed:
+        raise RecordingError(
+            f"{loaded.joint}: {loaded.seen(names)}; expected files of one arm in one state, for a model of several holds all their "
+            "differences in its sets: identify them apart, each with what it carries (--condition payload=KG@FILE), or say --mixed to "
+            "take them as one"
+        )
+    return tuple(f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in found)
 
 
 def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:

@@ -18,12 +18,12 @@ from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
 from stopset.offline.campaign.hold_out import HoldOut
 from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
 from stopset.offline.diagnose.question import question
-from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.progress import Progress
 from stopset.recording import Recordings
