@@ -116,7 +116,9 @@ def main() -> None:
     online = median_us(lambda: certificate.bound(q, dq), 2000)
     whole = median_us(lambda: bounds.bound(q, dq), 200)
     certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
-    fine = median_us(lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), lasts / KNOTS.stop, 6 * KNOTS.stop, ALL_PARTS), 200)
+    fine = median_us(
+        lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), lasts / KNOTS.stop, 6 * KNOTS.stop, ALL_PARTS), 200
+    )
     numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))
     length = int(np.ceil(certificate.tube.t[-1] / DT))

@@ -134,6 +134,34 @@ def test_travel_whose_claims_creep_is_given_up_and_asked_for_again() -> None:
     assert known == {1.95: True, 1.9585: False, 1.97: False}
 
 
+def test_the_brake_and_gravity_stop_what_rises_and_gravity_takes_from_the_brake_what_falls() -> None:
+    """An axis that lies, its weight beside it: a stop is known by its energy alone, in a step of a second."""
+    plant, _ = one_joint(6.0, 1.0)
+    chain = plant.chain._replace(gravity=np.array([0.0, -9.81, 0.0]))
+    plant = plant._replace(chain=chain, curvature=curvature(chain, plant.pi))
+    q, work, weight = np.zeros(1), 0.5 * 1.2 * 0.3**2, 0.3 * 9.81
+    for sign in (1.0, -1.0):
+        v = np.full(1, sign * 0.3)
+        tube = march(plant, Box(q, q), Box(v, v), 1.0, 2, ALL_PARTS, energetic=True, brief=1e-6)
+        # as far as it gets the weight is nearly as far beside the axis; before, what rises was let go as far as what falls
+        assert work / (6.0 + sign * weight) <= np.abs([tube.d_lo, tube.d_hi]).max() <= 1.02 * work / (6.0 + sign * weight)
+
+
+def test_steps_are_short_while_brakes_close() -> None:
+    plant, _ = one_joint(6.0, 1.0)
+    plant = plant._replace(
+        delay_lo=np.full(1, 0.0125), delay_hi=np.full(1, 0.02), rise_lo=np.full(1, 0.01), rise_hi=np.full(1, 0.02)
+    )
+    q, v = np.zeros(1), np.ones(1)
+    tube = march(plant, Box(q, q), Box(v, v), 0.01, 200, ALL_PARTS, brief=1e-3)
+    assert tube.end == OK
+    h, closing = np.diff(tube.t), (tube.t >= 0.0125 - 1e-12) & (tube.t < 0.04 - 1e-12)
+    assert np.allclose(tube.t[:4], [0.0, 0.01, 0.0125, 0.0135])  # no step passes the first moment at which the brake may close
+    assert np.allclose(h[closing[:-1]], 1e-3) and np.allclose(h[~closing[:-1]][2:], 0.01)
+    even = march(plant, Box(q, q), Box(v, v), 0.01, 200, ALL_PARTS)
+    assert tube.d_hi.max() < even.d_hi.max()
+
+
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
     plant, _ = one_joint(6.0, 1.0)
     v, q = np.full(1, 1e200), np.zeros(1)

@@ -20,7 +20,6 @@ from stopset.sets import Box
 from stopset.types import Array
 
 
-
 class Knots(NamedTuple):
     """Time steps over the expected stop, and at least how many of them from when the first brake may close until all have.
 
