@@ -25,7 +25,7 @@ from stop_sampling import DT
 from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
-from stopset.reach.stops.tube import OK, march
+from stopset.reach.stops.tube import OK, Stride, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop
@@ -117,7 +117,7 @@ def main() -> None:
     whole = median_us(lambda: bounds.bound(q, dq), 200)
     certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
     fine = median_us(
-        lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), lasts / KNOTS.stop, 6 * KNOTS.stop, ALL_PARTS), 200
+        lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(lasts / KNOTS.stop, 6 * KNOTS.stop), ALL_PARTS), 200
     )
     numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))

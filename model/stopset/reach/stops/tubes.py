@@ -13,7 +13,7 @@ from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march
 from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
@@ -107,11 +107,10 @@ def march_box(
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
         coarse = not (settled or region.known)
-        steps, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
-        tube: Tube = march(
-            plant if settled else region.plant(setting, plant, start), start.angles, start.speeds, lasts / steps,
-            steps * patience + brief, parts, energetic=energetic, brief=closes / brief,
-        )  # fmt: skip
+        few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
+        steps = Stride(lasts / few, few * patience + brief, closes / brief)
+        at = plant if settled else region.plant(setting, plant, start)
+        tube = march(at, start.angles, start.speeds, steps, parts, energetic=energetic)
         if settled or (tube.end != OK and not coarse):
             return tube
         if tube.end != OK:

@@ -158,10 +158,10 @@ static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_l
  * Brakes only gain torque: once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than
  * y^2 / 2 |w_i|, w_i that of the direction. That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      const StopsetParts *parts, Local *at, Span *way) {
+                      const StopsetParts *parts, Local *at, Span *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
-    double more[SN], travel[SN];
+    double more[SN], claim[SN];
     Energy here = {0};
     Span w, left;
     stops_box_terms(E, &p->curvature, q_lo, q_hi, none, none, parts, at); /* at rest: h is gravity alone */
@@ -173,25 +173,25 @@ int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E
     for (int i = 0; i < n; i++) {
         const double worst = most(w.lo[i], w.hi[i]);
         if (!(worst < 0.0)) return 0;
-        travel[i] = 1.1 * work / -worst + 1e-9;
+        claim[i] = 1.1 * work / -worst + 1e-9;
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
-        heavier(p, E, q_lo, q_hi, travel, more);
+        heavier(p, E, q_lo, q_hi, claim, more);
         for (int i = 0; i < n; i++) {
             left.lo[i] = least(w.lo[i] + more[i], p->curvature.load[i] - p->u_lo[i] - B_lo[i]);
             left.hi[i] = least(w.hi[i] + more[i], p->curvature.load[i] + p->u_hi[i] - B_lo[i]);
             const double worst = most(left.lo[i], left.hi[i]);
             if (!(worst < 0.0)) return 0;
-            if (!(work / -worst < travel[i])) {
+            if (!(work / -worst < claim[i])) {
                 enough = 0;
-                travel[i] = 1.1 * work / -worst + 1e-9;
+                claim[i] = 1.1 * work / -worst + 1e-9;
             }
         }
         if (!enough) continue;
         for (int i = 0; i < n; i++) {
-            way->lo[i] = work / -left.lo[i] * stopset_energy_rounding;
-            way->hi[i] = work / -left.hi[i] * stopset_energy_rounding;
+            travel->lo[i] = work / -left.lo[i] * stopset_energy_rounding;
+            travel->hi[i] = work / -left.hi[i] * stopset_energy_rounding;
         }
         return 1;
     }

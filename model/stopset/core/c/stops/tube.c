@@ -299,13 +299,13 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
-    Span way;
-    const int braked = stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, &way);
+    Span travel;
+    const int braked = stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, &travel);
     for (int i = 0; i < n; i++) {
-        t->travel_left[k * n + i] = braked ? most(way.lo[i], way.hi[i]) : STOPS_INF;
+        t->travel_left[k * n + i] = braked ? most(travel.lo[i], travel.hi[i]) : STOPS_INF;
         if (!braked) continue;
-        m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - way.lo[i]);
-        m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + way.hi[i]);
+        m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - travel.lo[i]);
+        m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + travel.hi[i]);
     }
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
     for (int i = 0; i < n; i++) {
