@@ -90,7 +90,7 @@ def test_each_number_made_too_small_is_contradicted(category: Category) -> None:
 
 def test_no_stop_along_a_path_contradicts_a_number() -> None:
     pytest.importorskip("toppra")
-    from stopset.offline.stops.path import Path, path_stop
+    from stopset.reach.stops.path import Path, path_stop
 
     points = np.array([[0.0, 0.3, 0.4, 0.0, 0.5, 0.0], [0.5, 0.6, 0.1, 0.2, 0.3, 0.2], [1.0, 0.5, -0.4, 0.5, 0.2, 0.6]])
     path, rng = Path.through(points), np.random.default_rng(4)
