@@ -244,7 +244,7 @@ void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *st
         else if (x.seen_in[i]) {
             b->first_lo[i] = most(b->first_lo[i], x.best_lo[i]);
             b->first_hi[i] = least(b->first_hi[i], x.best_hi[i]);
-            if (!x.seen_out[i] && b->rested[i]) b->rested[i] = 0; /* nor one that is over */
+            if (!x.seen_out[i]) b->rested[i] = 0; /* nor one that is over */
         }
     }
     stops_total(n, b, lo, hi);
