@@ -63,7 +63,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -138,7 +138,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES REWARD SLICE ANGLE_WEIGHT"),
+    ("cut intervals", split, "TRIALS REWARD"),
+    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
