@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib.util
 import json
 import resource
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,31 +18,17 @@ from stopset.artifact import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluate
 from stopset.errors import StopsetError
 from stopset.offline.abstraction import ORDERS, build, predicted_bytes
-from stopset.offline.abstraction.forms import coriolis_degree, dynamics, inverse
+from stopset.offline.abstraction.forms import dynamics, inverse
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import mass_matrix, torque
-from stopset.types import Array
 from test_taylor import CIRCLE, RADIUS
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from table1 import degrees
+
 ROTOR, VISCOUS = np.array([0.7, 0.4]), np.array([[3.0, 0.2, -0.3], [2.0, -0.1, -0.2]])
-
-
-class Degrees(NamedTuple):
-    """Maximal polynomial degrees: from which order on a model no longer changes."""
-
-    model_1: int  # of the viscous friction
-    model_2: int  # of the Coriolis torques as the algorithm composes them (the paper's 12)
-    model_2_reduced: int  # the same after sin^2 + cos^2 = 1, as `build` uses them
-
-
-def degrees(robot: Robot, viscous: Array) -> Degrees:
-    """Maximal degrees of models 1 and 2 (the paper: 3 and 12); model 3 has none, its dynamics are rational."""
-    used = np.flatnonzero(np.any(np.asarray(viscous).reshape(robot.n, -1) != 0.0, axis=0))
-    friction = int(used.max(initial=0)) + 1
-    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), as_composed=plain)) for plain in (True, False))
-    return Degrees(friction, max(friction, composed), max(friction, reduced))
 
 
 def two_link() -> Robot:
