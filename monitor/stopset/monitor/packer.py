@@ -8,15 +8,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from stopset.core.library import ffi
+from stopset.core.library import ffi, lib
 from stopset.monitor.layout import (
     AT,
+    CHECKED,
     FIELDS,
     KINDS,
     LAYOUT_VERSION,
     LENGTH,
+    MAC,
     MAGIC,
     Field,
+    outward_all,
 )
 
 
@@ -73,3 +76,43 @@ class Packer:
         }  # fmt: skip
         self._numbers, self._sides = ffi.new("double[]", len(_NUMBERS)), ffi.new("int8_t[]", _SIDES)
         self._bits = ffi.cast("uint32_t *", self._memory + AT[_NUMBER_NAMES[0]])
+
+    def pack(self, values: Mapping[str, Any]) -> bytes:
+        """One message from field values; magic, version, length, code and checks are filled in, missing fields are 0."""
+        self._start(values)
+        self._block = None
+        return self._finish()
+
+    def again(self, values: Mapping[str, Any], block: Mapping[str, Any]) -> bytes:
+        """The same where many fields stay: ``block`` is only looked at if it is another object than the last time, and holds
+        what does not change; ``values`` holds all that does."""
+        if block is not self._block:
+            self._start(block)
+            self._block = block
+        v = {**block, **values}
+        _FIRST_STRUCT.pack_into(self._bytes, AT["seq"], *[v[name] for name in _FIRST_NAMES])
+        for k, name in enumerate(_NUMBER_NAMES):
+            self._numbers[k] = v[name]
+        lib.stopset_outward(len(_SIDES), self._numbers, self._sides, self._bits)
+        _LAST_STRUCT.pack_into(self._bytes, AT["nonces"], *v["nonces"], 0, v["bad_nodes"], v["dropped"], 0)
+        return self._finish()
+
+    def _start(self, values: Mapping[str, Any]) -> None:
+        self._bytes[:] = bytes(LENGTH)
+        self._real[:] = 0.0
+        for name, value in {**values, **_FIXED}.items():
+            place = _SLOTS.get(name)
+            if place is None:
+                self._views[name][: np.size(value)] = value
+            else:
+                self._real[place.start : place.start + np.size(value)] = value
+        self._floats[_WORDS] = outward_all(self._real, _UP)
+
+    def _finish(self) -> bytes:
+        lib.stopset_seal(AT[CHECKED[0][0]], self._memory)
+        if self.signer is not None:
+            self._views["key_id"][0] = self.signer.key_id
+            at = AT["mac"]
+            self._view[at : at + MAC] = self.signer.code(self._view[:at])
+        lib.stopset_seal(AT[CHECKED[1][0]], self._memory)
+        return bytes(self._bytes)
