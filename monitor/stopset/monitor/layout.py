@@ -15,6 +15,7 @@ from enum import IntEnum, IntFlag
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.core.library import ffi, lib
 from stopset.errors import BusError
@@ -141,6 +142,15 @@ def offsets() -> dict[str, int]:
 def crc32c(data: bytes | bytearray | memoryview) -> int:
     """CRC-32C (Castagnoli) of ``data``."""
     return int(lib.stopset_crc32c(len(data), ffi.from_buffer("uint8_t[]", data)))
+
+
+def outward_all(x: NDArray[np.float64], up: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """`outward` of many numbers at once."""
+    sign = np.where(up, 1.0, -1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        y = (sign * x).astype(np.float32)  # bounds from below are bounds from above of the negative
+        y = np.where(y < sign * x, np.nextafter(y, np.float32(np.inf)), y)
+    return np.asarray(np.where(np.isnan(y), np.inf, y) * sign, np.float32)
 
 
 AT = offsets()
