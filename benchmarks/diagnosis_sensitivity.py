@@ -1,16 +1,13 @@
 """Which answers change when a threshold of the diagnosis is 30 % smaller or larger.
 
-A threshold that is only compared with changes an answer only where a comparison comes out otherwise.  So every set is asked once
-with all thresholds *watched*: each comparison is made with the threshold as it is, 30 % smaller and 30 % larger, and only sets in
-which one comes out otherwise are asked again with that threshold.  Where a threshold enters a computation (a prior, a grid) its effect
-cannot be watched: those are asked again on all sets.  Where it is not even read, the answer is the same.  Answers are kept, so the run
-may be broken off (``--minutes``) and taken up again; ``again`` says how many are still to be asked.
+Every set is asked once, with thresholds that know what they would be 30 % smaller and larger.  Where a comparison with one would come
+out otherwise, and where one enters a computation, the process forks, and the child goes on with that threshold changed: rows, columns
+and fits that were made before are its own.  Where nothing forks nothing can differ.  The answers go to diagnosis_sensitivity.json
+beside this script, set by set, so a run may be broken off and taken up again; `doc_tables` makes the table of docs from it.
 
-    python benchmarks/diagnosis_sensitivity.py watch SETS... --out ANSWERS [--minutes 10]
-    python benchmarks/diagnosis_sensitivity.py again SETS... --out ANSWERS [--minutes 10] [--first SET,SET...]
-    python benchmarks/diagnosis_sensitivity.py table SETS... --out ANSWERS     (into docs/diagnosis.md)
+    python benchmarks/diagnosis_sensitivity.py SETS... [--minutes 10] [--only d01,p03]
 
-SETS are folders of `diagnosis_labelled` or `diagnosis_unseen`; the first one counts as labelled, the others as unseen.
+SETS are folders of `diagnosis_labelled` or `diagnosis_unseen`.
 """
 
 from __future__ import annotations
@@ -18,22 +15,24 @@ from __future__ import annotations
 import argparse
 import json
 import operator
-import re
+import os
+import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
+import traceback
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from diagnosis_labelled import right
 
+from stopset.files import write_text
 from stopset.offline.diagnose import thresholds as limit  # before anything that copies a default from it
 
 FACTORS = {"less": 0.7, "more": 1.3}
-PAGE = Path(__file__).parents[1] / "docs" / "diagnosis.md"
-FLIPPED: dict[str, set[str]] = {}  # threshold -> factors that turn a comparison round
-LEAKED: set[str] = set()  # thresholds that entered a computation
+STORED = Path(__file__).with_suffix(".json")
+Key = tuple[str, str]  # threshold, one of `FACTORS`
 
 
 def varied(value: Any, factor: float) -> Any:
@@ -45,40 +44,86 @@ def varied(value: Any, factor: float) -> Any:
     return value * factor
 
 
+class Walk:
+    """One process's walk through a question: ``branch`` is the threshold that is another one in it; None: all are as they are."""
+
+    branch: ClassVar[Key | None] = None
+    parted: ClassVar[set[Key]] = set()
+    read: ClassVar[set[str]] = set()
+
+    @classmethod
+    def part(cls, keys: Iterable[Key]) -> None:
+        """Where the walk with another threshold parts from this one: a child goes on there, and is waited for."""
+        if cls.branch is not None:
+            return
+        for key in sorted(set(keys) - cls.parted):
+            cls.parted.add(key)
+            pid = os.fork()
+            if pid == 0:
+                cls.branch = key
+                for t in limit.TABLE:  # from here on nothing is watched
+                    setattr(limit, t.name, settled(t.value))
+                return
+            if os.waitpid(pid, 0)[1]:
+                raise SystemExit(f"the walk with another {key[0]} broke off")
+
+
 class Watched:
     """A number with what it would be if a threshold behind it were another: ``other`` by threshold and factor."""
 
-    def __init__(self, value: Any, other: dict[tuple[str, str], Any]) -> None:
+    def __init__(self, value: Any, other: dict[Key, Any]) -> None:
         self.value, self.other = value, other
 
     @staticmethod
-    def of(name: str, value: Any) -> Watched:
+    def of(name: str, value: Any) -> Any:
+        """A threshold watched; of a grid every number of it."""
+        if isinstance(value, tuple):
+            return tuple(Watched.of(name, v) for v in value)
         return Watched(value, {(name, change): varied(value, f) for change, f in FACTORS.items()})
 
-    def _leak(self) -> Any:
-        LEAKED.update(name for name, _ in self.other)
-        return self.value
+    def at(self, key: Key | None) -> Any:
+        return self.value if key is None else self.other.get(key, self.value)
+
+    def plain(self) -> Any:
+        """The number for a computation that cannot be watched."""
+        Walk.read.update(name for name, _ in self.other)
+        Walk.part(self.other)
+        return self.at(Walk.branch)
+
+    def __abs__(self) -> Any:
+        if Walk.branch is not None:
+            return abs(self.at(Walk.branch))
+        return Watched(abs(self.value), {key: abs(value) for key, value in self.other.items()})
 
     def __format__(self, spec: str) -> str:
-        return format(self.value, spec)
+        return format(self.at(Walk.branch), spec)
 
     def __float__(self) -> float:
-        return float(self._leak())
+        return float(self.plain())
 
     def __index__(self) -> int:
-        return operator.index(self._leak())
+        return operator.index(self.plain())
 
     def __hash__(self) -> int:
-        return hash(self._leak())
+        return hash(self.plain())
+
+    def __bool__(self) -> bool:
+        return bool(self.plain())
 
     def __array__(self, *_: Any, **__: Any) -> Any:
-        return np.asarray(self._leak())
+        return np.asarray(self.plain())
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         if method == "__call__" and ufunc in UFUNCS and not options:
             return applied(UFUNCS[ufunc], *inputs)
-        plain = [x._leak() if isinstance(x, Watched) else x for x in inputs]
-        return getattr(ufunc, method)(*plain, **options)
+        return getattr(ufunc, method)(*(x.plain() if isinstance(x, Watched) else x for x in inputs), **options)
+
+
+def settled(value: Any) -> Any:
+    """A threshold, or a grid of them, as it is in this process's walk."""
+    if isinstance(value, tuple):
+        return tuple(map(settled, value))
+    return value.at(Walk.branch) if isinstance(value, Watched) else value
 
 
 COMPARE = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
@@ -91,22 +136,21 @@ UFUNCS = {
 
 
 def applied(op: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
-    """An operation with watched numbers: watched again, or, of a comparison, plain and noted where it would come out otherwise."""
+    """An operation with watched numbers: watched again, or, of a comparison, plain, and the walk parts where it comes out otherwise."""
     if op in ARITHMETIC and any(isinstance(x, np.ndarray) and x.ndim for x in (a, b)):
-        return op(*(x._leak() if isinstance(x, Watched) else x for x in (a, b)))
-    keys = {k for x in (a, b) if isinstance(x, Watched) for k in x.other}
+        return op(*(x.plain() if isinstance(x, Watched) else x for x in (a, b)))
+    keys = {key for x in (a, b) if isinstance(x, Watched) for key in x.other}
+    Walk.read.update(name for name, _ in keys)
 
-    def at(x: Any, key: tuple[str, str] | None) -> Any:
-        return x if not isinstance(x, Watched) else x.other.get(key, x.value) if key else x.value
+    def at(key: Key | None) -> Any:
+        return op(*(x.at(key) if isinstance(x, Watched) else x for x in (a, b)))
 
-    result = op(at(a, None), at(b, None))
-    others = {key: op(at(a, key), at(b, key)) for key in keys}
-    if op not in COMPARE:
-        return Watched(result, others)
-    for (name, change), other in others.items():
-        if np.any(other != result):
-            FLIPPED.setdefault(name, set()).add(change)
-    return result
+    if Walk.branch is None and op in COMPARE:
+        result = at(None)
+        Walk.part(key for key in keys - Walk.parted if np.any(at(key) != result))
+    if Walk.branch is not None or op in COMPARE:
+        return at(Walk.branch)
+    return Watched(at(None), {key: at(key) for key in keys})
 
 
 def _operators() -> None:
@@ -124,11 +168,6 @@ def _operators() -> None:
 _operators()
 
 
-def sets(folders: list[Path]) -> dict[str, Path]:
-    """Name of each set, with its folder's."""
-    return {f"{f.name}.{s}": f / s for f in folders for s in sorted(json.loads((f / "labels.json").read_text()))}
-
-
 def asked(path: Path) -> list[str]:
     """The answer: verdict, then what is named, in order."""
     from stopset.offline.description import load_robot
@@ -141,119 +180,126 @@ def asked(path: Path) -> list[str]:
     return [found.verdict, *(r.label for r in found.ranked)]
 
 
-def watch(known: dict[str, Path], out: Path, until: float) -> None:
-    """Ask sets once, all thresholds watched that were not watched in them before."""
-    settled = {t.name: getattr(limit, t.name) for t in limit.TABLE}
-    for key, path in known.items():
-        file = out / f"{key}.watched.json"
-        before = json.loads(file.read_text()) if file.exists() else {"flipped": {}, "leaked": [], "watched": []}
-        new = [name for name in settled if name not in before["watched"]]
-        if not new or time.monotonic() > until:
-            continue
-        for name, value in settled.items():
-            parts = tuple(Watched.of(name, v) for v in value) if isinstance(value, tuple) else Watched.of(name, value)
-            setattr(limit, name, parts if name in new else value)
-        FLIPPED.clear()
-        LEAKED.clear()
-        answer = asked(path)
-        if before.get("answer", answer) != answer:
-            raise SystemExit(f"{key}: {answer}, but {before['answer']} when it was watched before; expected the same: begin anew")
-        flipped = before["flipped"] | {n: sorted(w) for n, w in FLIPPED.items()}
-        leaked = sorted({*before["leaked"], *LEAKED})
-        file.write_text(json.dumps({"answer": answer, "flipped": flipped, "leaked": leaked, "watched": list(settled)}))
-        print(key, answer, flush=True)
+def walks(question: Callable[[], Any], folder: Path) -> None:
+    """Answer a question with all thresholds as they are, and with each that may change it; one file each in ``folder``."""
+    try:
+        answer = question()
+    except Exception as error:  # a value that the code cannot work with
+        if Walk.branch is None:
+            raise
+        answer = [f"no answer: {error}"]
+    if Walk.branch is None:
+        (folder / "as it is.json").write_text(json.dumps({"answer": answer, "read": sorted(Walk.read)}))
+    else:
+        (folder / f"{'.'.join(Walk.branch)}.json").write_text(json.dumps(answer))
+        os._exit(0)
 
 
-def again(todo: list[tuple[str, str, str]], known: dict[str, Path], out: Path, until: float) -> None:
-    """Ask sets again with one threshold another: (set, threshold, factor)."""
-    for k, (key, name, change) in enumerate(todo):
-        if time.monotonic() > until:
-            print(f"{len(todo) - k} still to be asked", flush=True)
-            return
-        settled = getattr(limit, name)
-        setattr(limit, name, varied(settled, FACTORS[change]))
-        try:
-            answer = asked(known[key])
-        except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # a value that the code cannot work with
-            answer = [f"no answer: {error}"]
-        setattr(limit, name, settled)
-        (out / f"{key}.{name}.{change}.json").write_text(json.dumps(answer))
+def sensitivity(question: Callable[[], Any]) -> dict[str, Any]:
+    """The ``answer``, which thresholds were ``read`` for it, and what is ``changed`` by threshold and factor.
+
+    It is asked in a process of its own: what modules keep in memory rests on the thresholds, too.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        pid = os.fork()
+        if pid == 0:
+            code = 1
+            try:
+                walks(question, Path(folder))
+                code = 0
+            finally:
+                if code:
+                    traceback.print_exc()
+                os._exit(code)
+        if os.waitpid(pid, 0)[1]:
+            raise SystemExit("the question broke off")
+        found = {f.stem: json.loads(f.read_text()) for f in sorted(Path(folder).iterdir())}
+    out: dict[str, Any] = found.pop("as it is")
+    out["changed"], out["walked"] = {}, len(found)
+    for key, answer in found.items():
+        name, change = key.split(".")
+        if answer != out["answer"]:
+            out["changed"].setdefault(name, {})[change] = answer
+    return out
 
 
-def read(folders: list[Path], out: Path) -> dict[str, Any]:
-    """What was watched so far, by set."""
-    files = {key: out / f"{key}.watched.json" for key in sets(folders)}
-    return {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
+def watched(question: Callable[[], Any], names: Iterable[str]) -> Callable[[], Any]:
+    """A question with the thresholds ``names`` of the diagnosis watched while it is answered."""
+
+    def answer() -> Any:
+        for name in names:
+            setattr(limit, name, Watched.of(name, getattr(limit, name)))
+        return question()
+
+    return answer
 
 
-def open_to(watched: Mapping[str, Any], name: str, change: str) -> bool:
-    """Whether a set's answer may change with a threshold: one that entered a computation, turned a comparison round, or was not watched."""
-    return name not in watched["watched"] or name in watched["leaked"] or change in watched["flipped"].get(name, ())
+def stored() -> dict[str, Any]:
+    """What was asked so far; ``due`` of a set: thresholds that are new since it was asked, or have another value."""
+    values = json.loads(json.dumps({t.name: t.value for t in limit.TABLE}))
+    out: dict[str, Any] = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {"values": {}, "sets": {}}
+    new = {name for name, value in values.items() if out["values"].get(name) != value}
+    for entry in out["sets"].values():
+        entry["due"] = sorted((new | set(entry["due"])) & values.keys())
+        entry["read"] = [name for name in entry["read"] if name in values and name not in new]
+        entry["changed"] = {name: x for name, x in entry["changed"].items() if name in values and name not in new}
+    return out | {"values": values}
 
 
-def work(folders: list[Path], out: Path, first: set[str]) -> list[tuple[str, str, str]]:
-    """(set, threshold, factor) to ask: where a decision is near before what is open to most sets, the sets of ``first`` before others."""
-    watched = read(folders, out)
-    openings = [
-        (key, t.name, change) for key, w in watched.items() for t in limit.TABLE for change in FACTORS if open_to(w, t.name, change)
-    ]  # fmt: skip
-    count = Counter(name for _, name, _ in openings)
-    jobs = [(key, name, change) for key, name, change in openings if not (out / f"{key}.{name}.{change}.json").exists()]
-    return sorted(jobs, key=lambda j: (count[j[1]] > len(watched), bool(first) and j[0] not in first))
-
-
-def table(folders: list[Path], out: Path) -> str:
-    """The table of docs: which answers change with each threshold, of how many sets whose answer to that is known."""
-    watched = read(folders, out)
-    rows, still, later = [], [], []
-    for t in limit.TABLE:
-        cells, fewest, changes = [], len(watched), 0
-        for change in FACTORS:
-            files = {key: out / f"{key}.{t.name}.{change}.json" for key in watched}
-            new = {key: json.loads(f.read_text()) for key, f in files.items() if f.exists()}
-            known = set(new) | {key for key, w in watched.items() if not open_to(w, t.name, change)}
-            changed = [f"{key.partition('.')[2]} {_words(watched[key]['answer'])} → {_words(a)}"
-                       for key, a in new.items() if a != watched[key]["answer"]]  # fmt: skip
-            fewest, changes = min(fewest, len(known)), changes + len(changed)
-            cells.append(f"{len(changed)} of {len(known)}{': ' * bool(changed)}{'; '.join(changed)}")
-        if changes:
-            rows.append(f"| `{t.name}` | " + " | ".join(cells) + " |")
-        elif fewest:
-            still.append(f"`{t.name}`" + (f" ({fewest})" if fewest < len(watched) else ""))
-        else:
-            later.append(f"`{t.name}`")
-    head = ["| threshold | 30 % less | 30 % more |", "|---|---|---|", *rows, ""] if rows else []
-    head.append(
-        f"No answer changes of {len(watched)} sets (of fewer, where a number stands in brackets) with 30 % of {', '.join(still)}."
-    )
-    if later:
-        head.append(f"Not asked yet: {', '.join(later)}.")
-    return "\n".join(head)
-
-
-def _words(answer: list[str]) -> str:
-    return " ".join(answer[:1] if len(answer) == 1 else answer[1:])
+def asked_again(path: Path, label: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """What is stored of a set, once all thresholds have been asked; ``before``: what is stored of it."""
+    found = sensitivity(watched(lambda: asked(path), before["due"]))
+    if before.get("answer", found["answer"]) != found["answer"]:
+        return asked_again(path, label, {"due": [t.name for t in limit.TABLE]})
+    changed = {
+        name: {c: {"answer": a, "right": right_of(label, a)} for c, a in x.items()} for name, x in found["changed"].items()
+    }
+    return {
+        "hidden": hidden(label),
+        "answer": found["answer"],
+        "right": right_of(label, found["answer"]),
+        "read": sorted({*before.get("read", ()), *found["read"]}),
+        "changed": before.get("changed", {}) | changed,
+        "due": [],
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("watch", "again", "table"))
     parser.add_argument("sets", type=Path, nargs="+")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--first", default="", help="sets to ask again before the others")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no other question after this time")
+    parser.add_argument("--only", default="", help="comma-separated names of sets")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no other set after this time")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    known, until = sets(args.sets), time.monotonic() + 60 * args.minutes
-    if args.command == "watch":
-        watch(known, args.out, until)
-    elif args.command == "again":
-        again(work(args.sets, args.out, set(filter(None, args.first.split(",")))), known, args.out, until)
-    else:
-        text = PAGE.read_text(encoding="utf-8")
-        mark = "<!-- sensitivity: made by benchmarks/diagnosis_sensitivity.py -->\n"
-        made = table(args.sets, args.out)
-        PAGE.write_text(re.sub(f"({re.escape(mark)}).*?(\n<!-- end -->)", lambda m: m[1] + made + m[2], text, flags=re.S))
+    only, until = set(filter(None, args.only.split(","))), time.monotonic() + 60 * args.minutes
+    for folder in args.sets:
+        labels = json.loads((folder / "labels.json").read_text())
+        for name, label in sorted(labels.items()):
+            key = f"{folder.name}/{name}"
+            before = stored()["sets"].get(key, {"due": [t.name for t in limit.TABLE]})
+            if (only and name not in only) or not before["due"] or time.monotonic() > until:
+                continue
+            start = sum(os.times()[:4])
+            entry = asked_again(folder / name, label, before)
+            known = stored()  # another run may have asked other sets meanwhile
+            write(known | {"sets": known["sets"] | {key: entry}})
+            print(key, entry["answer"], f"{sum(os.times()[:4]) - start:.0f} s:", entry["changed"], flush=True)
+
+
+def write(known: dict[str, Any]) -> None:
+    """Store it, one set a line."""
+    sets = ",\n".join(f"  {json.dumps(key)}: {json.dumps(entry)}" for key, entry in sorted(known["sets"].items()))
+    write_text(STORED, f'{{\n "values": {json.dumps(known["values"])},\n "sets": {{\n{sets}\n }}\n}}\n')
+
+
+def hidden(label: dict[str, Any]) -> list[str]:
+    """What a set hides, as the diagnosis would name it."""
+    return [":".join(filter(None, (e["effect"], "+".join(e["joints"])))) for e in label["effects"]]
+
+
+def right_of(label: dict[str, Any], answer: list[str]) -> bool:
+    """Whether an answer is what its set's label says."""
+    parts = [name.partition(":") for name in answer[1:]]
+    return right(label, answer[0], [(effect, tuple(filter(None, where.split("+")))) for effect, _, where in parts])
 
 
 if __name__ == "__main__":

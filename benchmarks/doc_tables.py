@@ -5,8 +5,10 @@ Run: python benchmarks/doc_tables.py
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 from stopset.files import write_text
 from stopset.offline.diagnose.thresholds import TABLE
@@ -18,10 +20,78 @@ MARK = "<!-- {name}: made by benchmarks/doc_tables.py -->"
 END = "<!-- end -->"
 
 
+SENSITIVITY = ROOT / "benchmarks" / "diagnosis_sensitivity.json"
+LABELLED = "hidden_effect"  # folder of the labelled sets; others are unseen ones
+
+
+def asked() -> dict[str, dict[str, Any]]:
+    """What `diagnosis_sensitivity` stored by set; a threshold that has another value since then is ``due`` again."""
+    known = json.loads(SENSITIVITY.read_text(encoding="utf-8"))
+    values = json.loads(json.dumps({t.name: t.value for t in TABLE}))
+    new = {name for name, value in values.items() if known["values"].get(name) != value}
+    return {key: x | {"due": {*x["due"], *new}} for key, x in known["sets"].items()}
+
+
 def thresholds() -> str:
-    """The thresholds of the diagnosis."""
-    rows = [f"| {t.meaning} | {t.shown} | {t.calibration} | `{t.name}` |" for t in TABLE]
-    return "\n".join(("| what | value | why | constant |", "|---|---|---|---|", *rows))
+    """The thresholds of the diagnosis, and which answers change with each."""
+    sets, rows = asked(), []
+    for t in TABLE:
+        cells = [
+            t.meaning,
+            t.shown,
+            t.calibration,
+            *(_changes(sets, t.name, change) for change in ("less", "more")),
+            f"`{t.name}`",
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
+    head = "| what | value | why | 30 % less changes | 30 % more changes | constant |"
+    return "\n".join((head, "|---|---|---|---|---|---|", *rows))
+
+
+def _changes(sets: dict[str, dict[str, Any]], name: str, change: str) -> str:
+    """The answers that change when a threshold is 30 % ``less`` or ``more``; a dash where no set's answer is asked of it."""
+    here = {key: x for key, x in sets.items() if name not in x["due"]}
+    if not here:
+        return "not asked"
+    if not any(name in x["read"] for x in here.values()):
+        return "-"
+    found = []
+    for key, x in here.items():
+        other = x["changed"].get(name, {}).get(change)
+        if other is not None:
+            worse = {(True, False): ", **wrong**", (False, True): ", right"}.get((x["right"], other["right"]), "")
+            found.append(f"{_set(key)} {_named(x['answer'])} → {_named(other['answer'])}{worse}")
+    of = "" if len(here) == len(sets) else f" (of {len(here)} sets)"
+    return ("; ".join(found) or "none") + of
+
+
+def _set(key: str) -> str:
+    folder, _, name = key.partition("/")
+    return name if folder == LABELLED else f"unseen {name}"
+
+
+def _named(answer: list[str]) -> str:
+    """What is named, or the verdict where nothing is."""
+    return " ".join(answer[1:] or answer[:1])
+
+
+def sensitivity() -> str:
+    """How many answers hang on a threshold, in sum."""
+    sets = asked()
+    count = {
+        key: sum(key.startswith(f"{LABELLED}/") == labelled for key in sets) for key, labelled in (("l", True), ("u", False))
+    }
+    walks = [(x["right"], o["right"]) for x in sets.values() for changes in x["changed"].values() for o in changes.values()]
+    questions = 2 * sum(len(TABLE) - len(x["due"]) for x in sets.values())
+    unread = [f"`{t.name}`" for t in TABLE if _changes(sets, t.name, "less") == "-"]
+    by_name = {t.name: sum(len(x["changed"].get(t.name, {})) for x in sets.values()) for t in TABLE}
+    most = sorted((name for name in by_name if by_name[name]), key=lambda name: -by_name[name])
+    return (
+        f"Of {questions} such questions ({count['l']} labelled and {count['u']} unseen sets) {len(walks)} have another answer, "
+        f"{sum(walk == (True, False) for walk in walks)} a wrong one instead of a right one"
+        f"{', ' * bool(most)}{', '.join(f'`{name}` {by_name[name]}' for name in most)}. "
+        f"No set's answer is asked of {len(unread)} thresholds: {', '.join(unread)}."
+    )
 
 
 def description() -> str:
@@ -44,7 +114,11 @@ def description() -> str:
     return "\n".join((head, "|---|---|---|---|", *rows))
 
 
-TABLES = {("docs/diagnosis.md", "thresholds"): thresholds, ("docs/diagnosis.md", "description"): description}
+TABLES = {
+    ("docs/diagnosis.md", "thresholds"): thresholds,
+    ("docs/diagnosis.md", "sensitivity"): sensitivity,
+    ("docs/diagnosis.md", "description"): description,
+}
 
 
 def build() -> dict[str, str]:

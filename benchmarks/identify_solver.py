@@ -1,9 +1,8 @@
 """What the solver of the possible bodies decides of U, beside what another day's recordings do: ``python benchmarks/identify_solver.py``.
 
-Link parameters that no body has are moved to the nearest possible ones by a conic program (`stopset.offline.nominal.physical`).  How far it
-is solved, and how the links are scaled in it, changes numbers that the recordings leave open, and with them U in its later digits.  The same
-recordings are identified as shipped, with the solver's tolerances a thousand times smaller, and with the scaling of before version 0.9; then
-recordings of the same simulated arm from another seed.  Prints the largest relative difference of U's widths to those as shipped.
+Link parameters that no body has are moved to the nearest possible ones by a conic program (`stopset.offline.nominal.physical`).  The same
+recordings are identified as shipped, with the solver's tolerances a thousand times smaller, and with links scaled in it as they once were;
+then recordings of the same simulated arm from another seed.  Prints the largest relative difference of U's widths to those as shipped.
 """
 
 from __future__ import annotations

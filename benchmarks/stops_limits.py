@@ -18,7 +18,7 @@ from stop_arms_wide import arms
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, Plant, march
+from stopset.reach.stops.tube import OK, Plant, Stride, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, tubes_of
 from stopset.sets import Box
 
@@ -65,8 +65,8 @@ def main() -> None:
         r, v = scale * s.noise.radius[:n], scale * s.noise.radius[n:]
         for _ in range(args.states):
             q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top)
-            h = expected_stop(s.plant, q, np.abs(dq) + v) / KNOTS / finer
-            good += march(plant, Box(q - r, q + r), Box(dq - v, dq + v), h, 6 * KNOTS * finer, ALL_PARTS).end == OK
+            h = expected_stop(s.plant, q, np.abs(dq) + v) / KNOTS.stop / finer
+            good += march(plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(h, 6 * KNOTS.stop * finer), ALL_PARTS).end == OK
         print(f"{name}: {good / args.states:.0%} closed by one tube", flush=True)
     for pieces in (64, 512):
         rng, good = np.random.default_rng(77), 0

@@ -25,7 +25,7 @@ from stop_sampling import DT
 from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
-from stopset.reach.stops.tube import OK, march
+from stopset.reach.stops.tube import OK, Stride, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop
@@ -44,7 +44,7 @@ def median_us(f: Callable[[], object], count: int) -> float:
 
 def plain_numpy(c: Certificate, dq: Array) -> tuple[Array, Array]:
     """The same comparison for the upper curves alone, as array operations: cumulative sums and running minima."""
-    h = c.tube.t[1]
+    h = np.diff(c.tube.t)[:, None]
     rate = np.where(np.isfinite(c.tube.forward_hi), c.tube.forward_hi, 0.0)
     high = dq + c.start.hi[len(dq) :]
     Z = np.vstack([high, high + h * np.cumsum(rate, axis=0)])
@@ -116,7 +116,9 @@ def main() -> None:
     online = median_us(lambda: certificate.bound(q, dq), 2000)
     whole = median_us(lambda: bounds.bound(q, dq), 200)
     certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
-    fine = median_us(lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), lasts / KNOTS, 6 * KNOTS, ALL_PARTS), 200)
+    fine = median_us(
+        lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(lasts / KNOTS.stop, 6 * KNOTS.stop), ALL_PARTS), 200
+    )
     numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))
     length = int(np.ceil(certificate.tube.t[-1] / DT))

@@ -36,10 +36,10 @@ def _upper(
     t: Array, speed: Array, forward: Array, backward: Array, v_lo: Array, v_hi: Array
 ) -> tuple[NDArray[np.int_], Array, Array]:
     """Of the upper curves from ``speed`` (n,): the first knot at which they are at rest for good, how far, how fast in size."""
-    h, U, K = t[1] - t[0], speed, len(forward)
+    U, K = speed, len(forward)
     travel, far, fast, last = np.zeros_like(U), np.zeros_like(U), np.abs(U), np.zeros(len(U), int)
     with np.errstate(invalid="ignore"):
-        for k in range(K):
+        for k, h in enumerate(np.diff(t)):
             moving = U + h * forward[k]
             ahead = np.where((v_lo[k] <= 0.0) | (moving > 0.0), np.maximum(moving, 0.0), v_hi[k + 1])
             back = np.where(U == 0.0, 0.0, U + h * backward[k])

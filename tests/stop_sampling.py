@@ -40,9 +40,9 @@ class Samples(NamedTuple):
 
 def tube_at(tube: Tube, times: Array) -> tuple[Array, Array, Array, Array]:
     """Bounds of displacement and speed at ``times`` (T,), exactly as the tube means them between its knots."""
-    h = tube.t[1] - tube.t[0]
-    k = np.minimum((times / h).astype(int), len(tube.t) - 2)
-    s = np.clip(times - k * h, 0.0, h)[:, None]
+    k = np.clip(np.searchsorted(tube.t, times, side="right") - 1, 0, len(tube.t) - 2)
+    h = np.diff(tube.t)[k][:, None]
+    s = np.clip(times[:, None] - tube.t[k][:, None], 0.0, h)
     out = []
     for d, v, e, side in ((tube.d_lo, tube.v_lo, tube.e_lo, -1.0), (tube.d_hi, tube.v_hi, tube.e_hi, 1.0)):
         a, b = v[k], e[k]

@@ -18,7 +18,7 @@ from stopset.core.library import ffi, integers, lib, view
 from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import ALL_PARTS
-from stopset.reach.stops.tube import OK, Plant, march
+from stopset.reach.stops.tube import OK, Plant, Stride, march
 from stopset.ring.tape import STEPS, TANH, Tape
 from stopset.robot.rigid import (
     Chain,
@@ -161,7 +161,7 @@ def test_stop_tubes(seed: int) -> None:
         SimpleNamespace(lo=q - 1e-3, hi=q + 1e-3),
         SimpleNamespace(lo=v_lo, hi=v_hi),
     )  # a `Box` refuses what is no number
-    tube = march(plant, angles, speeds, 0.01, 30, ALL_PARTS, energetic=bool(rng.integers(2)))  # type: ignore[arg-type]
+    tube = march(plant, angles, speeds, Stride(0.01, 30), ALL_PARTS, energetic=bool(rng.integers(2)))  # type: ignore[arg-type]
     assert tube.end in (OK, 1, 2) and 1 <= len(tube.t) <= 31
     if tube.end == OK:
         assert not tube.v_lo[-1].any() and not tube.v_hi[-1].any() and np.all(tube.margin >= 0.0)

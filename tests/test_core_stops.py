@@ -19,7 +19,7 @@ from stopset.reach.stops.cartesian import SLICES, point_sets, slices
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Tube, march
+from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Stride, Tube, march
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -33,7 +33,9 @@ from stop_arms_wide import cobot7_like
 
 
 def marched(plant: Plant, q: Array, dq: Array, radius: float, h: float, energetic: bool = False, lasts: float = 1.5) -> Tube:
-    return march(plant, Box(q, q), Box(dq - radius, dq + radius), h, int(min(600, lasts / h)), ALL_PARTS, energetic=energetic)
+    return march(
+        plant, Box(q, q), Box(dq - radius, dq + radius), Stride(h, int(min(600, lasts / h))), ALL_PARTS, energetic=energetic
+    )
 
 
 # ---- tubes
@@ -119,7 +121,7 @@ def test_a_momentum_beyond_double_precision_is_not_provable() -> None:
     chain, body = chain_of(np.zeros(0), UPRIGHT), bodies(np.ones(1), np.zeros(1), np.ones(1))
     plant = plant_of(chain, body, np.full(1, 1e150), np.full(1, 1e308), 0.1, 0.1, u=1e300)
     speed = np.full(1, 2e160)
-    tube = march(plant, Box(0.0 * speed, 0.0 * speed), Box(speed, speed), 1.0, 590, ALL_PARTS)
+    tube = march(plant, Box(0.0 * speed, 0.0 * speed), Box(speed, speed), Stride(1.0, 590), ALL_PARTS)
     assert tube.end == UNBOUNDED
 
 

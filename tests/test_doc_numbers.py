@@ -33,7 +33,7 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("diagnosis", "explains {:g} times as much as the best one alone", (limit.TOGETHER,)),
     ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * limit.HELPS, 100 * limit.HELPS_THERE)),
     ("diagnosis", "A lag of less than {:g} ms is none", (1e3 * limit.SHORTEST_LAG,)),
-    ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS,)),
+    ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS.stop,)),
     ("stops", "checked at {:g} points", (ramp.POINTS,)),
     ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
     ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),

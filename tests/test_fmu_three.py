@@ -11,10 +11,12 @@ import pytest
 
 from fmu_models import arm_model
 from fmu_unit import Unit, unit
+from stopset.artifact import Model
 from stopset.errors import OutputError
 from stopset.fmu import Contents, archive, export
 from stopset.fmu.build import native
 from stopset.fmu.stops import bounds_of
+from stopset.reach.stops import StopBounds
 from stopset.sets import Box
 from test_fmu import EFFECTS, exported, friction  # noqa: F401
 from test_fmu_stops import braked, braking, equals, silent
@@ -162,6 +164,81 @@ def test_ranges_of_payload_and_temperature_widen_the_bound() -> None:
         assert less.forward is not None and less.back is not None
         assert np.all(wide.forward >= less.forward) and np.all(wide.back >= less.back), name
         assert wide.forward[0] > less.forward[0], name
+
+
+def twin(model: Model, lo: float, hi: float) -> StopBounds:
+    """The bounds of a range of payloads within the identified one, whose curvature and effects the unit keeps."""
+    whole, part = bounds_of(model), StopBounds.of(model, (lo, hi), fast=True)
+    assert whole.setting is not None and part.setting is not None
+    plant = whole.setting.plant._replace(pi=part.setting.plant.pi, pi_half=part.setting.plant.pi_half)
+    return replace(whole, setting=replace(whole.setting, plant=plant))
+
+
+def test_a_range_of_payloads_set_in_the_unit_is_bounded_as_wide_as_it_is(exported: Any) -> None:  # noqa: F811
+    """To the bit; it encloses what is inside, is no wider than all that was identified, and leaves it for nothing."""
+    model = braked(8.0, 3)
+    with unit(exported(model, "braked")) as u:
+        u.begin()
+        u.state(model, Q, DQ)
+
+        def angles(lo: float, hi: float) -> np.ndarray:
+            u.set({"payload_lo": lo, "payload_hi": hi, "payload_mass": lo})
+            assert equals(u, model, twin(model, lo, hi).bound(Q, DQ))
+            return u.joints("stop_angle", model.joints)
+
+        whole, half = angles(0.0, 2.0), angles(0.5, 1.0)
+        for kg in (0.5, 0.7, 1.0):
+            assert np.all(angles(kg, kg) <= half)
+        assert np.all(half <= whole) and np.any(half < whole)
+        u.set({"payload_lo": 0.5, "payload_hi": 2.5, "payload_mass": 1.0})
+        assert silent(u, model), "beyond what was identified"
+        u.set({"payload_hi": 2.0})
+        assert u.get("stop_certified") == 1
+        u.set({"payload_mass": 0.2})
+        assert silent(u, model), "another load than the range says"
+
+
+def test_a_range_that_is_none_or_beyond_the_identified_one_is_not_covered(exported: Any) -> None:  # noqa: F811
+    model = braked(8.0, 3)
+    for bad in ({"payload_lo": 1.5, "payload_hi": 1.0}, {"temp_lo_axis_2": 40.0, "temp_hi_axis_2": 30.0}):
+        with unit(exported(model, "braked")) as u:
+            u.set(bad)
+            with pytest.raises(Exception, match="ExitInitialization"):
+                u.begin()
+        with unit(exported(model, "braked")) as u:
+            u.begin()
+            u.set(bad)
+            assert silent(u, model) and not u.get("covered")
+            with pytest.raises(Exception, match="DoStep"):
+                u.step(0.01)
+    with unit(exported(model, "braked")) as u:
+        u.begin()
+        for name in ("payload_lo", "payload_hi", "temp_lo_axis_1", "temp_hi_axis_3"):
+            for x in (float("nan"), float("inf")):
+                with pytest.raises(Exception, match="SetFloat64"):
+                    u.set({name: x})
+        assert u.get("covered") == 1
+        for beyond in ({"payload_hi": 2.1}, {"temp_hi_axis_1": 56.0}, {"temp_lo_axis_3": 14.0}):
+            before = {name: u.get(name) for name in beyond}
+            u.set(beyond)
+            assert u.get("covered") == 0 and silent(u, model), beyond
+            u.set(before)
+            assert u.get("covered") == 1 and u.get("stop_certified") == 1
+
+
+def test_a_temperature_outside_the_range_asked_for_is_not_covered(exported: Any) -> None:  # noqa: F811
+    """The bound is that of every temperature that was identified, so it holds for a part of them too."""
+    model = braked(8.0, 3)
+    want = bounds_of(model).bound(Q, DQ)
+    with unit(exported(model, "braked")) as u:
+        u.begin()
+        u.state(model, Q, DQ)
+        u.set({"temp_lo_axis_1": 20.0, "temp_hi_axis_1": 40.0})
+        assert equals(u, model, want) and u.get("covered")
+        u.set({"temp_axis_1": 45.0})
+        assert silent(u, model) and not u.get("covered")
+        u.set({"temp_hi_axis_1": 55.0})
+        assert equals(u, model, want) and u.get("covered")
 
 
 def test_another_payload_in_a_run_is_not_covered_until_a_measured_state_begins_anew(exported: Any) -> None:  # noqa: F811

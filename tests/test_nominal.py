@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import sosfiltfilt
 
 from nominal_cases import (
     F_C,
@@ -24,6 +25,7 @@ from nominal_cases import (
 from stopset.errors import EffectError, ModelFileError, RecordingError
 from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
 from stopset.offline.nominal.physical import consistent, pseudo_inertia, solve_consistent
+from stopset.offline.nominal.preprocess import ORDER, motions
 from stopset.recording import Meta, Recordings
 from stopset.robot.rigid import torques
 
@@ -414,3 +416,20 @@ def test_the_nearest_possible_body_is_the_nearest() -> None:
     cost = 0.5 * (theta - aim) @ slope
     for other in (robot.pi.ravel(), 2.0 * robot.pi.ravel(), 0.5 * (robot.pi.ravel() + theta)):
         assert slope @ (other - theta) >= -1e-6 * cost
+
+
+def test_a_regressor_passes_scipys_filter_to_the_last_bit_and_lags_are_exact_for_cubics() -> None:
+    m = next(m for r in campaign(Truth(wrong_cad()[0])).trials for m in motions(r, Preprocessing()))
+    rng = np.random.default_rng(1)
+    for shape in ((len(m.t),), (len(m.t), 6), (len(m.t), 6, 3)):
+        x = np.cumsum(rng.normal(size=shape), axis=0)
+        assert np.array_equal(m.smooth(x), sosfiltfilt(m.sos, x, axis=0, padtype="odd", padlen=min(len(x) - 1, 24 * ORDER)))
+    z, lags = m.t / m.t[-1], np.array([-0.0307, -0.006, 0.0, 0.0042, 0.06])
+    found = m.delayed(np.column_stack([z, z**3]), lags)
+    late = z[m.retained][:, None] - lags / m.t[-1]
+    inside = (late.min(axis=1) > z[3]) & (late.max(axis=1) < z[-4])
+    assert inside.sum() > 10
+    for k, power in enumerate((1, 3)):
+        assert np.abs(found[inside, k] - late[inside] ** power).max() < 1e-12
+    # at the ends the last sample repeats
+    assert np.abs(m.delayed(m.q, np.array([1e3]))[:, :, 0] - m.q[0]).max() < 1e-12

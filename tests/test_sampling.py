@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from stopset.errors import RecordingError
 from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.rows.prepare import prepare
 from stopset.offline.diagnose.rows.sampling import in_words, sampled
@@ -75,3 +78,14 @@ def test_even_stamps_are_left_as_they_are() -> None:
     r = recorded(t, t)
     got = sampled(r, DT, white)
     assert got.q is r.q and got.tau is r.tau and not in_words([got])
+
+
+def test_a_trial_too_short_to_tell_its_noise_does_not_count() -> None:
+    """Its rows would be held against a noise that is no number."""
+    clock = DT * np.arange(18)
+    short = recorded(clock, clock)
+    with pytest.raises(RecordingError, match="no moving trial of more than 20 samples"):
+        prepare(Recordings(Meta(joints=("a", "b"), robot="two", rate_hz=1 / DT), [short]))
+    whole = recorded(DT * np.arange(N), DT * np.arange(N))
+    made = prepare(Recordings(Meta(joints=("a", "b"), robot="two", rate_hz=1 / DT), [whole, replace(short, trial=1)]))
+    assert len(made.trials) == 1 and np.isfinite(made.torque_noise).all()

@@ -20,7 +20,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, Plant, march
+from stopset.reach.stops.tube import OK, Plant, Stride, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
@@ -80,7 +80,9 @@ def test_what_travel_is_left_is_not_known_before_every_brake_holds() -> None:
     smooth = s.plant._replace(coulomb_lo=none)
     q, dq, r = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1]), np.full(6, 0.3), np.full(6, 1e-3)
     lasts = expected_stop(smooth, q, dq)
-    tube = march(smooth, Box(q - r, q + r), Box(dq - r, dq + r), lasts / KNOTS, 6 * KNOTS, ALL_PARTS, energetic=True)
+    tube = march(
+        smooth, Box(q - r, q + r), Box(dq - r, dq + r), Stride(lasts / KNOTS.stop, 6 * KNOTS.stop), ALL_PARTS, energetic=True
+    )
     free = tube.t < smooth.delay_hi.min()
     assert tube.end == OK and np.all(np.isinf(tube.travel_left[free])) and free.sum() > 3
     assert np.all(np.isfinite(tube.travel_left[-2])) and np.all(tube.travel_left[-2] > 0.0)
@@ -103,11 +105,11 @@ def test_work_that_brakes_take_bounds_the_way_of_one_joint_exactly(speed: float)
     plant, far = one_joint(6.0, speed)
     v, q = np.full(1, speed), np.zeros(1)
     steps = int(1.2 * abs(speed) * 1.2 / 6.0 / 1e-3)
-    tube = march(plant, Box(q, q), Box(v, v), 1e-3, steps, ALL_PARTS, energetic=True)
+    tube = march(plant, Box(q, q), Box(v, v), Stride(1e-3, steps), ALL_PARTS, energetic=True)
     end = max(tube.d_hi.max(), -tube.d_lo.min())
     assert tube.end == OK and far <= end <= 1.02 * far
     # an arm that goes on for longer than is asked is bounded from the first moment on: by its energy, not by time
-    brief = march(plant, Box(q, q), Box(1e3 * v, 1e3 * v), 1.0, 5, ALL_PARTS, energetic=True)
+    brief = march(plant, Box(q, q), Box(1e3 * v, 1e3 * v), Stride(1.0, 5), ALL_PARTS, energetic=True)
     assert max(brief.d_hi.max(), -brief.d_lo.min()) <= 1.01e6 * far
 
 
@@ -128,16 +130,44 @@ def test_travel_whose_claims_creep_is_given_up_and_asked_for_again() -> None:
     known = {}
     for speed in (1.95, 1.9585, 1.97):
         v = np.array([speed, 0.0, 0.0])
-        tube = march(plant, Box(q - r, q + r), Box(v, v), 1e-3, 400, ALL_PARTS, energetic=True)
+        tube = march(plant, Box(q - r, q + r), Box(v, v), Stride(1e-3, 400), ALL_PARTS, energetic=True)
         known[speed] = bool(np.isfinite(tube.travel_left[0]).all())
         assert tube.end == OK and np.isfinite(tube.travel_left[5]).all()
     assert known == {1.95: True, 1.9585: False, 1.97: False}
 
 
+def test_the_brake_and_gravity_stop_what_rises_and_gravity_takes_from_the_brake_what_falls() -> None:
+    """An axis that lies, its weight beside it: a stop is known by its energy alone, in a step of a second."""
+    plant, _ = one_joint(6.0, 1.0)
+    chain = plant.chain._replace(gravity=np.array([0.0, -9.81, 0.0]))
+    plant = plant._replace(chain=chain, curvature=curvature(chain, plant.pi))
+    q, work, weight = np.zeros(1), 0.5 * 1.2 * 0.3**2, 0.3 * 9.81
+    for sign in (1.0, -1.0):
+        v = np.full(1, sign * 0.3)
+        tube = march(plant, Box(q, q), Box(v, v), Stride(1.0, 2, 1e-6), ALL_PARTS, energetic=True)
+        # as far as it gets the weight is nearly as far beside the axis; before, what rises was let go as far as what falls
+        assert work / (6.0 + sign * weight) <= np.abs([tube.d_lo, tube.d_hi]).max() <= 1.02 * work / (6.0 + sign * weight)
+
+
+def test_steps_are_short_while_brakes_close() -> None:
+    plant, _ = one_joint(6.0, 1.0)
+    plant = plant._replace(
+        delay_lo=np.full(1, 0.0125), delay_hi=np.full(1, 0.02), rise_lo=np.full(1, 0.01), rise_hi=np.full(1, 0.02)
+    )
+    q, v = np.zeros(1), np.ones(1)
+    tube = march(plant, Box(q, q), Box(v, v), Stride(0.01, 200, 1e-3), ALL_PARTS)
+    assert tube.end == OK
+    h, closing = np.diff(tube.t), (tube.t >= 0.0125 - 1e-12) & (tube.t < 0.04 - 1e-12)
+    assert np.allclose(tube.t[:4], [0.0, 0.01, 0.0125, 0.0135])  # no step passes the first moment at which the brake may close
+    assert np.allclose(h[closing[:-1]], 1e-3) and np.allclose(h[~closing[:-1]][2:], 0.01)
+    even = march(plant, Box(q, q), Box(v, v), Stride(0.01, 200), ALL_PARTS)
+    assert tube.d_hi.max() < even.d_hi.max()
+
+
 def test_an_energy_beyond_all_numbers_bounds_nothing() -> None:
     plant, _ = one_joint(6.0, 1.0)
     v, q = np.full(1, 1e200), np.zeros(1)
-    assert march(plant, Box(q, q), Box(v, v), 1e-3, 5, ALL_PARTS, energetic=True).end != OK
+    assert march(plant, Box(q, q), Box(v, v), Stride(1e-3, 5), ALL_PARTS, energetic=True).end != OK
 
 
 def test_the_fall_back_is_of_use_on_light_arms_with_their_payload() -> None:

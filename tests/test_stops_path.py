@@ -313,3 +313,69 @@ def test_path_from_the_command_line(tmp_path: File, capsys: pytest.CaptureFixtur
         assert main([*asked, "--path-rate", "1"]) == 2
         err = capsys.readouterr().err
         assert word in err and err.count("\n") == 1
+
+
+def arm_of(torque: float = 1e4, speed: float = 100.0, model: Model = MODEL, **changes: float) -> StopBounds:
+    """The arm with other drives: torque limits [N m], of ``joint_<k>`` alone where given, speed limits [rad/s], any state seen."""
+    n = model.n
+    limits = np.array([changes.get(f"joint_{k + 1}", torque) for k in range(n)])
+    far = Box.symmetric(np.full(n, 1e3))
+    domain = replace(model.domain, q=far, dq=far)
+    robot = replace(model.robot, torque_limit=limits, dq_limit=np.full(n, speed))
+    return StopBounds.of(replace(model, robot=robot, domain=domain), (0.0, 0.0), ramp=RAMP)
+
+
+def test_what_weak_drives_can_stop_strong_ones_can() -> None:
+    """From drives that do not even hold the arm where the stop begins, over those that do not on the way, to those that stop it."""
+    stopped = []
+    for limit in np.linspace(22.0, 120.0, 80):
+        try:
+            stopped.append(path_stop(arm_of(joint_2=limit), Path.through(POINTS), 0.2, 1.2).length)
+        except NotCovered as e:
+            assert "cannot stop within" in str(e) or "no torque left" in str(e)
+            stopped.append(np.inf)
+    assert np.isinf(stopped[0]) and np.isfinite(stopped[-1]) and np.all(np.diff(np.array(stopped)[np.isfinite(stopped)]) <= 1e-9)
+    assert np.all(np.isfinite(stopped[int(np.argmin(np.isinf(stopped))) :]))
+
+
+def test_a_path_that_gets_too_fast_on_the_way_is_refused() -> None:
+    """Within the limits where the stop is asked for, beyond them before braking begins."""
+    q = np.zeros((6, 6))
+    q[:, 5] = [0.0, 0.01, 0.03, 0.3, 1.0, 2.0]
+    path = Path.through(q)
+    begin = np.abs(path.p(np.array([1.0]), 1)[0] * 20.0).max()
+    assert path_stop(arm_of(), path, 1.0, 20.0).bound.certified
+    with pytest.raises(NotCovered, match="too fast: arm_6_joint would pass its limit"):
+        path_stop(arm_of(speed=1.2 * begin), path, 1.0, 20.0)
+
+
+def test_a_request_too_late_on_the_path_is_refused() -> None:
+    with pytest.raises(NotCovered, match="the path ends before braking begins"):
+        path_stop(BOUNDS, Path.through(POINTS), 2.99, 1.5)
+
+
+def test_a_path_rougher_than_its_grid_is_refused() -> None:
+    """What the knots do not show, four times as many points do."""
+    rng = np.random.default_rng(3)
+    q = np.zeros((600, 6))
+    q[:, 5] = np.linspace(-1.5, 1.5, 600) + 2e-4 * rng.normal(size=600)
+    with pytest.raises(NotCovered, match=r"than a drive has: not credible|cannot stop within"):
+        path_stop(arm_of(joint_6=8.0), Path.through(q), 5.0, 400.0)
+
+
+def test_a_drive_that_has_no_torque_left_farther_on_is_said() -> None:
+    """The spring is weak where the stop begins, and too strong where it may lead."""
+    limit = float(MODEL.robot.torque_limit[0])
+    spring = Fitted("spring", MODEL.joints[0], {"k": 0.85 * limit, "c": 0.0}, {"k": 0.0, "c": 0.0})
+    robot = replace(MODEL.robot, dq_limit=np.full(6, 100.0))
+    model = replace(MODEL, effects=(*MODEL.effects, spring), robot=robot)
+    bounds = StopBounds.of(model, ramp=RAMP, extrapolate=Extrapolation(state=True))
+    path = Path.through(POINTS)
+    assert path_stop(bounds, path, 1.0, 4.0).room >= 0.0
+    refused = set()
+    for rate in np.linspace(4.0, 8.0, 40):
+        try:
+            path_stop(bounds, path, 1.0, rate)
+        except NotCovered as e:
+            refused.add("no torque left" if f"the drive of {MODEL.joints[0]} has no torque left" in str(e) else "other")
+    assert "no torque left" in refused

@@ -14,7 +14,7 @@ from stopset.artifact import Model
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS, Parts
-from stopset.reach.stops.tube import OK, Plant, march, plant_struct
+from stopset.reach.stops.tube import OK, Plant, Stride, march, plant_struct
 from stopset.reach.stops.tubes import KNOTS, PATIENCE, expected_stop
 from stopset.robot.rigid import mass_matrix, torque
 from stopset.sets import Box
@@ -194,7 +194,7 @@ def test_a_tube_closes_so_where_boxes_do_not() -> None:
     closed, rng, n = 0, np.random.default_rng(1), s.model.n
     for _ in range(8):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * s.model.domain.dq.hi
-        h = expected_stop(s.plant, q, np.abs(dq)) / KNOTS
+        h = expected_stop(s.plant, q, np.abs(dq)) / KNOTS.stop
         r, v = s.noise.radius[:n], s.noise.radius[n:]
-        closed += march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), h, KNOTS * PATIENCE, ALL_PARTS).end == OK
+        closed += march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(h, KNOTS.stop * PATIENCE), ALL_PARTS).end == OK
     assert closed >= 3

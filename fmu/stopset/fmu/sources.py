@@ -116,6 +116,8 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
             break
     if "VISCOUS" not in seen:
         lines.append("#define VR_VISCOUS VR_FIRST_PHYSICAL")
+    if "TEMP_LO" not in seen:
+        lines += ["#define VR_TEMP_LO VR_TEMP", "#define VR_TEMP_HI VR_TEMP"]  # of a model without bounds on them: not looked at
     physical = sum(variables.count(g) for g in ("VISCOUS", "INERTIA", "OFFSET", "EFFECT", "MEMORY_START"))
     lines += [f"#define N_PHYSICAL {physical}", f"#define N_KEY {physical + 5}"]
     lines += [f"#define {name} {value}" for name, value in flags.items()]

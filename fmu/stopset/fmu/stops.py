@@ -16,6 +16,7 @@ from stopset.reach.stops.compiled import ramp_fields
 from stopset.reach.stops.friction import torque_fields
 from stopset.reach.stops.laws import BoundLaw
 from stopset.reach.stops.path import Path, path_fields
+from stopset.reach.stops.payload import per_kg, weighed
 from stopset.reach.stops.ramp import Ramp, ramp_of
 from stopset.reach.stops.setting import Setting
 from stopset.types import Array
@@ -69,7 +70,8 @@ def stop_data(model: Model, path: Path | None = None) -> StopData:
     n = model.n
     numbers = _nominal(brakes, n) | _nominal_ramp(model) | {
         "stop_q_lo": np.maximum(d.q.lo - EDGE, limit[:, 0]), "stop_q_hi": np.minimum(d.q.hi + EDGE, limit[:, 1]),
-        "stop_dq_lo": d.dq.lo - EDGE, "stop_dq_hi": d.dq.hi + EDGE,
+        "stop_dq_lo": d.dq.lo - EDGE, "stop_dq_hi": d.dq.hi + EDGE, "stop_per_kg": per_kg(weighed(model, None)[1]),
+        "stop_weighed": np.array(weighed(model, None)[0]),
     }  # fmt: skip
     names = ("stop_centre", "stop_radius", "truth_centre", "truth_radius", "noise_lo", "noise_hi")
     if refusal:
@@ -117,13 +119,10 @@ NO_PATH = "const StopsetPath stopset_path = {0};\n"
 
 
 def _path_definition(setting: Setting, path: Path | None) -> str:
-    """``stopset_path`` and its arrays; every state on the way has to lie in the model's domain."""
+    """``stopset_path`` and its arrays."""
     if path is None:
         return NO_PATH
-    d = setting.model.domain
-    arrays = path_fields(setting, path) | {
-        "seen_lo": np.concatenate([d.q.lo, d.dq.lo]) - EDGE, "seen_hi": np.concatenate([d.q.hi, d.dq.hi]) + EDGE,
-    }  # fmt: skip
+    arrays = path_fields(setting, path)
     lines = [f"static const double path_{k}[] = {array(np.ravel(x))};" for k, x in arrays.items()]
     fields = [f".pieces = {len(path.coefficient)}", *(f".{k} = path_{k}" for k in arrays)]
     return "\n".join(lines) + f"\nconst StopsetPath stopset_path = {{{', '.join(fields)}}};\n"

@@ -228,6 +228,7 @@ def _conditions(m: Model) -> list[Variable]:
         Variable(f"payload_com_{a}", "PAYLOAD_COM", "Real", "parameter", "m", what.format(a), float(x), "fixed")
         for a, x in zip("xyz", weighed(m, None)[1], strict=True)
     ]
+    d, carried = m.domain, "{} load that stop bounds hold for"
     ramp = "length of the controller's STOP 1 ramp, all joints alike; set yours"
     session = "place in the session, 0 cold to 1 warm"
     failing = []
@@ -240,9 +241,23 @@ def _conditions(m: Model) -> list[Variable]:
         *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, {}", "fixed"), 0.0),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "tunable", lo=0.0),
         *com,
+        Variable("payload_lo", "PAYLOAD_LO", "Real", "parameter", "kg", carried.format("least"), d.payload[0], "tunable"),
+        Variable("payload_hi", "PAYLOAD_HI", "Real", "parameter", "kg", carried.format("largest"), d.payload[1], "tunable"),
+        *_temperatures(m),
         Variable("stop1_time", "STOP1_TIME", "Real", "parameter", "s", ramp, ramp_time_of(m), "fixed"),
         *failing,
         Variable("warm", "WARM", "Real", "parameter", "1", session, 0.0, "tunable"),
+    ]
+
+
+def _temperatures(m: Model) -> list[Variable]:
+    """The range of temperatures that bounds are asked for, of a model that has bounds on them."""
+    if (temp := m.domain.temp) is None:
+        return []
+    what = "{} temperature of the drive that bounds are asked for, {{}}"
+    return [
+        *_joints(m, _real("temp_lo", "parameter", "degC", what.format("least"), "tunable"), temp.lo),
+        *_joints(m, _real("temp_hi", "parameter", "degC", what.format("largest"), "tunable"), temp.hi),
     ]
 
 

@@ -18,7 +18,22 @@ static int as_identified(const StopsetState *s) {
         if (s->r[v] != m->start_real[v]) return 0;
     for (int r = 0; r < 3; r++) /* a load counts where the proofs have it */
         if (s->r[VR_PAYLOAD_MASS] != 0.0 && s->r[VR_PAYLOAD_COM + r] != m->start_real[VR_PAYLOAD_COM + r]) return 0;
-    return s->r[VR_PAYLOAD_MASS] >= m->payload_lo && s->r[VR_PAYLOAD_MASS] <= m->payload_hi;
+    for (int i = 0; i < NJ && m->has_domain_temp; i++)
+        if (!(s->r[VR_TEMP_LO + i] >= m->lo[3 * NJ + i] && s->r[VR_TEMP_HI + i] <= m->hi[3 * NJ + i])) return 0;
+    if (!(s->r[VR_PAYLOAD_LO] >= m->payload_lo && s->r[VR_PAYLOAD_HI] <= m->payload_hi)) return 0;
+    return s->r[VR_PAYLOAD_MASS] >= s->r[VR_PAYLOAD_LO] && s->r[VR_PAYLOAD_MASS] <= s->r[VR_PAYLOAD_HI];
+}
+
+const char *stopset_no_range(const StopsetState *s) {
+    if (!(s->r[VR_PAYLOAD_LO] <= s->r[VR_PAYLOAD_HI])) return "payload_lo is above payload_hi; set payload_lo <= payload_hi [kg]";
+    for (int i = 0; i < NJ && stopset_model.has_domain_temp; i++)
+        if (!(s->r[VR_TEMP_LO + i] <= s->r[VR_TEMP_HI + i])) return "a temp_lo is above its temp_hi; set temp_lo <= temp_hi of every joint [degC]";
+    return 0;
+}
+
+void stopset_ranges(StopsetState *s) {
+    s->as_identified = (uint8_t)as_identified(s);
+    memset(s->certificate, 0, sizeof s->certificate);
 }
 
 const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
@@ -28,7 +43,8 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
         if ((kind == KIND_FIXED || kind == KIND_TUNABLE) && !stopset_finite(s->r[v]))
             return "a parameter is not a finite number; set all parameters to numbers";
     }
-    const char *wrong = stopset_prepare(s, w);
+    const char *wrong = stopset_no_range(s);
+    if (!wrong) wrong = stopset_prepare(s, w);
     if (wrong) return wrong;
     s->h_try = 0.0;
     s->r[VR_TIME] = s->start_time = s->tube_start = t0;
@@ -140,7 +156,8 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done
     *done = h;
     for (int i = 0; i < NJ; i++)
         if (!stopset_finite(s->r[VR_TAU + i])) return "a torque input is not a finite number; connect all tau inputs [N m]";
-    const char *wrong = stopset_prepare(s, w);
+    const char *wrong = stopset_no_range(s);
+    if (!wrong) wrong = stopset_prepare(s, w);
     if (wrong) return wrong;
     look(s, w, h);
     if (!s->stopping) stopset_restart(s, w, h);
@@ -192,7 +209,7 @@ static int inside_domain(const StopsetState *s) {
         double q = qs[i], dq = dqs[i], temp = s->r[VR_TEMP + i];
         if (!stopset_finite(s->r[VR_Q + i]) || !stopset_finite(s->r[VR_DQ + i])) return 0; /* no prediction, no bound */
         if (!(q >= m->lo[i] && q <= m->hi[i] && dq >= m->lo[NJ + i] && dq <= m->hi[NJ + i])) return 0;
-        if (m->has_domain_temp && !(temp >= m->lo[3 * NJ + i] && temp <= m->hi[3 * NJ + i])) return 0;
+        if (m->has_domain_temp && !(temp >= s->r[VR_TEMP_LO + i] && temp <= s->r[VR_TEMP_HI + i])) return 0;
     }
     return 1;
 }

@@ -154,6 +154,10 @@ static Level may_set(Instance *c, unsigned vr) {
     return stopset_fail(c, "set", what);
 }
 
+static int of_range(unsigned vr) {
+    return vr == VR_PAYLOAD_LO || vr == VR_PAYLOAD_HI || (stopset_model.has_domain_temp && vr >= VR_TEMP_LO && vr < VR_TEMP_HI + NJ);
+}
+
 Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double value[]) {
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "set", vr[k], "floating-point");
@@ -164,6 +168,11 @@ Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double 
             const int another = c->now.s.r[VR_PAYLOAD_MASS] != value[k];
             c->now.s.r[VR_PAYLOAD_MASS] = value[k];
             if (another) stopset_reload(&c->now.s);
+        }
+        if (of_range(vr[k])) {
+            if (!stopset_finite(value[k])) return stopset_fail(c, "set", "an end of a range is not a finite number; set one [kg, degC]");
+            c->now.s.r[vr[k]] = value[k];
+            stopset_ranges(&c->now.s);
         }
         c->now.s.r[vr[k]] = value[k];
     }

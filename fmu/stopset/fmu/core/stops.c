@@ -21,12 +21,12 @@ static const double *state_of(const StopsetState *s, int speeds) {
 static int believed(const StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
-    if (!m->has_brakes || !s->as_identified || s->violated) return 0;
+    if (!m->has_brakes || !s->as_identified || s->violated || stopset_no_range(s)) return 0;
     if (!(s->r[VR_WARM] >= 0.0 && s->r[VR_WARM] <= 1.0)) return 0;
     for (int i = 0; i < NJ; i++) {
         const double temp = s->r[VR_TEMP + i];
         if (!(q[i] >= m->stop_q_lo[i] && q[i] <= m->stop_q_hi[i] && dq[i] >= m->stop_dq_lo[i] && dq[i] <= m->stop_dq_hi[i])) return 0;
-        if (m->has_domain_temp && !(temp >= m->lo[3 * NJ + i] && temp <= m->hi[3 * NJ + i])) return 0;
+        if (m->has_domain_temp && !(temp >= s->r[VR_TEMP_LO + i] && temp <= s->r[VR_TEMP_HI + i])) return 0;
     }
     return 1;
 }
@@ -77,10 +77,10 @@ static int on_the_path(const StopsetState *s, const StopsetPassed *p) {
     return 1;
 }
 
-static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetBound *out) {
+static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetStops *stops, const StopsetBound *out) {
     StopsetPassed passed;
     const double row = s->r[VR_PATH_ROW], rate = s->r[VR_PATH_RATE];
-    if (stopset_path_stop(&stopset_stops, &stopset_ramp, &stopset_path, row, rate, w->proof, &passed, out) != STOPSET_OK) return 0;
+    if (stopset_path_stop(stops, &stopset_ramp, &stopset_path, row, rate, w->proof, &passed, out) != STOPSET_OK) return 0;
     return on_the_path(s, &passed);
 }
 #endif
@@ -95,18 +95,35 @@ static StopsetRamp ramp_of(const StopsetState *s) {
 }
 #endif
 
+/* What bounds a stop with any payload of the range that is given: of the arm's own links only the last one carries it. */
+static StopsetStops carrying(const StopsetState *s, double pi[NJ][10], double half[NJ][10]) {
+    const StopsetModel *m = &stopset_model;
+    const double lo = s->r[VR_PAYLOAD_LO], hi = s->r[VR_PAYLOAD_HI], middle = 0.5 * (lo + hi), off = 0.5 * (hi - lo) + m->stop_weighed;
+    StopsetStops out = stopset_stops;
+    memcpy(pi, m->pi, sizeof m->pi);
+    memset(half, 0, sizeof m->pi);
+    for (int k = 0; k < 10; k++) {
+        pi[NJ - 1][k] = m->pi[NJ - 1][k] + middle * m->stop_per_kg[k];
+        half[NJ - 1][k] = off * m->stop_per_kg[k];
+    }
+    out.plant.arm.pi = pi[0];
+    out.plant.pi_half = half[0];
+    return out;
+}
+
 static int bounded(const StopsetState *s, StopsetWork *w, int category, const double *q, const double *dq, const double *rq, const double *rdq,
                    const StopsetBound *out) {
+    double pi[NJ][10], half[NJ][10];
+    const StopsetStops stops = carrying(s, pi, half);
 #if HAS_PATH
-    if (category == STOP_PATH) return bounded_on_path(s, w, out);
+    if (category == STOP_PATH) return bounded_on_path(s, w, &stops, out);
 #endif
-    if (category == STOP_0) return stopset_power_off(&stopset_stops, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    if (category == STOP_0) return stopset_power_off(&stops, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
 #if N_STOPS > 1
     const StopsetRamp ramp = ramp_of(s);
-    if (category == STOP_1_FAILED) return stopset_failed_ramp(&stopset_stops, &ramp, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
-    return stopset_working_ramp(&stopset_stops, &ramp, category == STOP_2, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    if (category == STOP_1_FAILED) return stopset_failed_ramp(&stops, &ramp, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    return stopset_working_ramp(&stops, &ramp, category == STOP_2, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
 #else
-    (void)s;
     return 0;
 #endif
 }

@@ -50,6 +50,7 @@ typedef struct {
     double dt, horizon;                            /* grid and longest age of the prediction [s] */
     double lo[4 * NJ], hi[4 * NJ];                 /* domain of validity: q, dq, u, temp */
     double payload_lo, payload_hi;
+    double stop_per_kg[10], stop_weighed;          /* of the last link by a payload [per kg]; [kg] by which it may be off */
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10]; /* rigid body, see stopset.robot */
     double gain[NJ], standstill[NJ];               /* recorded per true torque; speed below which a joint counts as still [rad/s] */
     /* stops: where the model speaks of a measured state, what a stop starts from less that state, errors of a reading */
@@ -175,6 +176,9 @@ const char *stopset_trigger(StopsetState *s, StopsetWork *w);
 const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done);
 /* Another payload within a run: what was predicted and proved before does not speak of it. */
 void stopset_reload(StopsetState *s);
+/* Other ranges of payload or temperature: what was proved before does not speak of them. A sentence where one of them is none. */
+void stopset_ranges(StopsetState *s);
+const char *stopset_no_range(const StopsetState *s);
 /* One more step since the certificates were made. */
 void stopset_count(StopsetState *s);
 /* Bounds, flags and accelerations at the present time and state, without the stop bounds. */

@@ -628,10 +628,11 @@ typedef struct {
  * of accelerations, where the arithmetic itself errs by some 1e-13. */
 STOPSET_API extern const double stopset_tube_recentre, stopset_energy_rounding, stopset_rate_rounding;
 
-/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi], (n,) each [rad, rad/s], at the cut, in steps of h [s]. Returns how it ends: 0
- * at rest, 1 still moving at the last step, 2 not provable; negative: a code. `made`: steps that count. */
+/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi], (n,) each [rad, rad/s], at the cut, in steps of h [s], of at most `brief` from when
+ * the first brake may close until all have. Returns how it ends: 0 at rest, 1 still moving at the last step, 2 not provable; negative: a code.
+ * `made`: steps that count. */
 STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo,
-                                  const double *v0_hi, double h, int64_t steps, const StopsetParts *parts, int energetic,
+                                  const double *v0_hi, double h, double brief, int64_t steps, const StopsetParts *parts, int energetic,
                                   const StopsetTube *tube, int64_t *made);
 /* Inertia M (n, n) [kg m^2], gravity g (n,) [N m] and Christoffel symbols Gamma (n, n, n) [kg m^2] at q and their slopes by q, of the
  * middle payload and of half its range. */
@@ -684,7 +685,9 @@ STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const d
 /* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
 
 #define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
-#define STOPSET_STOP_ENERGY_KNOTS 25
+#define STOPSET_STOP_ENERGY_KNOTS 16
+#define STOPSET_STOP_CLOSING 35      /* at least so many of them from when the first brake may close until all have, in each case */
+#define STOPSET_STOP_ENERGY_CLOSING 20
 #define STOPSET_STOP_PATIENCE 6      /* times the expected stop before a tube is called endless, in each case */
 #define STOPSET_STOP_MORE_PATIENCE 30
 #define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
@@ -793,7 +796,7 @@ typedef struct {
     const double *coefficient;       /* (pieces, n, 4) [rad] of 1, x, x^2, x^3 with x = s - knots[k] */
     const double *noise;             /* (2n,) [rad], [rad/s] by which a reading of the state may be off */
     const double *q_lo, *q_hi, *fastest; /* (n,) [rad], [rad/s] limits of the arm */
-    const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie; 0: anywhere */
+    const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie */
 } StopsetPath;
 
 /* Why there is no stop on a path: the request comes too late on it; it leads beyond the arm's limits; it is too fast for the arm; a drive

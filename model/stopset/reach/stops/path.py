@@ -24,6 +24,7 @@ from stopset.reach.stops.words import NO_REST, UNSEEN, ramp_assumptions
 from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
+EDGE = 1e-9  # [rad, rad/s] of the domain, as in `stopset.reach.stops.setting.beyond_domain`
 FARTHEST = 1e3  # [rad] of an angle: beyond, it is no angle
 
 
@@ -147,11 +148,6 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
         )
     if ramp is None:
         raise NotCovered("no ramp says how late and how exactly the drives brake; expected one: state it (--ramp-time)")
-    if not (0.0 <= s0 < path.length and 0.0 < ds < np.inf):
-        raise NotCovered(
-            f"a path stop from row {s0:g} at {ds:g} rows per second; expected 0 <= row < {path.length:g} and a positive, finite rate: "
-            "give --path-start and --path-rate"
-        )
     n = bounds.model.n
     if path.coefficient.shape[1] != n:
         raise NotCovered(f"a path of {path.coefficient.shape[1]} angles a row; expected {n}: give one for every joint")
@@ -162,6 +158,11 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
     bound = ffi.new("StopsetBound *", tuple(view(x) for x in out))
     code = lib.stopset_path_stop(core.struct, core.braking, struct, s0, ds, view(work), passed, bound)
     check(-min(code, 0))
+    if code == lib.STOPSET_OUT_OF_RANGE:
+        raise NotCovered(
+            f"a path stop from row {s0:g} at {ds:g} rows per second; expected 0 <= row < {path.length:g} and a positive, finite rate: "
+            "give --path-start and --path-rate"
+        )
     if code and code < lib.STOPSET_PATH_UNSEEN:
         raise NotCovered(_refusal(code, bounds.model, path, passed, ds))
     poses, most = passed.poses, work.size // (1 + 2 * n)
@@ -171,11 +172,12 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
 
 
 def path_fields(setting: Setting, path: Path) -> dict[str, Array]:
-    """A path and the arm's limits by the names of the C struct."""
-    robot, noise = setting.model.robot, setting.noise
+    """A path, the arm's limits and where states were seen, by the names of the C struct."""
+    robot, noise, d = setting.model.robot, setting.noise, setting.model.domain
     return {
         "knots": path.knots, "coefficient": path.coefficient, "noise": noise.radius, "q_lo": robot.q_limit[:, 0],
-        "q_hi": robot.q_limit[:, 1], "fastest": robot.dq_limit,
+        "q_hi": robot.q_limit[:, 1], "fastest": robot.dq_limit, "seen_lo": np.concatenate([d.q.lo, d.dq.lo]) - EDGE,
+        "seen_hi": np.concatenate([d.q.hi, d.dq.hi]) + EDGE,
     }  # fmt: skip
 
 

@@ -44,10 +44,15 @@ def bodies(model: Model, payload: tuple[float, float], com: Array) -> tuple[Arra
     payload found as an effect included; so only what is on top of that is added, and what that was weighed wrongly by: a gain
     of the drives is in the mass and in every reading of the torque, so ``U`` does not show it.
     """
-    per_kg = np.zeros_like(model.robot.pi)
-    per_kg[-1] = standard_parameters(1.0, com, np.zeros((3, 3)))
+    carried = np.zeros_like(model.robot.pi)
+    carried[-1] = per_kg(com)
     lo, hi = payload
-    return model.robot.pi + 0.5 * (lo + hi) * per_kg, (0.5 * (hi - lo) + weighed(model, com)[0]) * per_kg
+    return model.robot.pi + 0.5 * (lo + hi) * carried, (0.5 * (hi - lo) + weighed(model, com)[0]) * carried
+
+
+def per_kg(com: Array) -> Array:
+    """(10,) standard parameters of the last link that a kilogram of payload at ``com`` (3,) [m] adds."""
+    return np.asarray(standard_parameters(1.0, com, np.zeros((3, 3))))
 
 
 def largest_gravity(model: Model, payload: float, com: Array) -> Array:

@@ -113,8 +113,17 @@ def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
     return struct, [arm, rows, bent]
 
 
-def march(plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, energetic: bool = False) -> Tube:
-    """The tube from angles ``q`` and speeds ``dq`` (n,) at the cut, in steps of ``h`` seconds, at most ``steps``.
+class Stride(NamedTuple):
+    """How a tube is marched: in steps of ``h`` [s], at most ``most`` of them; of at most ``brief`` [s] from when the first brake may close until
+    all have."""
+
+    h: float
+    most: int
+    brief: float = np.inf
+
+
+def march(plant: Plant, q: Box, dq: Box, steps: Stride, parts: Parts, *, energetic: bool = False) -> Tube:
+    """The tube from angles ``q`` and speeds ``dq`` (n,) at the cut.
 
     ``energetic``: with the kinetic energy's caps, which end the tube whenever brakes and friction surely hold the arm.
     """
@@ -123,12 +132,21 @@ def march(plant: Plant, q: Box, dq: Box, h: float, steps: int, parts: Parts, *, 
     if any(x.shape != (n,) for x in box):
         raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
     struct, _held = plant_struct(plant)
-    t, knots, ends = np.empty(steps + 1), np.empty((5, steps + 1, n)), np.empty((2, steps, n))
-    rates, margin = np.empty((4, steps, n)), np.empty(n)
+    count = steps.most
+    t, knots, ends = np.empty(count + 1), np.empty((5, count + 1, n)), np.empty((2, count, n))
+    rates, margin = np.empty((4, count, n)), np.empty(n)
     lines = [view(x) for x in (t, *knots[:4], *ends)]
     tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4])))
     end = lib.stopset_stop_tube(
-        struct, *(view(x) for x in box), h, steps, ffi.new("StopsetParts *", tuple(parts)), int(energetic), tube, made
+        struct,
+        *(view(x) for x in box),
+        steps.h,
+        steps.brief,
+        count,
+        ffi.new("StopsetParts *", tuple(parts)),
+        int(energetic),
+        tube,
+        made,
     )
     check(-min(end, 0))
     m = made[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,17 +13,29 @@ from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Tube, march
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march
 from stopset.reach.stops.windows import windows
 from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
 from stopset.types import Array
 
-KNOTS = 200  # time steps over the expected stop; the bound's time is coarse by one of them
-# in a fast loop: of a certificate (bounds under 1 % wider, in half the time); where the kinetic energy has to help (a third wider,
-# in a fifth of the time); windows of the brakes' common delay (half the angle of one where the energy has to help)
-FAST_KNOTS: int = lib.STOPSET_STOP_KNOTS
-FAST_ENERGY_KNOTS: int = lib.STOPSET_STOP_ENERGY_KNOTS
+
+class Knots(NamedTuple):
+    """Time steps over the expected stop, and at least how many of them from when the first brake may close until all have.
+
+    A step counts the least torque that a brake can have at its beginning: what brakes gain on it is given away.
+    """
+
+    stop: int
+    closing: int
+
+
+KNOTS = Knots(200, 70)  # of a table; the bound's time is coarse by one of them
+ENERGY_KNOTS = Knots(200, 200)  # where the kinetic energy has to help
+# in a fast loop: of a certificate (bounds under 1 % wider, in half the time); where the kinetic energy has to help (in a sixth of
+# the time); windows of the brakes' common delay (half the angle of one where the energy has to help)
+FAST_KNOTS = Knots(lib.STOPSET_STOP_KNOTS, lib.STOPSET_STOP_CLOSING)
+FAST_ENERGY_KNOTS = Knots(lib.STOPSET_STOP_ENERGY_KNOTS, lib.STOPSET_STOP_ENERGY_CLOSING)
 FAST_WINDOWS: int = lib.STOPSET_STOP_WINDOWS
 REGIONS = 5  # that a tube is tried in, each larger than what the last led to
 COARSE = 4  # times fewer knots of the tube that finds a region
@@ -77,7 +90,7 @@ class Region:
 
 
 def march_box(
-    setting: Setting, plant: Plant, start: Start, parts: Parts = ALL_PARTS, *, energetic: bool, knots: int = KNOTS,
+    setting: Setting, plant: Plant, start: Start, parts: Parts = ALL_PARTS, *, energetic: bool, knots: Knots | None = None,
     region: Region | None = None,
 ) -> Tube:  # fmt: skip
     """One tube of ``plant`` from the states of ``start``.
@@ -86,17 +99,18 @@ def march_box(
     with a coarse tube.
     """
     fast = start.fastest
+    knots = knots or (ENERGY_KNOTS if energetic else KNOTS)
     lasts = expected_stop(setting.plant, start.q, fast)
     patience = MORE_PATIENCE if energetic else PATIENCE
     settled = setting.torques.settled
+    closes = float(np.max(plant.delay_hi + plant.rise_hi) - np.min(plant.delay_lo))
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
         coarse = not (settled or region.known)
-        steps = max(1, knots // COARSE) if coarse else knots
-        tube: Tube = march(
-            plant if settled else region.plant(setting, plant, start), start.angles, start.speeds, lasts / steps, steps * patience,
-            parts, energetic=energetic,
-        )  # fmt: skip
+        few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
+        steps = Stride(lasts / few, few * patience + brief, closes / brief)
+        at = plant if settled else region.plant(setting, plant, start)
+        tube = march(at, start.angles, start.speeds, steps, parts, energetic=energetic)
         if settled or (tube.end != OK and not coarse):
             return tube
         if tube.end != OK:
@@ -124,7 +138,7 @@ def tubes_of(
     ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop.
     """
     lasts = expected_stop(setting.plant, start.q, start.fastest)
-    knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, KNOTS)
+    knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, ENERGY_KNOTS)
     regions = [Region.first(setting, start.fastest, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
 
     def one(plant: Plant, *, energetic: bool) -> Tube:

@@ -34,14 +34,12 @@ FEWEST_ROWS = 50
 RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
 CREEP = 0.02  # [rad/s]
-FEWEST_SAMPLES = 8
-NOISE_SAMPLES = 20
+FEWEST_SAMPLES = 20
 FEW_POSES = 12
 EVEN = 0.1  # of a period
 GAP = 1.5  # periods
 UNEVEN = 0.5  # of the trials
 STAMPS = 0.5  # of a sample
-WORTH = 1e-5  # [s]
 
 SURE = 2.0  # standard deviations
 WHOLE = 0.25  # of a gear's swing
@@ -179,10 +177,8 @@ SETTLED = (
               "chosen: a trial's motion hardly tells nearer ones apart"),
     Threshold("CREEP", "speed below which stiction makes the torque indeterminate", "rad/s",
               "30 times the smoothed speed's own noise"),
-    Threshold("FEWEST_SAMPLES", "samples of a trial from which on it counts", "",
-              "chosen"),
-    Threshold("NOISE_SAMPLES", "the same for its sensors' noise", "",
-              "chosen"),
+    Threshold("FEWEST_SAMPLES", "samples of a moving trial from which on it counts", "",
+              "chosen: fewer do not tell their sensors' noise"),
     Threshold("FEW_POSES", "poses from which on their own scatter is told", "",
               "chosen"),
     Threshold("EVEN", "stamps no farther off an even clock, in its periods, are even", "",
@@ -193,8 +189,6 @@ SETTLED = (
               "chosen: the larger part"),
     Threshold("STAMPS", "how late stamps may be, in samples, one standard deviation", "",
               "a torque held over a sample acts half a sample later than its stamp"),
-    Threshold("WORTH", "scatter of stamps that is worth a word", "s",
-              "chosen"),
     Threshold("SURE", "standard deviations that some number of an effect must exceed, and none its range", "",
               "chosen: else the recordings give it no size"),
     Threshold("WHOLE", "how far a gear's swing may be off the size that its stiffness gives it", "%",

@@ -145,7 +145,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
-    ("stop tubes", tubes, "KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
+    ("stop tubes", tubes, "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.SETTLED)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP ONE_DIRECTION GOLDEN"),

@@ -8,9 +8,10 @@
 #include "bound.h"
 
 enum { KNOTS = STOPSET_STOP_KNOTS, ENERGY_KNOTS = STOPSET_STOP_ENERGY_KNOTS, WINDOWS = STOPSET_STOP_WINDOWS };
+enum { CLOSING = STOPSET_STOP_CLOSING, ENERGY_CLOSING = STOPSET_STOP_ENERGY_CLOSING };
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
 enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
-enum { STEPS = KNOTS * PATIENCE > ENERGY_KNOTS * MORE_PATIENCE ? KNOTS * PATIENCE : ENERGY_KNOTS *MORE_PATIENCE };
+enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ENERGY_KNOTS * MORE_PATIENCE + ENERGY_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone */
 
 int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
@@ -145,21 +146,24 @@ static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
 int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, Region *region, double fastest[SN]) {
     const StopsetStops *s = a->stops;
     const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, patience = energetic ? MORE_PATIENCE : PATIENCE;
-    double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN], moved[SN];
+    const int closing = energetic ? ENERGY_CLOSING : CLOSING;
+    double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN], moved[SN], first = STOPS_INF, last = -STOPS_INF;
     for (int i = 0; i < n; i++) {
+        first = least(first, delay_lo[i]);
+        last = most(last, delay_hi[i] + s->plant.rise_hi[i]);
         q_lo[i] = a->q[i] - a->q_radius[i];
         q_hi[i] = a->q[i] + a->q_radius[i];
         v_lo[i] = a->dq[i] - a->dq_radius[i];
         v_hi[i] = a->dq[i] + a->dq_radius[i];
     }
     for (int k = 0; k < REGIONS; k++) {
-        const int coarse = s->torques && !region->known, steps = coarse ? knots / COARSE : knots;
+        const int coarse = s->torques && !region->known, steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
         if (s->torques && !asked(a, region)) return 0;
         StopsetPlant plant = s->torques ? stops_with_friction(&s->plant, region->friction) : s->plant;
         plant.delay_lo = delay_lo;
         plant.delay_hi = delay_hi;
-        const int end = stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / steps, steps * patience, &stops_whole, energetic,
-                                          &a->tube, &a->made);
+        const int end = stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / steps, (last - first) / brief, steps * patience + brief,
+                                          &stops_whole, energetic, &a->tube, &a->made);
         if (!s->torques) {
             extent(a, fastest, moved);
             return end == 0;

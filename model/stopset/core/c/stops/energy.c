@@ -83,13 +83,6 @@ void stops_power_excess(int n, const Energy *e, const double *u_lo, const double
     }
 }
 
-/* The same in whatever direction. */
-static void power_excess(const StopsetPlant *p, const Energy *e, const double *B_lo, double *w) {
-    Span either;
-    stops_power_excess(p->arm.n, e, p->u_lo, p->u_hi, B_lo, &either);
-    for (int i = 0; i < p->arm.n; i++) w[i] = most(either.lo[i], either.hi[i]);
-}
-
 /* Caps on a step of h seconds from y, on whose box `at` holds and w bounds the power. Whatever the pose, M >= diag(rotor) and
  * M_ii <= K.size_i + rotor_i. */
 static void caps(const StopsetPlant *p, Energy *e, double y, const Local *at, const double *w, double h) {
@@ -117,6 +110,7 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
     const int n = E->n;
     const double y = e->y;
     double x_lo[SN] = {0}, x_hi[SN] = {0}, none[SN] = {0}, w[SN], claim[SN];
+    Span either;
     for (int i = 0; i < n; i++) claim[i] = 1.02 * least(e->cap[i], sqrt(1.0 / (p->rotor[i] - p->rotor_half[i])) * y) + 1e-6;
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
@@ -129,7 +123,8 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
             e->g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
             e->g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
         }
-        power_excess(p, e, B_lo, w);
+        stops_power_excess(n, e, p->u_lo, p->u_hi, B_lo, &either);
+        for (int i = 0; i < n; i++) w[i] = most(either.lo[i], either.hi[i]);
         caps(p, e, y, at, w, h);
         for (int i = 0; i < n; i++)
             if (e->cap[i] > claim[i]) {
@@ -159,38 +154,45 @@ static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_l
     }
 }
 
-/* How far [rad] each joint can still go from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known. Brakes only gain torque:
- * once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than y^2 / 2 |w_i|.
- * That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
+/* How far [rad] each joint can still go forward (hi) and backward (lo) from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known.
+ * Brakes only gain torque: once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than
+ * y^2 / 2 |w_i|, w_i that of the direction. That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      const StopsetParts *parts, Local *at, double *travel) {
+                      const StopsetParts *parts, Local *at, Span *travel) {
     const int n = E->n;
     const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
-    double w[SN], more[SN], left[SN];
-    Energy here;
+    double more[SN], claim[SN];
+    Energy here = {0};
+    Span w, left;
     stops_box_terms(E, &p->curvature, q_lo, q_hi, none, none, parts, at); /* at rest: h is gravity alone */
     for (int i = 0; i < n; i++) {
         here.g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
         here.g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
     }
-    power_excess(p, &here, B_lo, w);
+    stops_power_excess(n, &here, p->u_lo, p->u_hi, B_lo, &w);
     for (int i = 0; i < n; i++) {
-        if (!(w[i] < 0.0)) return 0;
-        travel[i] = 1.1 * work / -w[i] + 1e-9;
+        const double worst = most(w.lo[i], w.hi[i]);
+        if (!(worst < 0.0)) return 0;
+        claim[i] = 1.1 * work / -worst + 1e-9;
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
-        heavier(p, E, q_lo, q_hi, travel, more);
+        heavier(p, E, q_lo, q_hi, claim, more);
         for (int i = 0; i < n; i++) {
-            left[i] = least(w[i] + more[i], p->curvature.load[i] + most(p->u_hi[i], -p->u_lo[i]) - B_lo[i]);
-            if (!(left[i] < 0.0)) return 0;
-            if (!(work / -left[i] < travel[i])) {
+            left.lo[i] = least(w.lo[i] + more[i], p->curvature.load[i] - p->u_lo[i] - B_lo[i]);
+            left.hi[i] = least(w.hi[i] + more[i], p->curvature.load[i] + p->u_hi[i] - B_lo[i]);
+            const double worst = most(left.lo[i], left.hi[i]);
+            if (!(worst < 0.0)) return 0;
+            if (!(work / -worst < claim[i])) {
                 enough = 0;
-                travel[i] = 1.1 * work / -left[i] + 1e-9;
+                claim[i] = 1.1 * work / -worst + 1e-9;
             }
         }
         if (!enough) continue;
-        for (int i = 0; i < n; i++) travel[i] = work / -left[i] * stopset_energy_rounding;
+        for (int i = 0; i < n; i++) {
+            travel->lo[i] = work / -left.lo[i] * stopset_energy_rounding;
+            travel->hi[i] = work / -left.hi[i] * stopset_energy_rounding;
+        }
         return 1;
     }
     return 0;

@@ -14,6 +14,7 @@
 enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
 static const double RESERVE = 0.02; /* share of the torque kept for what happens between the knots */
 static const double HAIR = 1e-12;   /* of evaluating a cubic, relative */
+static const double SHORT = 1e-7;   /* of the path that is left: no grid is for less */
 static const double ROOMY = 1e-3;   /* by which the last grid is wider than the length found, so that the stop ends on it */
 
 /* Torque of body `side` and joint i: u a + x b + c, with x = s'^2, u = s''. */
@@ -116,13 +117,12 @@ static double rubbing(const StopsetPlant *p, int i, double speed) {
 static int room_of(const Task *t, double begin, double end, double rate, double room[SN]) {
     double friction[6 * SN], top[SN];
     StopsetPlant plant;
-    int worst = -1;
-    if (!there(t, begin, end, rate, friction, top, &plant)) return 0;
+    const int bounded = there(t, begin, end, rate, friction, top, &plant); /* friction without a bound leaves nothing */
     for (int i = 0; i < t->n; i++) {
-        room[i] = t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]);
-        if (!(room[i] > 0.0) && (worst < 0 || room[i] < room[worst])) worst = i;
+        room[i] = bounded * t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]);
+        if (!(room[i] > 0.0)) return i;
     }
-    return worst;
+    return -1;
 }
 
 static void lines_at(const Task *t, double s, Lines *out) {
@@ -146,12 +146,8 @@ static void lines_at(const Task *t, double s, Lines *out) {
     }
 }
 
-/* [lo, hi] cut to the u with |slope u + rest| <= room. */
+/* [lo, hi] cut to the u with |slope u + rest| <= room: where the slope is zero all of them, or none. */
 static void cut(double slope, double rest, double room, double *lo, double *hi) {
-    if (size_of(slope) <= 1e-12 * room) {
-        if (size_of(rest) > room) *lo = STOPS_INF;
-        return;
-    }
     const double one = (-room - rest) / slope, other = (room - rest) / slope;
     *lo = most(*lo, least(one, other));
     *hi = least(*hi, most(one, other));
@@ -169,19 +165,18 @@ static int allowed(const Task *t, const Lines *here, const Lines *next, double x
     return *lo <= *hi;
 }
 
-/* Full braking from s = begin at `rate` on a grid of `step`; whether it ends on the path. */
+/* Full braking from s = begin at `rate` on a grid of `step`; whether it ends on the path, and no farther than MOST_STEPS. */
 static int brake(const Task *t, double begin, double rate, double step, const double room[SN], Profile *out) {
-    const double last = t->path->knots[t->path->pieces];
+    const double last = t->path->knots[t->path->pieces], ahead = least(last - begin, MOST_STEPS * step) * (1.0 + HAIR);
     Lines both[2];
     out->x[0] = rate * rate;
     out->step = step;
     lines_at(t, begin, both);
-    for (int k = 0; k < MOST_STEPS; k++) {
+    for (int k = 0; (k + 1) * step <= ahead; k++) {
         const double x = out->x[k], s = begin + (k + 1) * step, whole = -x / (2.0 * step);
         double lo, hi;
-        if (!(s <= last * (1.0 + HAIR))) return 0;
         lines_at(t, least(s, last), both + (k + 1) % 2);
-        if (!allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room, &lo, &hi) || whole > hi) return 0;
+        if (!allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room, &lo, &hi)) return 0;
         out->made = k + 1;
         if (lo <= whole) {
             out->x[k + 1] = 0.0;
@@ -202,23 +197,20 @@ static int shortest(const Task *t, double begin, double rate, StopsetPassed *pas
     passed->joint = room_of(t, begin, begin, rate, room);
     if (passed->joint >= 0) return STOPSET_PATH_WEAK;
     lines_at(t, begin, &here);
-    if (!allowed(t, &here, 0, rate * rate, 0.0, room, &lo, &hi)) return STOPSET_PATH_FAST;
-    if (lo < 0.0) length = least(length, rate * rate / (-2.0 * lo));
+    (void)allowed(t, &here, 0, rate * rate, 0.0, room, &lo, &hi); /* where there is none the first step finds none either */
+    length = least(length, rate * rate / most(-2.0 * lo, 1e-12 * rate * rate));
     for (int pass = 0; pass < 3; pass++) { /* the region that friction is looked up in holds a stop half as long again */
         passed->joint = room_of(t, begin, begin + least(1.5 * length, left), rate, room);
         if (passed->joint >= 0) return STOPSET_PATH_WEAK;
-        double step = least(length * (1.0 + ROOMY), left) / steps[pass];
-        for (int tries = 0; !brake(t, begin, rate, step, room, out); tries++) { /* too long for the grid, or for the path */
-            if (tries > 5) return STOPSET_PATH_FAST;
-            step = tries ? step * 2.0 : left / steps[pass];
-        }
+        const double step = most(least(length * (1.0 + ROOMY), left), SHORT * left) / steps[pass];
+        if (!brake(t, begin, rate, step, room, out)) return STOPSET_PATH_FAST;
         length = least(out->length, left);
     }
     return STOPSET_OK;
 }
 
-/* A pose, its speeds, and whether the speeds are beyond the arm's. */
-static int pass(const Task *t, StopsetPassed *p, double s, const double *q, const double *speed) {
+/* A pose and its speeds; the joint whose speed is beyond the arm's. */
+static void pass(const Task *t, StopsetPassed *p, double s, const double *q, const double *speed) {
     const int64_t at = p->poses++ * t->n;
     p->s[p->poses - 1] = s;
     for (int i = 0; i < t->n; i++) {
@@ -226,7 +218,6 @@ static int pass(const Task *t, StopsetPassed *p, double s, const double *q, cons
         p->dq[at + i] = speed[i];
         if (size_of(speed[i]) > t->path->fastest[i] * (1.0 + 1e-9)) p->joint = i;
     }
-    return p->joint >= 0;
 }
 
 /* What is passed from s0 on, and the least torque left on the way; a code. */
@@ -241,10 +232,10 @@ static int look(const Task *t, double s0, double rate, double begin, const Profi
         const double s = s0 + (begin - s0) * k / (EARLY - 1);
         place(t, s, q, first, second);
         for (int i = 0; i < n; i++) v[i] = first[i] * rate;
-        if (pass(t, p, s, q, v)) return STOPSET_PATH_SPEED;
+        pass(t, p, s, q, v);
     }
     for (int k = 0; k <= f->made; k++) p->rate = most(p->rate, sqrt(f->x[k]));
-    if (!there(t, begin, least(end, t->path->knots[t->path->pieces]), p->rate, friction, top, &plant)) return STOPSET_PATH_WEAK;
+    const int bounded = there(t, begin, least(end, t->path->knots[t->path->pieces]), p->rate, friction, top, &plant);
     for (int k = 0; k < f->made; k++) {
         const double u = (f->x[k + 1] - f->x[k]) / (2.0 * f->step);
         p->time += 2.0 * f->step / (sqrt(f->x[k]) + sqrt(f->x[k + 1]));
@@ -255,13 +246,13 @@ static int look(const Task *t, double s0, double rate, double begin, const Profi
                 v[i] = first[i] * sd;
                 a[i] = first[i] * u + second[i] * (sd * sd);
             }
-            if (pass(t, p, s, q, v)) return STOPSET_PATH_SPEED;
+            pass(t, p, s, q, v);
             for (int side = 0; side < 2; side++) {
                 arm.pi = t->body[side];
                 stopset_torques(&arm, 1, q, v, a, tau);
                 for (int i = 0; i < n; i++) {
                     const double used = size_of(tau[i] + plant.rotor[i] * a[i]);
-                    p->room = least(p->room, t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
+                    p->room = least(p->room, bounded * t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
                 }
             }
         }
@@ -269,6 +260,7 @@ static int look(const Task *t, double s0, double rate, double begin, const Profi
     memset(v, 0, sizeof v);
     place(t, least(end, t->path->knots[t->path->pieces]), q, first, second);
     pass(t, p, end, q, v);
+    if (p->joint >= 0) return STOPSET_PATH_SPEED;
     return p->room < 0.0 ? STOPSET_PATH_SHORT : STOPSET_OK;
 }
 
@@ -313,14 +305,14 @@ static void bound(const Task *t, double s0, const StopsetPassed *p, const Stopse
 /* Whether every state passed lies where the model speaks. */
 static int seen(const Task *t, const StopsetPassed *p) {
     const int n = t->n;
-    if (!t->path->seen_lo) return 1;
+    const double *lo = t->path->seen_lo, *hi = t->path->seen_hi;
+    int inside = 1;
     for (int64_t k = 0; k < p->poses; k++)
         for (int i = 0; i < n; i++) {
             const double q = p->q[k * n + i], dq = p->dq[k * n + i];
-            if (!(q >= t->path->seen_lo[i] && q <= t->path->seen_hi[i])) return 0;
-            if (!(dq >= t->path->seen_lo[n + i] && dq <= t->path->seen_hi[n + i])) return 0;
+            inside &= (q >= lo[i]) & (q <= hi[i]) & (dq >= lo[n + i]) & (dq <= hi[n + i]);
         }
-    return 1;
+    return inside;
 }
 
 /* The joint that the rest of the path takes beyond the arm's limits, or -1. */
@@ -328,7 +320,7 @@ static int beyond(const Task *t, double s0) {
     double lo[SN], hi[SN], first[SN], second[SN];
     stretch(t, s0, t->path->knots[t->path->pieces], lo, hi, first, second);
     for (int i = 0; i < t->n; i++)
-        if (!(lo[i] >= t->path->q_lo[i] - 1e-9 && hi[i] <= t->path->q_hi[i] + 1e-9)) return i;
+        if (!((lo[i] >= t->path->q_lo[i] - 1e-9) & (hi[i] <= t->path->q_hi[i] + 1e-9))) return i;
     return -1;
 }
 
@@ -351,7 +343,7 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     StopsetPassed none = {0, -1, 0.0, 0.0, control, STOPS_INF, 0.0, work, work + POSES, work + POSES + POSES * (int64_t)t.n};
     *passed = none;
     passed->begin = s + rate * control;
-    if (!(s >= 0.0 && s < path->knots[path->pieces] && rate > 0.0 && rate < STOPS_INF)) return STOPSET_OUT_OF_RANGE;
+    if (!((s >= 0.0) & (s < path->knots[path->pieces]) & (rate > 0.0) & (rate < STOPS_INF))) return STOPSET_OUT_OF_RANGE;
     if (!(passed->begin < path->knots[path->pieces])) return STOPSET_PATH_ENDS;
     passed->joint = beyond(&t, s);
     if (passed->joint >= 0) return STOPSET_PATH_BEYOND;
@@ -369,5 +361,5 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     if (!seen(&t, passed)) return STOPSET_PATH_UNSEEN;
     if (!(after >= 0.0)) return STOPSET_PATH_UNSETTLED;
     const double *last = passed->q + (passed->poses - 1) * t.n;
-    return stops_held(stops, passed->q, t.off) && stops_held(stops, last, t.off) ? STOPSET_OK : STOPSET_PATH_FALLS;
+    return stops_held(stops, passed->q, t.off) & stops_held(stops, last, t.off) ? STOPSET_OK : STOPSET_PATH_FALLS;
 }

@@ -94,7 +94,7 @@ void stops_power_excess(int n, const Energy *e, const double *u_lo, const double
 int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       double h, const StopsetParts *parts, Local *at);
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      const StopsetParts *parts, Local *at, double *travel);
+                      const StopsetParts *parts, Local *at, Span *travel);
 double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);

@@ -224,7 +224,7 @@ static void caps_alone(March *m, int64_t k) {
 
 /* Bands, lines and retained impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
  * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
-static int take_step(March *m, int64_t k) {
+static int take_step(March *m, int64_t k, double now) {
     const int n = m->n;
     const StopsetTube *t = m->tube;
     double *v_lo = t->v_lo + k * n, *v_hi = t->v_hi + k * n, *e_lo = t->e_lo + k * n, *e_hi = t->e_hi + k * n;
@@ -232,7 +232,7 @@ static int take_step(March *m, int64_t k) {
     for (int i = 0; i < n; i++) m->need[i] = m->b.alive[i] ? m->momentum.needed[i] - 2.0 * m->drop[i] : m->momentum.needed[i];
     for (int redo = 0;; redo++) { /* ends: from the second on each takes nothing of one more joint */
         int enough = 1;
-        later_friction(m, (double)k * m->h + m->h);
+        later_friction(m, now + m->h);
         verified = verify(m, k);
         if (!verified && !m->energetic) return 0;
         if (!verified) caps_alone(m, k);
@@ -299,14 +299,14 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
         m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
     }
-    double *travel_left = t->travel_left + k * n;
-    if (stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, travel_left))
-        for (int i = 0; i < n; i++) {
-            m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - travel_left[i]);
-            m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + travel_left[i]);
-        }
-    else
-        for (int i = 0; i < n; i++) travel_left[i] = STOPS_INF;
+    Span travel;
+    const int braked = stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, &travel);
+    for (int i = 0; i < n; i++) {
+        t->travel_left[k * n + i] = braked ? most(travel.lo[i], travel.hi[i]) : STOPS_INF;
+        if (!braked) continue;
+        m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - travel.lo[i]);
+        m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + travel.hi[i]);
+    }
     if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
     for (int i = 0; i < n; i++) {
         m->cap.lo[i] = -m->energy.cap[i];
@@ -431,10 +431,16 @@ static void begin(March *m, const double *q_lo, const double *q_hi, const double
     m->energy.y = stops_largest(&m->start, v0_lo, v0_hi);
 }
 
-static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, int64_t steps,
-                 const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
+/* The longest step from `now`: none passes the moment at which the first brake may close, and until all have closed none is longer than `brief`. */
+static double step_from(double now, double closing, double engaged, double h, double brief) {
+    if (now < closing) return least(h, closing - now);
+    return now < engaged ? least(h, brief) : h;
+}
+
+static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, double brief,
+                 int64_t steps, const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
     const int n = plant->arm.n;
-    double middle[SN], gravity[SN], engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
+    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
     March m;
     memset(&m, 0, sizeof m);
     m.p = plant;
@@ -443,11 +449,11 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
     m.n = n;
     m.energetic = m.pulled = energetic;
     m.related = related;
-    m.h = h;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
     for (int i = 0; i < n; i++) {
         middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
+        closing = least(closing, plant->delay_lo[i]);
         engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
         quick = most(quick, most(size_of(v0_lo[i]), size_of(v0_hi[i])));
     }
@@ -456,17 +462,18 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
     /* bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall */
     if (!energetic) fastest = related ? 4.0 * quick + 2.0 : 20.0 * quick + 20.0;
     for (int64_t k = 0; k < steps; k++) {
-        const double now = (double)k * h, y = m.energy.y;
+        const double now = tube->t[k], y = m.energy.y;
         double widest = -STOPS_INF;
         *made = k;
+        m.h = step_from(now, closing, engaged, h, brief);
         if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
         guess_claims(&m, k);
-        const int verified = take_step(&m, k);
+        const int verified = take_step(&m, k, now);
         if (!verified && !energetic) return UNBOUNDED;
         m.related = m.related && verified; /* where it does not help it costs the most */
         displace(&m, k);
         settle(&m, k, y);
-        tube->t[k + 1] = now + h;
+        tube->t[k + 1] = now + m.h;
         *made = k + 1;
         for (int i = 0; i < n; i++) tube->travel_left[(k + 1) * n + i] = STOPS_INF;
         for (int i = 0; i < n; i++) {
@@ -483,9 +490,9 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
 }
 
 int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
-                      int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
+                      double brief, int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, steps, parts, energetic, energetic, tube, made);
+    const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, energetic, energetic, tube, made);
     if (end == OK || energetic) return end;
-    return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, steps, parts, 0, 1, tube, made);
+    return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, 0, 1, tube, made);
 }

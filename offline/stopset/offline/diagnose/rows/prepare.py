@@ -159,7 +159,9 @@ def prepare(recordings: Recordings) -> Prepared:
     """Make recordings ready. Raises `RecordingError` if no trial is long enough to say anything."""
     moving = [c for r in recordings if r.phase != "static" and (c := _before_brake(r)) is not None]
     if not moving:
-        raise RecordingError("no moving trial longer than 0.1 s in these recordings; diagnosis needs closed- or open-loop motion")
+        raise RecordingError(
+            f"no moving trial of more than {limit.FEWEST_SAMPLES} samples in these recordings; diagnosis needs closed- or open-loop motion"
+        )
     dt = period_of(moving)
     kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
     step = max(1, round(ROW_STEP / dt))
@@ -196,7 +198,7 @@ def prepare(recordings: Recordings) -> Prepared:
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids if len(g.t) > limit.NOISE_SAMPLES]
+    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids]
     noise = [[x for p, x, _ in noises if p == phase] or [x for _, x, _ in noises] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(

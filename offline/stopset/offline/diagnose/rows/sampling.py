@@ -124,7 +124,7 @@ def in_step(recordings: Recordings, lag: float) -> Recordings:
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:
     """What was made of the stamps, where they were not as even as a clock."""
     out, samples = [], sum(len(x.t) for x in read)
-    uneven = [x.scatter for x in read if x.scatter > limit.WORTH]
+    uneven = [x.scatter for x in read if x.scatter > 0.0]
     if uneven:
         out.append(
             f"stamps scatter by {1e3 * float(np.median(uneven)):.2g} ms about an even clock in {len(uneven)} of {len(read)} trials: "
