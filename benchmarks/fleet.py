@@ -17,7 +17,7 @@ from typing import Any
 from stopset.monitor.fleet import Fleet
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
-from stopset.monitor.packer import pack
+from stopset.monitor.packer import Packer
 
 JOINTS = tuple(f"arm_{k}_joint" for k in range(1, 7))
 GROUP = 25  # arms per process
@@ -44,7 +44,7 @@ def arms(port: int, first: int, count: int, ready: Any) -> None:
     while True:
         begin = time.monotonic()
         now = time.time_ns()
-        data = pack(
+        data = Packer().pack(
             {
                 "data_id": 1,
                 "boot_id": 3,

@@ -30,6 +30,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from monitor_arm import known_model, motion
+from state_messages import pack
 from stopset.artifact import load_model, save_model
 from stopset.artifact.store import _digest
 from stopset.errors import StopsetError
@@ -43,7 +44,6 @@ from stopset.monitor.links.canopen_map import Encoder
 from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.logs import trials_of_log
 from stopset.monitor.orders import parse_reset
-from stopset.monitor.packer import pack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.sample import Quantum, Sample

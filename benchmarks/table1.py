@@ -22,11 +22,13 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from stopset.artifact import Abstraction
-from stopset.offline.abstraction import ORDERS, build, degrees
+from stopset.offline.abstraction import ORDERS, build
+from stopset.offline.abstraction.forms import coriolis_degree, dynamics
 from stopset.offline.description import load_robot
 from stopset.robot import Robot
 from stopset.robot.rigid import Chain, mass_matrices, torques
@@ -48,6 +50,22 @@ PAPER = {
 }
 
 Flow = Callable[[Array, Array, Array], Array]  # ddq of q, dq, u
+
+
+class Degrees(NamedTuple):
+    """Maximal polynomial degrees: from which order on a model no longer changes."""
+
+    model_1: int  # of the viscous friction
+    model_2: int  # of the Coriolis torques as the algorithm composes them (the paper's 12)
+    model_2_reduced: int  # the same after sin^2 + cos^2 = 1, as `build` uses them
+
+
+def degrees(robot: Robot, viscous: Array) -> Degrees:
+    """Maximal degrees of models 1 and 2 (the paper: 3 and 12); model 3 has none, its dynamics are rational."""
+    used = np.flatnonzero(np.any(np.asarray(viscous).reshape(robot.n, -1) != 0.0, axis=0))
+    friction = int(used.max(initial=0)) + 1
+    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), as_composed=plain)) for plain in (True, False))
+    return Degrees(friction, max(friction, composed), max(friction, reduced))
 
 
 def exact_ddq(chain: Chain, pi: Array, rotor: Array, viscous: Array, q: Array, dq: Array, u: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import resource
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +15,18 @@ import pytest
 
 from articulated import forward_dynamics
 from stopset.artifact import Abstraction
-from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluate, jacobian
+from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluate
 from stopset.errors import StopsetError
-from stopset.offline.abstraction import ORDERS, build, degrees, predicted_bytes
+from stopset.offline.abstraction import ORDERS, build, predicted_bytes
 from stopset.offline.abstraction.forms import dynamics, inverse
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import mass_matrix, torque
 from test_taylor import CIRCLE, RADIUS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from table1 import degrees
 
 ROTOR, VISCOUS = np.array([0.7, 0.4]), np.array([[3.0, 0.2, -0.3], [2.0, -0.1, -0.2]])
 
@@ -71,7 +75,7 @@ def test_model_3_has_the_taylor_coefficients_of_the_closed_form(order: int) -> N
 
         want = _line(along, order)
         for i, p in enumerate(model.acceleration):
-            assert p.degree <= order
+            assert p.exponent.sum(axis=1).max(initial=0) <= order
             got = by_degree(p, centre, direction, order)
             # values of order 10 with rounding 1e-16 over RADIUS^order, some hundred operations
             assert np.abs(got - want[:, i]).max() < 1e-13 / RADIUS**order
@@ -240,10 +244,8 @@ def test_polynomial_evaluation_and_jacobian() -> None:
     z = rng.uniform(-1, 1, (9, 5))
     want = np.prod(z[:, None, :] ** e, axis=2) @ c
     assert np.abs(p(z) - want).max() < 1e-13
-    slope = np.prod(np.where(np.arange(5) == 0, z[:, None, :] ** np.maximum(e - 1, 0) * e, z[:, None, :] ** e), axis=2) @ c
     program = compiled((p,))
     assert np.abs(evaluate(program, z)[:, 0] - want).max() < 1e-13
-    assert np.abs(jacobian(program, z)[:, 0, 0] - slope).max() < 1e-12
     zero = Polynomial(np.zeros((1, 5), np.int64), np.zeros(1))
     assert np.all(zero(z) == 0.0)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import current
 from stopset.core import build
 from stopset.core.library import ffi, lib, view
 
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 
 def test_the_library_is_made_from_the_sources_as_they_are() -> None:
     assert ffi.string(lib.stopset_sources()).decode() == build.sources_hash()
-    assert build.current()
+    assert current()
 
 
 @pytest.mark.skipif(sys.platform != "linux" or shutil.which("nm") is None, reason="reads the symbols of an ELF file with nm")

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Abstraction
+from stopset.core.library import ffi, given, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.conform.envelope import Deviations, Envelope
-from stopset.offline.conform.windows import extremes
 from stopset.recording import Recording
 
 DT = 0.01
+
+
+def extremes(x: np.ndarray) -> tuple[float, float]:
+    top, bottom = ffi.new("double *"), ffi.new("double *")
+    lib.stopset_extremes(len(x), view(given(x)), top, bottom)
+    return top[0], bottom[0]
 
 
 def test_extremes_are_those_of_the_floats_to_the_last_bit() -> None:

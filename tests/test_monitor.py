@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from float32 import outward
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
+from state_messages import pack
 from stopset.effects.base import Fitted
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import plc, status
@@ -23,7 +24,7 @@ from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward_all, unpack
-from stopset.monitor.packer import Packer, pack
+from stopset.monitor.packer import Packer
 from stopset.monitor.profile import load_profile
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CycleCount

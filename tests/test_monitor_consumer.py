@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from float32 import outward
 from monitor_process import compiled
+from state_messages import pack
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
 from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Expected, Fault
 from stopset.monitor.layout import LENGTH, State, unpack
-from stopset.monitor.packer import pack
 
 KEY = Key(3, bytes(range(32)))
 EXPECTED = Expected(7, 0xAA, 0xBB, Keys.of(KEY))

@@ -31,6 +31,7 @@ from monitor_process import (
     write_config,
 )
 from patience import Granted, rest, wait
+from state_messages import pack
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
 from stopset.monitor.consumer import Fault
@@ -39,7 +40,6 @@ from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack
 from stopset.monitor.links.hub import Hub
 from stopset.monitor.links.zenoh_link import ZenohLink
-from stopset.monitor.packer import pack
 from stopset.recording import write_recordings
 
 WATCHDOG = 400  # [ms] a machine shared with everything else

@@ -17,7 +17,15 @@ from set_problems import binary_search, fit_nonlinear, problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
-from stopset.offline.abstraction import IdentifiedArm, abstract, build, friction_polynomial, ranked
+from stopset.offline.abstraction import (
+    IdentifiedArm,
+    ModelCandidate,
+    abstract,
+    best_first,
+    build,
+    friction_polynomial,
+    prediction_error,
+)
 from stopset.offline.abstraction.grid import Trial, coarser
 from stopset.offline.abstraction.metrics import Figures
 from stopset.offline.campaign import survey
@@ -271,6 +279,10 @@ def test_a_divergent_model_is_named() -> None:
     model = replace(planar(2, 5), viscous=np.array([[-40.0, 0, 0], [-40.0, 0, 0]]))
     with pytest.raises(NotConformant, match="diverges from the recorded motion"):
         fit_nonlinear(planar_trials(planar(2, 5), 2), problem(model, READINGS, 0.02, 75))
+
+
+def ranked(models: list[Abstraction], trials: list[Trial], dt: float) -> list[ModelCandidate]:
+    return best_first([ModelCandidate(m, prediction_error(m, trials, dt, 1.0)) for m in models])
 
 
 def test_the_order_is_chosen_by_held_out_error_not_by_size() -> None:

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 import patience
+from state_messages import pack
 from stopset.monitor.layout import State
-from stopset.monitor.packer import pack
 from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.offline.workbench import Loop, Server
 

@@ -18,7 +18,6 @@ from stopset.robot.rigid import (
     link_frames,
     mass_matrices,
     mass_matrix,
-    regressor,
     regressors,
     torque,
     torques,
@@ -55,7 +54,7 @@ def test_agrees_with_pinocchio(where: str) -> None:
         dq, ddq = rng.normal(size=(2, robot.n))
         want = pin.rnea(model, data, q, dq, ddq)
         assert np.abs(torque(robot.chain, robot.pi, q, dq, ddq) - want).max() < TOLERANCE
-        assert np.abs(regressor(robot.chain, q, dq, ddq) @ robot.pi.ravel() - want).max() < TOLERANCE
+        assert np.abs(regressors(robot.chain, q, dq, ddq) @ robot.pi.ravel() - want).max() < TOLERANCE
         M = np.triu(pin.crba(model, data, q))
         assert np.abs(mass_matrix(robot.chain, robot.pi, q) - (M + np.triu(M, 1).T)).max() < TOLERANCE
         g = pin.computeGeneralizedGravity(model, data, q)
@@ -83,7 +82,7 @@ def test_rows_are_what_each_row_is() -> None:
     assert np.array_equal(torques(c, pi, q, dq, ddq), [torque(c, pi, *x) for x in zip(q, dq, ddq, strict=True)])
     assert np.array_equal(gravity_torques(c, pi, q), [gravity_torque(c, pi, x) for x in q])
     assert np.array_equal(mass_matrices(c, pi, q), [mass_matrix(c, pi, x) for x in q])
-    assert np.array_equal(regressors(c, q, dq, ddq), [regressor(c, *x) for x in zip(q, dq, ddq, strict=True)])
+    assert np.array_equal(regressors(c, q, dq, ddq), [regressors(c, *x) for x in zip(q, dq, ddq, strict=True)])
     R, o = link_frames(c, q)
     for k in range(len(q)):
         for ours, alone in zip((R[k], o[k]), link_frames(c, q[k]), strict=True):

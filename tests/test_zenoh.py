@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from monitor_arm import motion
 from monitor_process import free_port
 from patience import rest, wait
+from state_messages import pack
 from stopset.cli.main import main
 from stopset.errors import BusError
 from stopset.monitor.consumer import SAYS, Fault
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
-from stopset.monitor.packer import pack
 from stopset.monitor.replay import play
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.viewer import View, ViewerPage, terminal

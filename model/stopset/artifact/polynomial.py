@@ -33,11 +33,6 @@ class Polynomial:
         """Values at the rows of ``z`` (N, d) -> (N,)."""
         return evaluate(compiled((self,)), np.atleast_2d(np.asarray(z, float)))[:, 0]
 
-    @property
-    def degree(self) -> int:
-        """Highest total degree of a monomial."""
-        return int(self.exponent.sum(axis=1).max(initial=0))
-
     def recentred(self, centre: Array) -> Polynomial:
         """The same function written in the deviation from ``centre`` (d,): ``P.recentred(a)(w) == P(a + w)``.
 
@@ -150,12 +145,4 @@ def evaluate(program: Program, z: Array) -> Array:
     m, n = program.coefficient.shape
     out, work, z = np.empty((len(z), n)), np.empty(m), given(z)
     lib.stopset_polynomials(_table(program, z), len(z), view(z), view(work), view(out))
-    return out
-
-
-def jacobian(program: Program, z: Array) -> Array:
-    """Derivatives at the rows of ``z`` (N, d) -> (N, number of polynomials, d)."""
-    m, n = program.coefficient.shape
-    out, work, z = np.empty((len(z), n, program.dimension)), np.empty((m, 1 + n)), given(z)
-    lib.stopset_polynomial_slopes(_table(program, z), len(z), view(z), view(work), view(out))
     return out

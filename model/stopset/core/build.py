@@ -115,12 +115,6 @@ def write_binding(out: Path) -> Path:
     return path
 
 
-def current() -> bool:
-    """Whether the library and the binding beside this file were made from the sources as they are."""
-    path = HERE / library_name()
-    return path.exists() and (HERE / "_binding.py").exists() and sources_hash().encode() in path.read_bytes()
-
-
 def build(target: str | None = None) -> list[Path]:
     """Library and binding, beside this file."""
     return [compile_core(HERE, target), write_binding(HERE)]

@@ -169,11 +169,6 @@ class Taylor:
         """(m,) total degrees of the monomials."""
         return np.asarray(self.key >> self.algebra._shift, dtype=np.int64)
 
-    def degree(self, tolerance: float = 1e-12) -> int:
-        """Highest degree among the terms that are not rounding: above ``tolerance`` times the largest coefficient."""
-        big = np.abs(self.value) > tolerance * np.abs(self.value).max(initial=0.0)
-        return int(self.degrees[big].max(initial=0))
-
     def __call__(self, z: Array) -> Array:
         """Values at the rows of ``z`` (N, d): deviations from the expansion point."""
         return np.asarray(np.prod(np.asarray(z, float)[:, None, :] ** self.exponents, axis=2) @ self.value)

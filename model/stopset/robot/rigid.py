@@ -141,11 +141,6 @@ def regressors(chain: Chain, q: Array, dq: Array, ddq: Array) -> Array:
     return out
 
 
-def regressor(chain: Chain, q: Array, dq: Array, ddq: Array) -> Array:
-    """`regressors` of one state, (n, 10 n)."""
-    return regressors(chain, q, dq, ddq)
-
-
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Rotation (..., n, 3, 3) and origin (..., n, 3) [m] of every link frame in the base frame, for poses ``q`` (..., n)."""
     (q,), N = _rows(chain, q)

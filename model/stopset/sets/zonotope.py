@@ -3,7 +3,7 @@
 A box says what each joint may suffer; a zonotope also says what the joints do not suffer at once.  Linear maps and
 Minkowski sums of zonotopes are zonotopes, exactly, which is why reachable sets of linear systems are made of them.
 
-Source: Kuehn (1998), Rigorously computed orbits of dynamical systems without the wrapping effect; Girard (2005).
+Source: Kuehn (1998), Rigorously computed orbits of dynamical systems without the wrapping effect.
 """
 
 from __future__ import annotations
@@ -65,17 +65,3 @@ class Zonotope:
     def inflated(self, factor: float) -> Zonotope:
         """Grown about its centre by ``factor`` (>= 1)."""
         return Zonotope(self.centre, max(1.0, factor) * self.generators)
-
-    def reduced(self, order: int) -> Zonotope:
-        """A zonotope around it with at most ``order * d`` generators: the least slanted ones become a box.
-
-        Source: Girard (2005), Reachability of uncertain linear systems using zonotopes, sec. 3.4.
-        """
-        d, m = self.generators.shape
-        if m <= order * d:
-            return self
-        size = np.abs(self.generators).sum(axis=0) - np.abs(self.generators).max(axis=0)
-        rank = np.argsort(size)
-        few, retained = rank[: m - (order - 1) * d], rank[m - (order - 1) * d :]
-        hull = np.nextafter(np.abs(self.generators[:, few]).sum(axis=1) * (1.0 + m * 2.0**-52), np.inf)
-        return Zonotope(self.centre, np.hstack([self.generators[:, retained], np.diag(hull)]))

@@ -116,8 +116,3 @@ class Packer:
             self._view[at : at + MAC] = self.signer.code(self._view[:at])
         lib.stopset_seal(AT[CHECKED[1][0]], self._memory)
         return bytes(self._bytes)
-
-
-def pack(values: Mapping[str, Any], signer: Signer | None = None) -> bytes:
-    """One message, see `Packer`."""
-    return Packer(signer).pack(values)

@@ -23,18 +23,6 @@ void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out)
     }
 }
 
-static int64_t within(int64_t k, int64_t last) { return k < 0 ? 0 : k > last ? last : k; }
-
-void stopset_shifted(int64_t N, const double *x, int64_t whole, double u, double *out) {
-    const double before = -u * (1 - u) * (2 - u) / 6, here = (1 + u) * (1 - u) * (2 - u) / 2, after = (1 + u) * u * (2 - u) / 2,
-                 beyond = -(1 + u) * u * (1 - u) / 6;
-    for (int64_t k = 0; k < N; k++) {
-        const int64_t at = k - whole;
-        out[k] = before * x[within(at + 1, N - 1)] + here * x[within(at, N - 1)] + after * x[within(at - 1, N - 1)] +
-                 beyond * x[within(at - 2, N - 1)];
-    }
-}
-
 int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width, const double *h,
                      double *out) {
     memset(out, 0, (size_t)(rows * columns) * sizeof *out);

@@ -499,8 +499,6 @@ STOPSET_API int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const doubl
 
 /* x (N,) [any] smoothed over about +-3 rows within each trial, whose rows begin at `first` (N,). */
 STOPSET_API void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out);
-/* x (N,) [any] late by whole + part rows, part in [0, 1): cubic interpolation, held at the ends. */
-STOPSET_API void stopset_shifted(int64_t N, const double *x, int64_t whole, double part, double *out);
 /* out (rows, columns) [any]: rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
 STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width,
                                  const double *h, double *out);

@@ -54,19 +54,11 @@ def prediction_error(abstraction: Abstraction, trials: Sequence[tuple[Array, Arr
     return mean if np.isfinite(mean) else float("inf")
 
 
-def ranked(
-    models: Sequence[Abstraction], trials: Sequence[tuple[Array, Array]], dt: float, horizon: float = 1.0
-) -> list[ModelCandidate]:
-    """``models`` by their error on held-out ``trials``, best first; within `TIE` the simpler one (kind, then order)
-    leads.
-
-    Raises `StopsetError` when all of them diverge.
-    """
-    return best_first([ModelCandidate(m, prediction_error(m, trials, dt, horizon)) for m in models], horizon)
-
-
 def best_first(found: Sequence[ModelCandidate], horizon: float = 1.0) -> list[ModelCandidate]:
-    """Candidates by their error, see `ranked`. Raises `StopsetError` when all of them diverge within ``horizon`` [s]."""
+    """Candidates by their error, best first; within `TIE` the simpler one (kind, then order) leads.
+
+    Raises `StopsetError` when all of them diverge within ``horizon`` [s].
+    """
     best = min(c.error for c in found)
     if not np.isfinite(best):
         raise StopsetError(

@@ -13,8 +13,6 @@ Source: Liu & Althoff (2018), Sec. IV-B.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,22 +58,6 @@ def build(kind: int, order: int, robot: Robot, rotor: Array, viscous: Array, q_a
     if order < coriolis_degree(forms):  # else the polynomials are exact, and written about zero they are far shorter
         forms = forms.expanded(at, order - 1, inverse=False)
     return Abstraction(2, order, Minv, tau_nu, coriolis=tuple(_quadratic(C, forms) for C in forms.C))
-
-
-class Degrees(NamedTuple):
-    """Maximal polynomial degrees: from which order on a model no longer changes."""
-
-    model_1: int  # of the viscous friction
-    model_2: int  # of the Coriolis torques as the algorithm composes them (the paper's 12)
-    model_2_reduced: int  # the same after sin^2 + cos^2 = 1, as `build` uses them
-
-
-def degrees(robot: Robot, viscous: Array) -> Degrees:
-    """Maximal degrees of models 1 and 2 (the paper: 3 and 12); model 3 has none, its dynamics are rational."""
-    used = np.flatnonzero(np.any(np.asarray(viscous).reshape(robot.n, -1) != 0.0, axis=0))
-    friction = int(used.max(initial=0)) + 1
-    composed, reduced = (coriolis_degree(dynamics(robot, np.zeros(robot.n), as_composed=plain)) for plain in (True, False))
-    return Degrees(friction, max(friction, composed), max(friction, reduced))
 
 
 def predicted_bytes(kind: int, order: int, n: int, friction_degree: int = 3) -> int:

@@ -22,13 +22,6 @@ class Outermost(NamedTuple):
     lo_at: Index
 
 
-def extremes(x: Array) -> tuple[float, float]:
-    """Largest and smallest of ``x``, which holds at least one number and no NaN."""
-    top, bottom = ffi.new("double *"), ffi.new("double *")
-    lib.stopset_extremes(len(x), view(given(x)), top, bottom)
-    return top[0], bottom[0]
-
-
 def _envelope(trial: int, worst: Outermost) -> Any:
     hi, lo, hi_at, lo_at = worst
     ages, columns = hi.shape

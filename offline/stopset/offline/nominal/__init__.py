@@ -2,7 +2,7 @@
 
 from stopset.offline.nominal.nominal import Nominal, identify_nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
-from stopset.offline.nominal.normal_equations_file import load_sums, save_sums
+from stopset.offline.nominal.normal_equations_file import load_sums, sums_bytes
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.residual import Residual, residuals
 
@@ -15,6 +15,6 @@ __all__ = [
     "identify_nominal",
     "load_sums",
     "residuals",
-    "save_sums",
     "solve_nominal",
+    "sums_bytes",
 ]

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import ModelFileError
-from stopset.files import write_bytes
 from stopset.offline.nominal.normal_equations import DELAYS, NormalEquations, empty, layout_of
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.robot import Robot
@@ -20,16 +19,8 @@ SCHEMA = 1
 ARRAYS = ("rows_moving", "rows_still", "speed", "load", "span", "reference")
 
 
-def save_sums(path: str | Path, data: NormalEquations) -> None:
-    """Write the sums; exact: what is read back equals what was written to the last bit.
-
-    Raises `OutputError` when the place cannot be written.
-    """
-    write_bytes(path, sums_bytes(data))
-
-
 def sums_bytes(data: NormalEquations) -> bytes:
-    """The sums as a file's content."""
+    """The sums as a file's content; exact: what is read back equals what was written to the last bit."""
     upper = np.triu_indices(data.moving.shape[-1])
     used = np.flatnonzero(data.rows_moving.sum(axis=1) > 0)
     head = {

@@ -1,4 +1,4 @@
-"""Row signals smoothed and shifted in time."""
+"""Row signals smoothed in time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,4 @@ def calm(x: Array, first: Mask) -> Array:
     """
     out = np.empty(len(first))
     lib.stopset_calm(len(out), view(given(x)), flags(first), view(out))
-    return out
-
-
-def shifted(x: Array, rows: float) -> Array:
-    """``x`` late by so many rows (a fraction too), by cubic interpolation; held at the ends."""
-    whole, out = int(np.floor(rows)), np.empty(len(x))
-    lib.stopset_shifted(len(x), view(given(x)), whole, rows - whole, view(out))
     return out
