@@ -83,11 +83,12 @@ def by_simulation(
 
     ``first``: errors that are known already.
     """
-    errors = start = dict(first) if first else judge.simulated(settings, ())
     found = _named_by_simulation(judge)
     claims = {name: found.matching(name) if found else [] for name in names}
     order = [r for name in names for r in claims[name]]
     steps = dict(zip((r.label for r in order), found.steps(order) if found else (), strict=True))
+    at_first = {r.joints[0]: steps[r.label][0] for r in reversed(order)}
+    errors = start = _with_position(first or judge.simulated(settings, ()), at_first)
     known, judged = [*retained_effects(judge.model)], []
     for name in names:
         judge.progress(f"judging {name} on held-out data")
